@@ -29,8 +29,9 @@ FILE_COLOUR, AMPLITUDE_COLOUR, PHASE_COLOUR = COLOUR_ITEMS = ("File", "Amplitude
 
 # Attributes of the mesh's points; the node tree finds them by name.
 SCALE, ROTATION, COLOUR, OPACITY, DISPLACEMENT = "scale", "rotation", "colour", "opacity", "displacement"
-MODE_PREFIX, SH_PREFIX = "mode_", "sh_"
-NATIVE_PREFIX, NATIVE_BASE = "radiance:", "radiance:base"  # of Blender 5.3's own splats
+MODE_PREFIX = "mode_"
+# Harmonics, called as Blender 5.3's own splats call them: coefficient 0 with the opacity, and each further one.
+NATIVE_PREFIX, NATIVE_BASE = "radiance:", "radiance:base"
 # Of the last four vertices of a mesh, which are no Gaussians (nodes/applied.py): number, 1 to 4, and first place.
 REFERENCE, REFERENCE_REST = "tg4mm_reference", "tg4mm_reference_rest"
 
@@ -79,13 +80,8 @@ def phase(mode: int) -> str:
 
 
 def native_sh(k: int) -> str:
-    """Vector attribute of Blender's own splats: coefficient k ≥ 1, counted from 0 there."""
+    """Vector attribute: the red, green and blue coefficient k ≥ 1 of the spherical harmonics."""
     return f"{NATIVE_PREFIX}sh_{k - 1}"
-
-
-def sh(k: int) -> str:
-    """Vector attribute: the red, green and blue coefficient k of the spherical harmonics."""
-    return f"{SH_PREFIX}{k}"
 
 
 def toggles(freqs_hz: Sequence[float]) -> list[str]:

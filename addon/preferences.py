@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from . import names
+from . import compat, names
+from .nodes import drawing
+from .nodes.points import shown_size
 from .units import Unit, unit_of
 
 PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
@@ -20,6 +23,11 @@ _WALKTHROUGH = (
 )
 
 
+def _native_item() -> list[tuple[str, str, str]]:
+    about = "Blender's own Gaussian splats"
+    return [(names.NATIVE, names.NATIVE, about)] if compat.native_splats() else []
+
+
 class TG4MM_preferences(bpy.types.AddonPreferences):
     """What holds for every file"""
 
@@ -29,12 +37,18 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         name="Draw As",
         description="How splats are drawn after import",
         items=[
+            (
+                drawing.AUTOMATIC,
+                "Automatic",
+                "Blender's own splats where it has them, else the best that plays with so many Gaussians",
+            ),
+            *_native_item(),
             ("Ellipsoids", "Ellipsoids", "Opaque ellipsoids: quick, and right for judging motion"),
             ("Splats", "Splats", "Soft Gaussians, as they were trained: slow"),
             ("Points", "Points", "One point for each Gaussian, of the ellipsoid's size"),
             ("Arrows", "Arrows", "An arrow along each Gaussian's displacement"),
         ],
-        default=names.ELLIPSOIDS,
+        default=drawing.AUTOMATIC,
     )
     band_width: FloatProperty(  # type: ignore[valid-type]
         name="Band Around a Peak",
@@ -98,16 +112,24 @@ def get(context: Any) -> Any:
 
 
 def unit_for(context: Any, obj: Any) -> Unit:
-    """The unit that lengths of a splat object are shown in."""
+    """The unit that lengths of a splat object, which are those of its file, are shown in.
+
+    Millimetres are of what was recorded, whatever size it is shown in. Scene units are as the scene has it now: the
+    object's scale and what Apply Transform did count, of an uneven one the mean factor.
+    """
     chosen = get(context)
     scale = obj.get(names.UNIT_SCALE)
-    return unit_of(None if scale is None else float(scale), chosen.length_unit == "METRIC", chosen.digits)
+    unit = unit_of(None if scale is None else float(scale), chosen.length_unit == "METRIC", chosen.digits)
+    if unit.name == "mm":
+        return unit
+    # To what float32 holds: a picture of a spectrum is drawn anew for another unit.
+    return replace(unit, per_scene_unit=float(f"{shown_size(obj):.5g}"))
 
 
 class TG4MM_defaults:
     """What `get` answers without an enabled extension; the same names."""
 
-    draw_as, band_width, most = names.ELLIPSOIDS, 1.0, 5_000_000
+    draw_as, band_width, most = drawing.AUTOMATIC, 1.0, 5_000_000
     length_unit, digits, core_python = "METRIC", 4, ""
 
 

@@ -1,11 +1,14 @@
 """Seconds of an import and milliseconds a frame of the Blender extension, in the bpy that runs this.
 
-python -m benchmarks.blender [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15]
+python -m benchmarks.blender [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15] [--draw 0] [--brief]
 
-Frames are evaluated in background: node tree and instances, no drawing. On a machine that is shared wall time
-includes the waiting for others, so the least of several is printed beside the median, and the least processor
-time, all threads added up, beside both. The goals: a frame of 50,000 Gaussians in under 20 ms in every way of
-showing them but Solid view's, which is for small sets; an import of 200,000 in under 2 s.
+Frames are evaluated in background: node tree and instances. `--draw N` also draws each with Workbench at N×N pixels,
+which without a graphics card is software's work. Where Blender has splats of its own, its own import of the Gaussians
+standing still is measured beside ours. Memory is what the process grew by at an import: run a large count alone.
+`--brief`: the ways to draw in the file's colours alone. On a machine that is shared wall time includes the waiting for
+others, so the least of several is printed beside the median, and the least processor time, all threads added up, beside
+both. The goals: a frame of 50,000 Gaussians in under 20 ms in every way of showing them but Solid view's, which is for
+small sets; an import of 200,000 in under 2 s.
 """
 
 from __future__ import annotations
@@ -41,6 +44,8 @@ SHOWN = (  # Draw As, Colour By
     ("Points", "File"),
     ("Points", "Phase"),
     ("Arrows", "File"),
+    ("Native", "File"),
+    ("Native", "Phase"),
 )
 
 
@@ -108,33 +113,71 @@ def frame_times(frames: int) -> Times:
     return times
 
 
-def measure(extension: ModuleType, path: Path, count: int, frames: int) -> None:
-    """Import a file three times, then evaluate it in every way of showing it."""
-    times = Times()
+def resident_mib() -> float:
+    """Memory of this process, MiB; Linux."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def measure(extension: ModuleType, path: Path, count: int, options: argparse.Namespace) -> None:
+    """Import a file three times, then evaluate it, and draw it if asked, in every way of showing it."""
+    times, before = Times(), resident_mib()
     for _ in range(3):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         times.add(lambda: bpy.ops.import_scene.tg4mm_splat(filepath=str(path)))
     goal = IMPORT_GOAL[1] if count == IMPORT_GOAL[0] else None
-    print(f"  {'import':25s} {times.line(1.0, 's', goal)}, {path.stat().st_size / 2**20:.0f} MiB")
+    grown = f"memory {resident_mib() - before:.0f} MiB"
+    print(f"  {'import':25s} {times.line(1.0, 's', goal)}, {path.stat().st_size / 2**20:.0f} MiB, {grown}")
     obj: Any = bpy.context.object
     modifier, names = extension.nodes.scene.splat_modifier(obj), extension.names
     put = extension.compat.set_input
     put(modifier, names.ALPHA, 3.0)
-    rows = [(draw, colour, "") for draw, colour in SHOWN]
-    if extension.compat.has_input(modifier, names.VIEW_COLOUR):
+    rows = [(draw, colour, "") for draw, colour in SHOWN if colour == "File" or not options.brief]
+    if extension.compat.has_input(modifier, names.VIEW_COLOUR) and not options.brief:
         rows.append(("Ellipsoids", "File", names.VIEW_COLOUR))
     if count <= SMALL:
         rows += [("Ellipsoids", "File", names.SOLID_COLOUR), ("Points", "File", names.SOLID_COLOUR)]
     for draw, colour, extra in rows:
+        if draw == names.NATIVE and not extension.compat.native_splats():
+            continue
         put(modifier, names.DRAW, draw)
         put(modifier, names.COLOUR_BY, colour)
         if extra:
             put(modifier, extra, True)
         label = {names.VIEW_COLOUR: "view-dependent", names.SOLID_COLOUR: "Solid view"}.get(extra, colour)
         goal = FRAME_GOAL[1] if count == FRAME_GOAL[0] else None
-        print(f"  {draw:10s} {label:14s} {frame_times(frames).line(1e3, 'ms', goal)}", flush=True)
+        print(f"  {draw:10s} {label:14s} {frame_times(options.frames).line(1e3, 'ms', goal)}", flush=True)
+        if options.draw:
+            print(f"  {'':10s} {'drawn':14s} {drawn_times(options.draw).line(1e3, 'ms', None)}", flush=True)
         if extra:
             put(modifier, extra, False)
+
+
+def drawn_times(size: int) -> Times:
+    """Evaluating a frame and drawing it with Workbench, after one that is not counted, in `size`² pixels."""
+    scene, times = bpy.context.scene, Times()
+    if scene.camera is None:
+        scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        scene.camera.location = 0.0, 0.0, 10.0
+        scene.collection.objects.link(scene.camera)
+    scene.render.engine, scene.display.render_aa = "BLENDER_WORKBENCH", "OFF"
+    scene.render.resolution_x = scene.render.resolution_y = size
+    for frame in range(1, 5):
+        scene.frame_set(frame)
+        bpy.ops.render.render()
+        if frame > 1:
+            times.add(lambda frame=frame: (scene.frame_set(frame + 4), bpy.ops.render.render()))
+    return times
+
+
+def measure_own(path: Path) -> None:
+    """Blender's own import of a file of splats that stand still."""
+    times, before = Times(), resident_mib()
+    for _ in range(3):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        times.add(lambda: bpy.ops.wm.ply_import(filepath=str(path)))
+    grown = f"memory {resident_mib() - before:.0f} MiB"
+    print(f"  {'its own import, still':25s} {times.line(1.0, 's', None)}, {grown}", flush=True)
 
 
 def main() -> None:
@@ -144,6 +187,8 @@ def main() -> None:
     parser.add_argument("--modes", type=int, default=8)
     parser.add_argument("--degree", type=int, default=3, help="of the spherical harmonics")
     parser.add_argument("--frames", type=int, default=15)
+    parser.add_argument("--draw", type=int, default=0, help="pixels along a side; 0: evaluate alone")
+    parser.add_argument("--brief", action="store_true", help="the file's colours alone")
     options = parser.parse_args()
     load_average = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     print(f"bpy {bpy.app.version_string}, {options.modes} modes, degree {options.degree}, {load_average}")
@@ -153,10 +198,16 @@ def main() -> None:
         extension = load("tg4mm_extension", staged / "__init__.py", staged)
         extension.register()
         for count in map(int, options.counts.split(",")):
-            path = Path(folder) / f"n{count}.ply"
-            write_splat(path, random_splat(count, options.modes, options.degree))
+            path, still = Path(folder) / f"n{count}.ply", Path(folder) / f"s{count}.ply"
+            splat = random_splat(count, options.modes, options.degree)
+            write_splat(path, splat)
+            write_splat(
+                still, SplatFile.static(splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
+            )
             print(f"{count:,} Gaussians")
-            measure(extension, path, count, options.frames)
+            if extension.compat.native_splats():
+                measure_own(still)
+            measure(extension, path, count, options)
         extension.unregister()
 
 

@@ -1,20 +1,26 @@
 """An exported file in the Blender extension beside the core's own picture of it, in the bpy that runs this.
 
-python -m benchmarks.blender_picture SPLAT.ply CAMERAS.json OUT [--view 0] [--alpha 50] [--timestep 1] [--size 256]
+python -m benchmarks.blender_picture SPLAT.ply CAMERAS.json OUT [--view 0] [--alphas 0,20,50]
+    [--timestep 1] [--size 256] [--draw Native,Splats,Ellipsoids] [--engine CYCLES] [--samples 4]
 
-Draws the splats of an exported file (its scales hold the low-pass) from one camera of a NeRF-synthetic transforms file,
-over white, by Cycles with 4 samples: blended in linear light and as trained. Writes OUT/<version>_linear.png and
-_trained.png, and prints their PSNR against OUT/core.png, which is the rasteriser's picture of the same file, made where
-torch is installed. In an environment without it (Blender 5.2's) OUT/core.png has to be there.
+Draws an exported file (its scales hold the low-pass) from one camera of a NeRF-synthetic transforms file, over white,
+in each way to draw that this Blender has: blended in linear light and as trained. Writes
+OUT/<version>_<way>_<alpha>.png
+and prints PSNR and seconds against OUT/core_<alpha>.png, the rasteriser's picture of the same file, made where torch is
+installed. In an environment without it (Blender 5.2's and 5.3's) that has to be there.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import json
 import tempfile
+import time
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 import mathutils
@@ -27,14 +33,14 @@ from tg4mm.core.splatfile import positions_at, read_splat
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float) -> np.ndarray:
+def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float, alpha: float) -> np.ndarray:
     """[H, W, 3] by the core's rasteriser without a low-pass of its own."""
     import torch
 
     from tg4mm.fit.rasterize import rasterization
 
     splat, side = read_splat(options.splat), options.size
-    means = positions_at(splat, options.timestep, options.alpha)
+    means = positions_at(splat, options.timestep, alpha)
     viewmat = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(pose)
     focal = side / 2 / np.tan(angle / 2)
     K = [[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]]
@@ -46,72 +52,88 @@ def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float) ->
     return rgb[0].clamp(0, 1).numpy()
 
 
-def set_scene(pose: np.ndarray, angle: float, size: int) -> None:
-    """The camera, and Cycles with few samples over nothing."""
+def set_scene(pose: np.ndarray, angle: float, options: argparse.Namespace) -> None:
+    """The camera, and the engine over nothing."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.matrix_world, camera.data.angle = mathutils.Matrix(pose.tolist()), angle
     scene.collection.objects.link(camera)
     scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
-    scene.render.engine, scene.render.film_transparent = "CYCLES", True
-    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.seed = 4, False, 1
+    scene.render.resolution_x = scene.render.resolution_y = options.size
+    for engine in (options.engine, f"BLENDER_{options.engine}", f"BLENDER_{options.engine}_NEXT"):
+        with contextlib.suppress(TypeError):  # of another version
+            scene.render.engine = engine
+    scene.render.film_transparent = True
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.seed = options.samples, False, 1
+    scene.eevee.taa_render_samples = options.samples
     scene.render.dither_intensity = 0.0
     scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
 
 
-def blender_pictures(options: argparse.Namespace, pose: np.ndarray, angle: float) -> dict[str, np.ndarray]:
-    """[H, W, 3] over white of each way to blend."""
-    found = {}
+def blender_picture(path: Path) -> np.ndarray:
+    """[H, W, 3] over white; the RGBA picture is kept at `path`."""
+    bpy.context.scene.render.filepath = str(path.resolve())
+    bpy.ops.render.render(write_still=True)
+    rgba = np.asarray(Image.open(path), float) / 255
+    return rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
+
+
+def main() -> None:
+    """Print a line for each way to draw and α."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("splat", type=Path, help="exported splat file with motion")
+    parser.add_argument("cameras", type=Path, help="transforms file, NeRF-synthetic")
+    parser.add_argument("out", type=Path, help="folder for the pictures")
+    parser.add_argument("--view", type=int, default=0, help="which camera of the file")
+    parser.add_argument("--alphas", default="0,20,50")
+    parser.add_argument("--timestep", type=int, default=1)
+    parser.add_argument("--size", type=int, default=256, help="pixels")
+    parser.add_argument("--draw", default="Native,Splats,Ellipsoids")
+    parser.add_argument("--engine", default="CYCLES", help="CYCLES, EEVEE or WORKBENCH")
+    parser.add_argument("--samples", type=int, default=4)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    cameras = json.loads(options.cameras.read_text(encoding="utf-8"))
+    pose = np.array(cameras["frames"][options.view]["transform_matrix"])
+    angle, alphas = float(cameras["camera_angle_x"]), [float(a) for a in options.alphas.split(",")]
+    if importlib.util.find_spec("torch") is not None:
+        for alpha in alphas:
+            picture = core_picture(options, pose, angle, alpha)
+            Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(options.out / f"core_{alpha:g}.png")
     with tempfile.TemporaryDirectory() as folder:
         builder = load("make_extension", ROOT / "addon" / "make_extension.py")
         staged = builder.stage(Path(folder) / "tg4mm_extension")
         extension = load("tg4mm_extension", staged / "__init__.py", staged)
         bpy.ops.wm.read_factory_settings(use_empty=True)
         extension.register()
-        bpy.ops.import_scene.tg4mm_splat(filepath=str(options.splat))
-        modifier, names = extension.nodes.scene.splat_modifier(bpy.context.object), extension.names
-        set_scene(pose, angle, options.size)
-        for name, value in (
-            (names.DRAW, names.SPLATS),
-            (names.ALPHA, options.alpha),
-            (names.VIEW_COLOUR, True),
-        ):
-            extension.compat.set_input(modifier, name, value)
-        for kind, as_trained in (("linear", False), ("trained", True)):
-            bpy.ops.tg4mm.blend_as_trained(on=as_trained)
-            bpy.context.scene.frame_set(1 + options.timestep)
-            path = options.out / f"{bpy.app.version_string.split()[0]}_{kind}.png"
-            bpy.context.scene.render.filepath = str(path.resolve())
-            bpy.ops.render.render(write_still=True)
-            rgba = np.asarray(Image.open(path), float) / 255
-            found[kind] = rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(options.splat.resolve()))
+        set_scene(pose, angle, options)
+        draw_all(extension, options, alphas)
         extension.unregister()
-    return found
 
 
-def main() -> None:
-    """Print the two figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("splat", type=Path, help="exported splat file with motion")
-    parser.add_argument("cameras", type=Path, help="transforms file, NeRF-synthetic")
-    parser.add_argument("out", type=Path, help="folder for the pictures")
-    parser.add_argument("--view", type=int, default=0, help="which camera of the file")
-    parser.add_argument("--alpha", type=float, default=50.0)
-    parser.add_argument("--timestep", type=int, default=1)
-    parser.add_argument("--size", type=int, default=256, help="pixels")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    cameras = json.loads(options.cameras.read_text(encoding="utf-8"))
-    pose = np.array(cameras["frames"][options.view]["transform_matrix"])
-    angle, core = float(cameras["camera_angle_x"]), options.out / "core.png"
-    if importlib.util.find_spec("torch") is not None:
-        picture = core_picture(options, pose, angle)
-        Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(core)
-    wanted = np.asarray(Image.open(core).convert("RGB"), float) / 255
-    for kind, picture in blender_pictures(options, pose, angle).items():
-        psnr = -10 * np.log10(np.square(picture - wanted).mean())
-        print(f"Blender {bpy.app.version_string}, blended {kind:8s} {psnr:.1f} dB", flush=True)
+def draw_all(extension: ModuleType, options: argparse.Namespace, alphas: list[float]) -> None:
+    """Print the figures of every way to draw that this Blender has."""
+    modifier, names = extension.nodes.scene.splat_modifier(bpy.context.object), extension.names
+    put, version = partial(extension.compat.set_input, modifier), bpy.app.version_string.split()[0]
+    bpy.context.scene.frame_set(1 + options.timestep)
+    for draw in options.draw.split(","):
+        if draw == names.NATIVE and not extension.compat.native_splats():
+            continue
+        put(names.DRAW, draw)
+        for as_trained in (False, True):
+            if extension.compat.has_input(modifier, names.VIEW_COLOUR):
+                put(names.VIEW_COLOUR, True)
+            bpy.ops.tg4mm.blend_as_trained(on=as_trained)
+            for alpha in alphas:
+                put(names.ALPHA, alpha)
+                way = f"{options.engine.lower()}_{draw.lower()}{'_trained' if as_trained else ''}"
+                start = time.perf_counter()
+                picture = blender_picture(options.out / f"{version}_{way}_{alpha:g}.png")
+                took = time.perf_counter() - start
+                core = Image.open(options.out / f"core_{alpha:g}.png").convert("RGB")
+                psnr = -10 * np.log10(np.square(picture - np.asarray(core, float) / 255).mean())
+                print(f"{version} {way:28s} α {alpha:3g}  {psnr:5.1f} dB  {took:6.1f} s", flush=True)
 
 
 if __name__ == "__main__":

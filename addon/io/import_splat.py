@@ -13,7 +13,7 @@ from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
 from ..core.splatfile.read import ENDINGS
 from ..core.splatfile.source import Options
-from ..nodes import receiving, scene
+from ..nodes import drawing, receiving, scene
 from ..nodes.blending import true_colours
 from ..panels import showing
 from . import loading, saving, upright, webp
@@ -120,9 +120,9 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             return {"CANCELLED"}
         finally:
             manager.progress_end()
-        for obj in loaded.objects:
-            _draw_as(obj, preferences.get(context).draw_as)
         told = self._stand_up(loaded)
+        for obj in loaded.objects:
+            told += _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
         if self.show:
             told += showing.show(context, loaded.objects)
@@ -177,10 +177,15 @@ def _fps(scene: Any) -> float:
     return float(scene.render.fps / scene.render.fps_base)
 
 
-def _draw_as(obj: Any, wanted: str) -> None:
-    # What does not move has no arrows.
-    if wanted != names.ARROWS or scene.moves(obj):
-        compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
+def _draw_as(obj: Any, wanted: str) -> list[str]:
+    """Draw an object as is wanted, or as suits it; returns what to tell about it."""
+    frames = scene.sequence_frames(obj)
+    mesh = (obj if frames is None else frames[0]).data
+    if wanted == drawing.AUTOMATIC or (wanted == names.ARROWS and not scene.moves(obj)):
+        wanted = drawing.best(len(mesh.vertices), len(obj[names.FREQUENCIES]))
+    compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
+    far, span = drawing.far_out(mesh) if wanted == names.NATIVE else (0, 0.0)
+    return [f"{far:,} far out, {span:.2g} times its size apart: all positions are coarse"] if far else []
 
 
 def _select(context: Any, objects: list[Any]) -> None:

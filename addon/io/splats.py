@@ -14,7 +14,7 @@ from .. import compat, names
 from ..core.errors import SplatFileError
 from ..core.splatfile import SplatFile, positions_at, rotations_at
 from ..core.splatfile.axes import transformed
-from ..nodes import clock, colours, points, scene, sequence
+from ..nodes import clock, points, scene, sequence
 from . import upright
 
 
@@ -106,15 +106,10 @@ def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
 
 
 def _harmonics(mesh: Any, values: Callable[[str], np.ndarray]) -> np.ndarray:
-    """[N, K, 3] as in the file; of a mesh that holds only colours, what gives these."""
-    if names.NATIVE_BASE in mesh.attributes:
-        name, rows = names.native_sh, [values(names.NATIVE_BASE)[:, :3]]
-    elif names.sh(0) in mesh.attributes:
-        name, rows = names.sh, [values(names.sh(0))]
-    else:
-        return ((colours.display(values(names.COLOUR)[:, :3]) - 0.5) / colours.C0)[:, None].astype(np.float32)
-    while name(len(rows)) in mesh.attributes:
-        rows.append(values(name(len(rows))))
+    """[N, K, 3] as in the file."""
+    rows = [values(names.NATIVE_BASE)[:, :3]]
+    while names.native_sh(len(rows)) in mesh.attributes:
+        rows.append(values(names.native_sh(len(rows))))
     return np.stack(rows, axis=1)
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import bpy
+
 from .. import compat, names
 from .graph import Graph
 
@@ -26,10 +28,19 @@ class Applied(NamedTuple):
     changed: Any  # A is not the identity
 
 
-def applied(graph: Graph, points: Any) -> tuple[Applied, Any]:
-    """A of one part's points; and the points, with a warning at the modifier where references are lost."""
-    mark = graph.compare("GREATER_THAN", graph.attribute(names.REFERENCE, "INT"), 0, "INT")
-    four = graph.call("GeometryNodeSeparateGeometry", {"Geometry": points, "Selection": mark}, domain="POINT")
+def build_applied(name: str) -> Any:
+    """A node group: of the points of one part A, and the points with a warning where references are lost."""
+    graph = Graph(bpy.data.node_groups.new(f"{name} Applied", "GeometryNodeTree"))
+    graph.interface("Points", "Geometry")
+    for socket, kind in (
+        ("Points", "Geometry"),
+        ("Matrix", "Matrix"),
+        ("Back", "Matrix"),
+        ("Changed", "Bool"),
+    ):
+        graph.result(socket, kind)
+    points = graph.inputs()["Points"]
+    four = _references(graph, points)
     now = _sampled(graph, four, graph.node("GeometryNodeInputPosition").outputs[0])
     rest = _sampled(graph, four, graph.attribute(names.REFERENCE_REST, "FLOAT_VECTOR"))
     product = _product(graph, _frame(graph, now), _inverse(graph, _frame(graph, rest))[0])
@@ -39,12 +50,23 @@ def applied(graph: Graph, points: Any) -> tuple[Applied, Any]:
     total = graph.math("ADD", graph.math("ADD", away[0], away[1]), graph.math("ADD", away[2], away[3]))
     changed = graph.both(whole, graph.compare("GREATER_THAN", total, 0.0))
     eye = _combined(graph, (*_EYE, (0.0, 0.0, 0.0)))
-    matrix, back = (graph.choose("MATRIX", changed, eye, value) for value in (product, back))
     some = graph.compare("GREATER_THAN", _count(graph, points), 0, "INT")
     lost = graph.both(some, graph.opposite(whole))
     warned = graph.call("GeometryNodeWarning", {"Show": lost, "Message": LOST}, warning_type="WARNING")
-    # A warning counts where its output is used.
-    return Applied(matrix, back, changed), graph.choose("GEOMETRY", warned, points, points)
+    graph.finish(
+        # A warning counts where its output is used.
+        Points=graph.choose("GEOMETRY", warned, points, points),
+        Matrix=graph.choose("MATRIX", changed, eye, product),
+        Back=graph.choose("MATRIX", changed, eye, back),
+        Changed=changed,
+    )
+    return graph.tree
+
+
+def applied(graph: Graph, tree: Any, points: Any) -> tuple[Applied, Any]:
+    """A node of the group: A of one part's points, and the points."""
+    outputs = graph.group(tree, Points=points)
+    return Applied(*(outputs[name] for name in ("Matrix", "Back", "Changed"))), outputs["Points"]
 
 
 def at_rest(graph: Graph, applied: Applied, place: Any) -> Any:
@@ -83,17 +105,11 @@ def parts(graph: Graph, points: Any) -> tuple[Any, Any]:
 
     A part ends with its fourth reference. With four references in all there is one part, whatever else was added.
     """
-    mark = graph.attribute(names.REFERENCE, "INT")
-    last = graph.compare("EQUAL", mark, 4, "INT")
+    last = graph.compare("EQUAL", graph.attribute(names.REFERENCE, "INT"), 4, "INT")
     ended = graph.call(
         "GeometryNodeAccumulateField", {"Value": last}, "Trailing", data_type="INT", domain="POINT"
     )
-    any_ = graph.call(
-        "GeometryNodeSeparateGeometry",
-        {"Geometry": points, "Selection": graph.compare("GREATER_THAN", mark, 0, "INT")},
-        domain="POINT",
-    )
-    several = graph.opposite(graph.compare("EQUAL", _count(graph, any_), 4, "INT"))
+    four = graph.compare("EQUAL", _count(graph, _references(graph, points)), 4, "INT")
     highest = graph.call(
         "GeometryNodeAttributeStatistic",
         {"Geometry": points, "Attribute": ended},
@@ -101,7 +117,13 @@ def parts(graph: Graph, points: Any) -> tuple[Any, Any]:
         data_type="FLOAT",
         domain="POINT",
     )
-    return graph.choose("INT", several, 1, graph.math("ADD", highest, 1.0)), ended
+    return graph.choose("INT", four, graph.math("ADD", highest, 1.0), 1), ended
+
+
+def _references(graph: Graph, points: Any) -> Any:
+    marked = graph.compare("GREATER_THAN", graph.attribute(names.REFERENCE, "INT"), 0, "INT")
+    inputs = {"Geometry": points, "Selection": marked}
+    return graph.call("GeometryNodeSeparateGeometry", inputs, domain="POINT")
 
 
 def _count(graph: Graph, points: Any) -> Any:

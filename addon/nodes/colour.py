@@ -44,9 +44,10 @@ def build_harmonics(name: str, degree: int) -> Any:
     graph.result("Colour", "Color")
     here = graph.node("GeometryNodeInputPosition").outputs[0]
     toward = graph.vector("NORMALIZE", graph.vector("SUBTRACT", here, graph.inputs()["Camera"]))
-    total = graph.scaled(graph.attribute(names.sh(0), "FLOAT_VECTOR"), colours.C0)
+    total = graph.scaled(graph.attribute(names.NATIVE_BASE, "FLOAT_COLOR"), colours.C0)
     for k, y in enumerate(_basis(graph, toward, degree), start=1):
-        total = graph.vector("ADD", total, graph.scaled(graph.attribute(names.sh(k), "FLOAT_VECTOR"), y))
+        coefficient = graph.attribute(names.native_sh(k), "FLOAT_VECTOR")
+        total = graph.vector("ADD", total, graph.scaled(coefficient, y))
     srgb = graph.vector("ADD", total, (0.5, 0.5, 0.5))
     channels = [_linear(graph, channel) for channel in graph.split(srgb)]
     colour = graph.call(
@@ -107,17 +108,21 @@ def _linear(graph: Graph, value: Any) -> Any:
     return graph.choose("FLOAT", graph.compare("LESS_EQUAL", clamped, 0.04045), high, low)
 
 
-def encoded(graph: Graph, colour: Any) -> Any:
-    """Linear light in 0..1 as the display-referred sRGB numbers that it is shown with."""
+def build_encoded(name: str) -> Any:
+    """A node group: linear light in 0..1 as the display-referred sRGB numbers that it is shown with."""
+    graph = Graph(bpy.data.node_groups.new(f"{name} Encoded", "GeometryNodeTree"))
+    graph.interface("Colour", "Color")
+    graph.result("Colour", "Color")
     parts = graph.node("FunctionNodeSeparateColor")
-    graph.put(colour, parts.inputs[0])
+    graph.put(graph.inputs()["Colour"], parts.inputs[0])
     channels = []
     for value in list(parts.outputs)[:3]:
         high = graph.math("MULTIPLY_ADD", graph.math("POWER", value, 1 / 2.4), 1.055, -0.055)
         is_low = graph.compare("LESS_EQUAL", value, 0.0031308)
         channels.append(graph.choose("FLOAT", is_low, high, graph.math("MULTIPLY", value, 12.92)))
     named = dict(zip(("Red", "Green", "Blue"), channels, strict=True))
-    return graph.call("FunctionNodeCombineColor", named)
+    graph.finish(Colour=graph.call("FunctionNodeCombineColor", named))
+    return graph.tree
 
 
 def _ramp(graph: Graph, factor: Any, rows: np.ndarray) -> Any:

@@ -12,8 +12,8 @@ from typing import Any
 import bpy
 
 from .. import compat, names
-from .applied import Applied, applied, at_rest, growth, parts, put_back
-from .colour import build_colour_map, build_harmonics, camera_place, encoded
+from .applied import Applied, applied, at_rest, build_applied, growth, parts, put_back
+from .colour import build_colour_map, build_encoded, build_harmonics, camera_place
 from .colours import C0
 from .graph import Graph
 from .made import Made
@@ -72,7 +72,7 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     graph.result("Geometry", "Geometry")
     _declare(graph, content)
     inputs = graph.inputs()
-    draw = graph.menu(inputs[names.DRAW], _draw_items(content))
+    draw = _as_one_mesh(graph, graph.menu(inputs[names.DRAW], _draw_items(content)), inputs)
     by = graph.menu(inputs[names.COLOUR_BY], _numbered(names.COLOUR_ITEMS)) if len(content.freqs_hz) else 0
     _preset_menus(graph)
     # What Join put together is played part by part. A sequence has its points elsewhere.
@@ -81,7 +81,8 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     mine = {"Geometry": inputs["Geometry"], "Selection": graph.compare("EQUAL", number, turn, "INT")}
     part = graph.call("GeometryNodeSeparateGeometry", mine, domain="POINT")
     several = graph.compare("GREATER_THAN", count, 1, "INT")
-    moved, points = applied(graph, graph.choose("GEOMETRY", several, inputs["Geometry"], part))
+    group = made.keep(build_applied(name))
+    moved, points = applied(graph, group, graph.choose("GEOMETRY", several, inputs["Geometry"], part))
     drawn = _played(graph, points, inputs, content, (draw, by), moved, materials, (name, made))
     graph.finish(Geometry=graph.repeated(end, before, drawn))
     return graph.tree
@@ -112,22 +113,22 @@ def _played(
         motion = use_motion(graph, build_motion(name, content.freqs_hz, content.fps, made), inputs)
         points = _moved(graph, points, motion, draw)
     points = _coloured(graph, points, inputs, content, by, motion, moved, kept)
-    for_screen = encoded(graph, graph.attribute(names.COLOUR, "FLOAT_COLOR"))
+    encoded = made.keep(build_encoded(name))
+    for_screen = graph.group(encoded, Colour=graph.attribute(names.COLOUR, "FLOAT_COLOR"))[0]
     as_trained = graph.store(points, names.COLOUR, "FLOAT_COLOR", for_screen)
     points = graph.choose("GEOMETRY", inputs[names.BLEND], points, as_trained)
-    for prefix in (names.MODE_PREFIX, names.SH_PREFIX, names.REFERENCE):
+    for prefix in (names.MODE_PREFIX, names.REFERENCE):
         # Instances would carry a copy of each attribute of their point.
         points = graph.without(points, f"{prefix}*")
-    native = None
+    plain, native = graph.without(points, f"{names.NATIVE_PREFIX}*"), None
     if compat.native_splats():
         native = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.NATIVE), "INT")
-        plain = graph.without(points, f"{names.NATIVE_PREFIX}*")
         analysed = graph.compare("GREATER_THAN", by, 0, "INT")
         painted = graph.either(analysed, inputs[names.BLEND])
-        own = graph.choose("GEOMETRY", painted, points, _native_colours(graph, points))
-        points = graph.choose("GEOMETRY", native, plain, own)
+        own = graph.choose("GEOMETRY", painted, points, _native_colours(graph, points, encoded))
+        plain = graph.choose("GEOMETRY", native, plain, own)
     shapes = graph.node("GeometryNodeGroup", node_tree=made.keep(build_shapes(name, materials)))
-    values = {"Points": points, names.DRAW: draw, "Growth": growth(graph, moved)}
+    values = {"Points": plain, names.DRAW: draw, "Growth": growth(graph, moved)}
     declared = {socket.name for socket in inputs}
     for socket in shapes.inputs:
         if socket.name in values or socket.name in declared:
@@ -135,9 +136,9 @@ def _played(
     return put_back(graph, moved, shapes.outputs[0], native)
 
 
-def _native_colours(graph: Graph, points: Any) -> Any:
+def _native_colours(graph: Graph, points: Any, encoded: Any) -> Any:
     """Points whose colours, once for all directions, are what Blender's own splats show."""
-    shown = encoded(graph, graph.attribute(names.COLOUR, "FLOAT_COLOR"))
+    shown = graph.group(encoded, Colour=graph.attribute(names.COLOUR, "FLOAT_COLOR"))[0]
     first = graph.scaled(graph.vector("SUBTRACT", shown, (0.5, 0.5, 0.5)), 1 / C0)
     opacity = graph.math("MAXIMUM", graph.attribute(names.OPACITY, "FLOAT"), 0.0)
     channels = dict(zip(("Red", "Green", "Blue"), graph.split(first), strict=True))
@@ -186,6 +187,18 @@ def _declare_analysis(graph: Graph, content: Content) -> None:
     for name in names.toggles(content.freqs_hz):
         graph.interface(name, "Bool", True, description="Play this mode")
         graph.tree.interface.move_to_parent(graph.tree.interface.items_tree[name], panel, 999)
+
+
+def _as_one_mesh(graph: Graph, draw: Any, inputs: Any) -> Any:
+    """What to draw: one mesh has no transparency, so it shows splats as ellipsoids."""
+    soft = graph.either(
+        *(
+            graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(item), "INT")
+            for item in (names.SPLATS, names.NATIVE)
+        )
+    )
+    as_mesh = graph.both(soft, inputs[names.SOLID_COLOUR])
+    return graph.choose("INT", as_mesh, draw, names.DRAW_ITEMS.index(names.ELLIPSOIDS))
 
 
 def _draw_items(content: Content) -> dict[str, int]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import bmesh
 import numpy as np
 
-from .. import compat, names
+from .. import names
 from ..core.errors import Tg4mmError
 from ..core.splatfile import SplatFile
 from . import colours
@@ -28,7 +29,7 @@ _FIELDS = {
 
 
 def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
-    """Fill an empty mesh; the view-dependent coefficients only where there are any."""
+    """Fill an empty mesh."""
     fill = _Rows(mesh, len(splat), 4 if references else 0)
     quats = splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)
     scales = drawable_scales(splat.scales)
@@ -39,11 +40,8 @@ def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
     fill(names.OPACITY, "FLOAT", splat.opacities, -1.0)
     mesh.color_attributes.active_color = mesh.color_attributes[names.COLOUR]
     # Colours are cut to what a screen shows; an export needs what they were.
-    for k in range(splat.sh.shape[1] if splat.sh_degree or not compat.native_splats() else 0):
-        fill(names.sh(k), "FLOAT_VECTOR", splat.sh[:, k])
-    if compat.native_splats():
-        for name, values in native_attributes(splat).items():
-            fill(name, "FLOAT_COLOR" if name == names.NATIVE_BASE else "FLOAT_VECTOR", values)
+    for name, rows in native_attributes(splat).items():
+        fill(name, "FLOAT_COLOR" if name == names.NATIVE_BASE else "FLOAT_VECTOR", rows)
     for k in range(splat.n_modes):
         part, d, r = names.phasor(k), splat.displacement[k], splat.rotation[k]
         for key, values in (("re", d.real), ("im", d.imag), ("re_r", r.real), ("im_r", r.imag)):
@@ -134,24 +132,38 @@ def _affine(rest: np.ndarray, now: np.ndarray) -> np.ndarray | None:
 
 def growth(mesh: Any) -> float:
     """How much longer Apply Transform made a mesh: the cube root of the volume's factor, by the last four vertices."""
-    marks, rest = (mesh.attributes.get(name) for name in (names.REFERENCE, names.REFERENCE_REST))
-    last = range(len(mesh.vertices) - 4, len(mesh.vertices))
-    if (
-        marks is None
-        or rest is None
-        or len(marks.data) < 4
-        or [marks.data[i].value for i in last] != [1, 2, 3, 4]
-    ):
-        return 1.0
-    affine = _affine(
-        np.array([rest.data[i].vector for i in last]), np.array([mesh.vertices[i].co for i in last])
-    )
+    affine = _affine(*_last_four(mesh))
     return 1.0 if affine is None else float(abs(np.linalg.det(affine[:3, :3])) ** (1 / 3))
 
 
+def shown_size(obj: Any) -> float:
+    """Scene units that a unit of the file is shown as, by the object's scale and Apply Transform, on average."""
+    linear = np.array(obj.matrix_world)[:3, :3]
+    return float(abs(np.linalg.det(linear)) ** (1 / 3)) * growth(obj.data)
+
+
+def _last_four(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """First and present places [4, 3] of the references that end a mesh, in Edit Mode too; [0, 3] without any."""
+    if mesh.is_editmode:
+        edited = bmesh.from_edit_mesh(mesh)
+        edited.verts.ensure_lookup_table()
+        layers = edited.verts.layers
+        mark, rest = layers.int.get(names.REFERENCE), layers.float_vector.get(names.REFERENCE_REST)
+        last = edited.verts[-4:] if mark and rest else []
+        rows = [(v[mark], v[rest], v.co) for v in last]
+    else:
+        marks, rest = (mesh.attributes.get(name) for name in (names.REFERENCE, names.REFERENCE_REST))
+        last = range(max(len(mesh.vertices) - 4, 0), len(mesh.vertices)) if marks and rest else range(0)
+        rows = [(marks.data[i].value, rest.data[i].vector, mesh.vertices[i].co) for i in last]
+    if [row[0] for row in rows] != [1, 2, 3, 4]:
+        rows = []
+    places = np.array([(row[1], row[2]) for row in rows], np.float64).reshape(-1, 2, 3)
+    return places[:, 0], places[:, 1]
+
+
 def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
-    """What Blender 5.3's own splats read besides position, scale and rotation: [N, 4] raw f_dc and opacity, and
-    [N, 3] for each further coefficient, as in the file.
+    """Colours under the names that Blender 5.3's own splats read: [N, 4] raw f_dc and opacity, and [N, 3] for each
+    further coefficient, as in the file.
 
     Blender's own import writes the first as FLOAT4. It draws FLOAT_COLOR alike, which nodes can write too."""
     base = np.concatenate([splat.sh[:, 0], splat.opacities[:, None]], axis=1)

@@ -62,20 +62,10 @@ def build_shapes(name: str, materials: Materials) -> Any:
     ]
     if compat.native_splats():
         kinds.append(_native(graph, points, inputs[names.SIZE]))
-    drawn = graph.pick("GEOMETRY", _solid_draw(graph, inputs), *kinds)
+    drawn = graph.pick("GEOMETRY", inputs[names.DRAW], *kinds)
     flat = _realized(graph, points, drawn)
-    # Solid view shows Blender's own splats as they are.
-    other = graph.compare("NOT_EQUAL", inputs[names.DRAW], names.DRAW_ITEMS.index(names.NATIVE), "INT")
-    wanted = graph.both(inputs[names.SOLID_COLOUR], other)
-    graph.finish(Geometry=graph.choose("GEOMETRY", wanted, drawn, flat))
+    graph.finish(Geometry=graph.choose("GEOMETRY", inputs[names.SOLID_COLOUR], drawn, flat))
     return graph.tree
-
-
-def _solid_draw(graph: Graph, inputs: Any) -> Any:
-    """What to draw: Solid view has no transparency, so it shows splats as ellipsoids."""
-    splats = graph.compare("EQUAL", inputs[names.DRAW], names.DRAW_ITEMS.index(names.SPLATS), "INT")
-    ellipsoids = names.DRAW_ITEMS.index(names.ELLIPSOIDS)
-    return graph.choose("INT", graph.both(splats, inputs[names.SOLID_COLOUR]), inputs[names.DRAW], ellipsoids)
 
 
 def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:

@@ -12,7 +12,7 @@ from .. import compat, names
 from ..core.colour import STILL_BELOW
 from ..core.errors import Tg4mmError
 from ..nodes import scene, spectrum
-from ..nodes.points import gaussians, growth, values
+from ..nodes.points import gaussians, shown_size, values
 from ..units import Unit
 from . import plots, seen
 
@@ -62,13 +62,9 @@ def fit_colour_range(obj: Any) -> float:
 def metres_per_unit(obj: Any) -> float | None:
     """Metres per unit of the world, by the file and by how the object was scaled; None where the file does not say."""
     metres = obj.get(names.UNIT_SCALE)
-    if metres is None or not (size := _volume(obj) ** (1 / 3)):
+    if metres is None or not (size := shown_size(obj)):
         return None
-    return float(metres) / (size * growth(obj.data))
-
-
-def _volume(obj: Any) -> float:
-    return float(abs(np.linalg.det(np.array(obj.matrix_world)[:3, :3])))
+    return float(metres) / size
 
 
 def units_differ(obj: Any, scene_: Any) -> str:

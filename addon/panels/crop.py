@@ -8,7 +8,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
 from ..core.errors import Tg4mmError
-from ..nodes import points, receiving, scene
+from ..nodes import drawing, points, receiving, scene
 from . import cropping, meshing
 from .panel import _SplatTab
 
@@ -111,7 +111,7 @@ class TG4MM_OT_crop_outliers(_Removes):
     bl_label = "Crop Far Outliers"
 
     def choice(self, context: Any, obj: Any) -> cropping.Choice:
-        return cropping.far(obj, cropping.FAR)
+        return drawing.outliers
 
 
 class TG4MM_OT_add_crop_box(bpy.types.Operator):

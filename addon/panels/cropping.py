@@ -18,9 +18,6 @@ from ..core.errors import Tg4mmError
 from ..nodes import points, scene
 from . import showing
 
-# EEVEE and Workbench hold a native splat's position in 22 bits of the extent. So far from the middle, in radii of what
-# is framed, an outlier makes the step 2·FAR/2²² of that radius: a fortieth of a pixel of 1,000.
-FAR = 100.0
 ROOM = 1.2  # of what is framed: how large a new box is
 Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
 

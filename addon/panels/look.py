@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import bpy
@@ -9,9 +10,11 @@ from bpy.props import BoolProperty
 
 from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
-from ..nodes import scene
-from ..nodes.blending import true_colours
+from ..nodes import blending, drawing, scene
 from . import analysis
+
+_EXACT = {names.DRAW: names.SPLATS, names.VIEW_COLOUR: True, names.BLEND: True}
+_BEFORE_EXACT = "tg4mm_before_exact"  # custom property of an object: what these were
 
 
 class _OnSplats(bpy.types.Operator):
@@ -24,15 +27,81 @@ class _OnSplats(bpy.types.Operator):
         return scene.splat_object(context) is not None
 
 
-class TG4MM_OT_true_colours(_OnSplats):
-    """Show the colours of the file: the view transform that they are made for, and transparent bounces for splats"""
+class _OnScene(_OnSplats):
+    """One that sets a scene up and says what it set"""
+
+    def execute(self, context: Any) -> set[str]:
+        self.report({"INFO"}, self.set_up(context) or "Nothing had to be set")
+        return {"FINISHED"}
+
+
+class TG4MM_OT_true_colours(_OnScene):
+    """Show the colours of the file: the view transform that they are made for, and the samples and transparent bounces
+    that splats need"""
 
     bl_idname = "tg4mm.true_colours"
     bl_label = "Set Up True Colours"
 
-    def execute(self, context: Any) -> set[str]:
-        true_colours(context.scene)
-        return {"FINISHED"}
+    def set_up(self, context: Any) -> str:
+        return blending.true_colours(context.scene)
+
+
+class TG4MM_OT_restore_picture(_OnScene):
+    """Give the scene back the view transform, samples and bounces that it had before its first splats"""
+
+    bl_idname = "tg4mm.restore_picture"
+    bl_label = "Undo Picture Settings"
+
+    def set_up(self, context: Any) -> str:
+        return blending.restore(context.scene)
+
+
+class TG4MM_OT_exact_look(_OnScene):
+    """Draw the active splats as they were trained: as Splats, in the colours that the camera sees, blended as trained.
+    Slow. Click again to have what was before"""
+
+    bl_idname = "tg4mm.exact_look"
+    bl_label = "Exact Look"
+
+    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def set_up(self, context: Any) -> str:
+        obj = scene.splat_object(context)
+        modifier = scene.splat_modifier(obj)
+        shown = [name for name in _EXACT if compat.has_input(modifier, name)]
+        if self.on:
+            obj[_BEFORE_EXACT] = {name: compat.get_input(modifier, name) for name in shown}
+        wanted = _EXACT if self.on else dict(obj.pop(_BEFORE_EXACT, {names.DRAW: drawing.best(*_size(obj))}))
+        for name in shown:
+            compat.set_input(modifier, name, wanted.get(name, False))
+        return f"Draw As {wanted[names.DRAW]}; " + blending.true_colours(
+            context.scene, bool(wanted.get(names.BLEND, False))
+        )
+
+
+def is_exact(obj: Any) -> bool:
+    """True where an object is drawn as Exact Look draws it."""
+    modifier = scene.splat_modifier(obj)
+    shown = {name: value for name, value in _EXACT.items() if compat.has_input(modifier, name)}
+    return all(compat.get_input(modifier, name) == value for name, value in shown.items())
+
+
+def _size(obj: Any) -> tuple[int, int]:
+    """Gaussians and modes of an object."""
+    frames = scene.sequence_frames(obj)
+    return len((obj if frames is None else frames[0]).data.vertices), len(obj[names.FREQUENCIES])
+
+
+@lru_cache(maxsize=16)
+def _far_out(name: str, count: int) -> tuple[int, float]:
+    return drawing.far_out(bpy.data.meshes[name])
+
+
+def far_out(obj: Any) -> tuple[int, float]:
+    """As `drawing.far_out`, worked out once for a mesh and its number of vertices; none in Edit Mode."""
+    mesh = obj.data
+    in_edit_mode = mesh.is_editmode or scene.sequence_frames(obj) is not None
+    return (0, 0.0) if in_edit_mode else _far_out(mesh.name, len(mesh.vertices))
 
 
 class TG4MM_OT_blend_as_trained(_OnSplats):
@@ -45,7 +114,7 @@ class TG4MM_OT_blend_as_trained(_OnSplats):
     on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
     def execute(self, context: Any) -> set[str]:
-        true_colours(context.scene, self.on)
+        blending.true_colours(context.scene, self.on)
         return {"FINISHED"}
 
 
@@ -115,6 +184,8 @@ class TG4MM_OT_fit_colour_range(_OnSplats):
 
 _CLASSES = (
     TG4MM_OT_true_colours,
+    TG4MM_OT_restore_picture,
+    TG4MM_OT_exact_look,
     TG4MM_OT_blend_as_trained,
     TG4MM_OT_solid_colours,
     TG4MM_OT_one_mesh,

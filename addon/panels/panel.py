@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import bpy
 
 from .. import compat, names, preferences
-from ..nodes import blending, clock, scene, spectrum
-from . import analysis, colour_range, meshing, pictures, plots, view_settings
+from ..nodes import blending, clock, drawing, scene, spectrum
+from . import analysis, colour_range, look, meshing, pictures, plots, view_settings
 
 
 class _Tab:
@@ -49,6 +50,11 @@ class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
             layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
             layout.label(text="Select imported splats", icon="INFO")
             return
+        for warning in getattr(scene.splat_modifier(obj), "node_warnings", ()):
+            box = layout.column(align=True)
+            box.alert = True
+            for line in textwrap.wrap(warning.message, 34):
+                box.label(text=line)
         row = layout.row()
         row.label(text=obj.name, icon="POINTCLOUD_DATA")
         row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
@@ -129,18 +135,24 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         if drawn == names.ARROWS:
             _draw_all(_fields(layout), modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
         on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
-        if on or shading == "SOLID":  # other views show the colours anyway
+        if drawn != names.NATIVE and (on or shading == "SOLID"):  # else the colours are seen anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
         if blind := meshing.modifiers_after(obj):
             layout.label(text=f"{', '.join(blind)}: sees meshes alone", icon="INFO")
             layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
         if drawn == names.SPLATS and names.LOW_PASS not in obj:
             layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
+        on = look.is_exact(obj)
+        layout.operator("tg4mm.exact_look", icon="SHADING_RENDERED", depress=on).on = not on
         on = blending.blends_as_trained(context.scene)
-        if on or drawn == names.SPLATS:
+        if on or drawn in (names.SPLATS, names.NATIVE):
             layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
-        if context.scene.view_settings.view_transform != blending.view_transform(context.scene):
+        if not blending.is_set_up(context.scene):
             layout.operator("tg4mm.true_colours", icon="COLOR")
+        if context.scene.get(blending.BEFORE):
+            layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
+        if drawn == names.NATIVE:
+            _draw_far_out(layout, obj)
 
 
 class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
@@ -158,9 +170,10 @@ class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
         _draw_all(column, modifier, names.SIZE)
         if drawn in (names.ELLIPSOIDS, names.POINTS):
             compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
-        faintest = names.MIN_SPLAT_OPACITY if drawn == names.SPLATS else names.MIN_OPACITY
-        compat.draw_input(column, modifier, faintest, text="Min Opacity")
-        if compat.has_input(modifier, names.VIEW_COLOUR):
+        if drawn != names.NATIVE:  # Blender draws all of its own, each in its colours for the view
+            compat.draw_input(column, modifier, drawing.least_opacity(drawn), text="Min Opacity")
+        painted = drawn != names.NATIVE or compat.get_input(modifier, names.BLEND)
+        if painted and compat.has_input(modifier, names.VIEW_COLOUR):
             compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
 
 
@@ -193,6 +206,18 @@ def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
     layout.prop(view, "legend")
     if not view.legend:
         pictures.draw(layout, pictures.fitting_width(context), *picture)
+
+
+def _draw_far_out(layout: Any, obj: Any) -> None:
+    """What is so far out that Blender keeps all positions coarsely, with the button that removes it."""
+    far, span = look.far_out(obj)
+    if not far:
+        return
+    column = layout.column(align=True)
+    column.label(text=f"{far:,} far out: {span:.2g} × its size", icon="ERROR")
+    column.label(text="All positions are coarse")
+    if hasattr(bpy.types, "TG4MM_OT_crop_outliers"):
+        column.operator("tg4mm.crop_outliers")
 
 
 def _fields(layout: Any) -> Any:

@@ -10,12 +10,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from .. import names
-from ..nodes import scene
-from ..nodes.points import values
+from ..nodes import drawing, scene
 from . import panel, pictures
 
-OPAQUE = 0.3  # what is fainter may lie far off and counts for no size
-ENDS = (1.0, 99.0)  # percentiles along each axis that are framed
 _SOLID = ("MESH", "CURVE", "SURFACE", "META", "FONT")  # what may hide something
 ROOM = 1.2  # of the size, around it
 
@@ -45,7 +42,7 @@ def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
         points = _points(obj)
         if len(points):
             turned = points @ np.array(obj.matrix_world)[:3, :3].T + np.array(obj.matrix_world)[:3, 3]
-            ends.append(np.percentile(turned, ENDS, axis=0))
+            ends.append(np.percentile(turned, drawing.ENDS, axis=0))
     if not ends:
         return -np.ones(3), np.ones(3)
     return np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
@@ -86,9 +83,7 @@ def _is_startup_cube(obj: Any) -> bool:
 def _points(obj: Any) -> np.ndarray:
     """[n, 3] positions of the opaque Gaussians, of a sequence those of its first frame; all where none is opaque."""
     frames = scene.sequence_frames(obj)
-    mesh = obj.data if frames is None else frames[0].data
-    places, solid = values(mesh, "position"), values(mesh, names.OPACITY) >= OPAQUE
-    return places[solid if solid.any() else slice(None)].astype(np.float64)
+    return drawing.main_points(obj.data if frames is None else frames[0].data)
 
 
 def _frame(area: Any, middle: np.ndarray, radius: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import compat, names
 from ..core.errors import Tg4mmError
-from ..nodes import scene
+from ..nodes import drawing, scene
 from ..nodes.points import gaussians, values
 from .probe import Probe, mean_deviation, mean_phasor
 
@@ -37,8 +37,7 @@ def probe_selection(obj: Any) -> Probe:
 def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
     """Probe the Gaussian whose rest position is nearest to a place in the world, of those that are drawn."""
     modifier = scene.splat_modifier(obj)
-    drawn_as = compat.get_input(modifier, names.DRAW)
-    faintest = names.MIN_SPLAT_OPACITY if drawn_as == names.SPLATS else names.MIN_OPACITY
+    faintest = drawing.least_opacity(compat.get_input(modifier, names.DRAW))
     with _readable(obj) as mesh:
         shown = np.flatnonzero(values(mesh, names.OPACITY) >= compat.get_input(modifier, faintest))
         if not len(shown):

@@ -40,12 +40,13 @@ def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory)
 
 
 @pytest.fixture
-def extension(staged: Path) -> Iterator[ModuleType]:
-    """The extension, registered in an empty scene."""
+def extension(staged: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The extension, registered in an empty scene. Imports draw ellipsoids (but see test_defaults.py)."""
     bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
     module = sys.modules.get(PACKAGE) or load(PACKAGE, staged / "__init__.py", staged)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     module.register()
+    monkeypatch.setattr(module.preferences.TG4MM_defaults, "draw_as", "Ellipsoids")
     yield module
     module.unregister()
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -225,14 +225,12 @@ def test_file_without_motion_stands_still(extension: ModuleType, tmp_path: Path,
 
 def test_colours_are_decoded_from_srgb(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
-    data = obj.data.attributes["colour"].data
-    linear = np.empty(len(data) * 4, dtype=np.float32)
-    data.foreach_get("color", linear)
+    linear = extension.nodes.points.values(obj.data, "colour")
     rgb = np.clip(0.5 + 0.28209479 * read_splat(splat_path).sh[:, 0], 0, 1)
     import mathutils
 
     expected = np.array([mathutils.Color(c).from_srgb_to_scene_linear() for c in rgb])
-    np.testing.assert_allclose(linear.reshape(-1, 4)[:, :3], expected, atol=1e-4)
+    np.testing.assert_allclose(linear[:, :3], expected, atol=1e-4)
 
 
 def test_picture_shows_the_colours_of_the_file(extension: ModuleType, tmp_path: Path) -> None:
@@ -320,5 +318,5 @@ def test_many_modes_are_one_group_used_many_times(extension: ModuleType, tmp_pat
 
 def test_dropped_files_go_to_the_importer(extension: ModuleType) -> None:
     handler = bpy.types.IO_FH_tg4mm_splat
-    assert handler.bl_file_extensions == ".ply"
+    assert {".ply", ".spz", ".sog", ".splat", ".glb"} <= set(handler.bl_file_extensions.split(";"))
     assert handler.bl_import_operator == "import_scene.tg4mm_splat"

@@ -43,6 +43,7 @@ ADDON = (
     "nodes/clock",
     "nodes/colour",
     "nodes/colours",
+    "nodes/drawing",
     "nodes/graph",
     "nodes/made",
     "nodes/materials",
@@ -129,6 +130,7 @@ import bl_ext.user_default.tg4mm as extension
 bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
 modifier = extension.nodes.scene.splat_modifier(bpy.context.object)
 compat, names = extension.compat, extension.names
+compat.set_input(modifier, names.DRAW, names.ELLIPSOIDS)
 compat.set_input(modifier, names.MIN_OPACITY, 0.0)
 for frame, alpha in ((1, 3.0), (6, 3.0), (7, 8.0), (8, 8.0)):
     compat.set_input(modifier, names.ALPHA, alpha)
@@ -167,6 +169,7 @@ still = bpy.context.object
 bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
 obj = bpy.context.object
 found["drawn"] = [compat.get_input(scene.splat_modifier(o), names.DRAW) for o in (still, obj)]
+found["best"] = extension.nodes.drawing.best(5, 0)
 bpy.ops.tg4mm.band(frequency=5.0)
 found["band"] = extension.panels.analysis.band(obj)
 obj[names.UNIT_SCALE] = 0.1
@@ -306,6 +309,7 @@ def test_preferences_are_there_once_installed_and_are_followed(
     for name, (own, fallback) in found["defaults"].items():
         assert own == fallback, name
     assert found["undescribed"] == []
-    assert found["drawn"] == ["Ellipsoids", "Arrows"]  # what does not move has no arrows
+    assert found["drawn"] == [found["best"], "Arrows"]  # what does not move has no arrows
+    assert found["best"] in ("Native", "Splats")
     assert found["band"] == pytest.approx([3.5, 6.5])
     assert (found["length"], found["metric"]) == ("0.012 scene units", "1.2 mm")

@@ -273,9 +273,19 @@ def test_what_was_applied_is_read_from_the_mesh(extension: ModuleType, moving: A
     now = splat.means @ part.applied[:3, :3].T + part.applied[:3, 3]
     np.testing.assert_allclose(points.values(moving.data, "position"), now, atol=1e-5)
     assert points.growth(moving.data) == pytest.approx(1.0, rel=1e-4)  # 1 · 2 · ½
-    place(moving, "scale")
-    apply(moving)
-    assert points.growth(moving.data) == pytest.approx(2.5, rel=1e-4)
+    unit_for = extension.preferences.unit_for
+    for _ in range(2):  # scaled, and scaled and applied
+        place(moving, "scale")
+        assert unit_for(bpy.context, moving).per_scene_unit == pytest.approx(2.5 * points.growth(moving.data))
+        apply(moving)
+    assert points.growth(moving.data) == pytest.approx(6.25, rel=1e-4)
+    assert unit_for(bpy.context, moving).text(0.01) == "0.0625 scene units"
+    only(moving)
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert points.growth(moving.data) == pytest.approx(6.25, rel=1e-4)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    moving[extension.names.UNIT_SCALE] = 0.1
+    assert unit_for(bpy.context, moving).text(0.01) == "1 mm"
 
 
 def test_played_motion_is_that_of_the_file_after_apply(

@@ -1,0 +1,66 @@
+"""Which way to draw suits a file in this Blender, and where Blender's own splats are coarse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .. import compat, names
+from .points import values
+
+AUTOMATIC = "Automatic"
+FRAME_NS = 1e9 / 24  # of a picture in playback
+# Nanoseconds a Gaussian takes: evaluated, and more for each mode (`python -m benchmarks.blender`, docs/blender.md); and
+# drawn on a laptop, whose graphics are taken to manage 200 million triangles a second: 80 a Gaussian, of Splats each
+# counted three times, as they overlap. What takes longer is drawn as points.
+_COSTS = {names.SPLATS: (70.0 + 1200.0, 8.0), names.ELLIPSOIDS: (70.0 + 400.0, 8.0)}
+OPAQUE = 0.3  # what is fainter may lie far off and counts for no size
+ENDS = (1.0, 99.0)  # percentiles along each axis
+MOST = 20_000  # points for a percentile
+# EEVEE and Workbench keep a position of Blender's own splats in 22 bits of the extent: a step is that part of it. It is
+# to be below a tenth of a pixel where what is opaque fills 2,048 pixels.
+FARTHEST = 0.1 * 2**22 / 2048
+
+
+def best(count: int, n_modes: int) -> str:
+    """The best way to draw `count` Gaussians with modes of motion that a laptop plays at 24 pictures a second."""
+    if compat.native_splats():
+        return names.NATIVE
+    for draw, (fixed, per_mode) in _COSTS.items():
+        if count * (fixed + n_modes * per_mode) <= FRAME_NS:
+            return draw
+    return names.POINTS
+
+
+def least_opacity(draw: str) -> str:
+    """The input that says what is too faint to be drawn so."""
+    return names.MIN_SPLAT_OPACITY if draw in (names.SPLATS, names.NATIVE) else names.MIN_OPACITY
+
+
+def main_points(mesh: Any) -> np.ndarray:
+    """[n, 3] float64 positions of the opaque Gaussians, evenly picked of many; all where none is opaque."""
+    places, solid = values(mesh, "position"), values(mesh, names.OPACITY) >= OPAQUE
+    chosen = places[solid if solid.any() else slice(None)]
+    return chosen[:: max(1, len(chosen) // MOST)].astype(np.float64)
+
+
+def outliers(mesh: Any) -> np.ndarray:
+    """[N] bool: Gaussians so far from the opaque ones that positions of all become coarse; none where they are not."""
+    places = values(mesh, "position").astype(np.float64)
+    middle, size, span = _extent(mesh, places)
+    return (np.abs(places - middle).max(axis=1, initial=0.0) > FARTHEST / 2 * size) & (span > FARTHEST)
+
+
+def far_out(mesh: Any) -> tuple[int, float]:
+    """How many outliers there are, and how many sizes of the rest all Gaussians span."""
+    return int(outliers(mesh).sum()), _extent(mesh, values(mesh, "position").astype(np.float64))[2]
+
+
+def _extent(mesh: Any, places: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Middle [3] and size, scene units, of what is opaque, and how many sizes all places span."""
+    if not len(places):
+        return np.zeros(3), 1.0, 0.0
+    low, high = np.percentile(main_points(mesh), ENDS, axis=0)
+    size = float((high - low).max()) or 1.0
+    return (low + high) / 2, size, float(np.ptp(places, axis=0).max()) / size
