@@ -9,7 +9,7 @@ import pytest
 
 from tests.capture.sfm.videos import encoded, texture
 from tg4mm.capture.codec import Tone, codec_losses
-from tg4mm.capture.codec.loss import _gain, _shifts, _stored
+from tg4mm.capture.codec.loss import _stored, gain_of, shifts_of
 from tg4mm.capture.codec.probe import probe
 from tg4mm.core.errors import Tg4mmError
 
@@ -32,8 +32,8 @@ def measured(path: Path, hz: float) -> tuple[complex, float]:
     """The amplitude that is left, pixels, and its standard error."""
     made = probe(path, 0.0, N)
     assert made is not None
-    u, times = _shifts(made.luma, REGION.astype(np.float32)), np.arange(N) / FPS
-    gain, error = _gain(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
+    u, times = shifts_of(made.luma, REGION.astype(np.float32)), np.arange(N) / FPS
+    gain, error = gain_of(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
     return gain * AMPLITUDE, error * AMPLITUDE
 
 

@@ -198,8 +198,8 @@ def _through(
         _encode(path, made, pictures())
         seen = _decoded(path)[is_new]
     return [
-        [_gain(u, own, j, times[is_new]) for j in range(len(own))]
-        for own, u in ((own, _shifts(seen, mask)) for own, mask in zip(tones, masks, strict=True))
+        [gain_of(u, own, j, times[is_new]) for j in range(len(own))]
+        for own, u in ((own, shifts_of(seen, mask)) for own, mask in zip(tones, masks, strict=True))
     ]
 
 
@@ -242,7 +242,7 @@ def _decoded(path: Path) -> np.ndarray:
         return np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
 
 
-def _shifts(seen: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def shifts_of(seen: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """[F, 2] pixels right and down of a region about its mean picture, by least squares (Lucas & Kanade 1981)."""
     inside = mask > 0.5
     mean = seen.mean(0, dtype=np.float32)
@@ -254,7 +254,7 @@ def _shifts(seen: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq((slopes @ slopes.T).astype(np.float64), -(slopes @ changes.T), rcond=None)[0].T
 
 
-def _gain(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:
+def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:
     """Of tone j in the shifts u [F, 2]: along its direction, with all tones fitted, and the error that noise makes."""
     main = tones[j].phasor
     waves = [f(2 * np.pi * t.frequency_hz * times) for t in tones for f in (np.cos, np.sin)]

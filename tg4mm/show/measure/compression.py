@@ -3,7 +3,9 @@
 A codec does not store all frames alike: every few frames one is predicted forward, the ones between it from both sides,
 more coarsely. So what a video keeps of a motion of f Hz changes with that period P, and its series shows f at f_P ± f
 too, f_P the multiples of frame rate / P (amplitude modulation). Seen on H.264 of x264, P = 4: 3.4 Hz at 30 Hz made
-peaks at 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md).
+peaks at 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec takes most of a small motion
+away, what is left of it is up to three times the image. Encoders whose frames have no such period make lines at these
+places too.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from dataclasses import replace
 from tg4mm.show.measure.harmonics import NEAR, SURE, Sideband, seen_at
 from tg4mm.show.measure.spectrum import Peak, size_of
 
-WEAKER = 4.0  # times weaker than the vibration that it comes of, at least
+USUAL_PERIOD = 4  # frames, of a video whose kinds of frames show none
+WEAKER = 2.5  # times weaker than the vibration that it comes of, at least
 
 
 def with_sidebands(

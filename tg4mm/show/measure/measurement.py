@@ -8,12 +8,13 @@ from itertools import count
 
 import numpy as np
 
-from tg4mm.capture.scene import between_frames, codec_period
+from tg4mm.capture.scene import between_frames, codec_period, video_file
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.codec import with_losses
+from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.limits import limits_of
 from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
@@ -183,7 +184,8 @@ def _result(
     best = int(np.argmax(scales))
     root = scene.capture.root
     between = between_frames(root, len(series[0].times_s)) if len(series) == 1 else None
-    found = tuple(series), scales[best], frames[best].name, clips, codec_period(root), between
+    period = codec_period(root) or (None if video_file(root) is None else USUAL_PERIOD)
+    found = tuple(series), scales[best], frames[best].name, clips, period, between
     return SensorResult(sensor, body, *found)
 
 

@@ -1,0 +1,116 @@
+"""What compression takes from small motion, and what the blind test tells of it, on random films.
+
+python -m benchmarks.codec_loss [--films N] [--first SEED]: a line for each film, then rms errors and coverage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.capture.codec import Tone, codec_losses
+from tg4mm.capture.codec.loss import gain_of, shifts_of
+
+WIDTH, HEIGHT, FRAMES, FPS = 240, 136, 150, 30
+PLATE = slice(30, 100), slice(40, 150)
+REGION = np.zeros((HEIGHT, WIDTH), bool)
+REGION[36:94, 46:144] = True
+
+
+@dataclass(frozen=True)
+class Film:
+    """What was drawn."""
+
+    codec: str
+    options: dict[str, str]
+    gop: int  # frames from key to key, at most
+    noise: float  # of 255, each channel
+    hz: float
+    amplitude: float  # pixels
+
+    @staticmethod
+    def of(seed: int) -> Film:
+        rng = np.random.default_rng(seed)
+        bits = float(np.exp(rng.uniform(np.log(0.08), np.log(3)))) * WIDTH * HEIGHT * FPS
+        options = {"b": str(round(bits))}
+        if seed % 3 == 0:
+            options["x265-params"] = "log-level=none"
+        else:
+            options["preset"] = str(rng.choice(["medium", "veryfast"]))
+            options |= {"maxrate": options["b"], "bufsize": options["b"]} if rng.random() < 0.4 else {}
+            options |= {"bf": "0"} if rng.random() < 0.3 else {}
+        cycles = round(float(np.exp(rng.uniform(np.log(0.03), np.log(0.45)))) * FRAMES)
+        return Film(
+            "libx264" if seed % 3 else "libx265",
+            options,
+            int(rng.choice([FPS, 250])),
+            float(np.exp(rng.uniform(np.log(2), np.log(8)))),
+            cycles * FPS / FRAMES,
+            float(np.exp(rng.uniform(np.log(0.01), np.log(0.06)))),
+        )
+
+    def write(self, path: Path, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        blobs = gaussian_filter(rng.normal(size=(HEIGHT, WIDTH, 3)), (2, 2, 0))
+        base = 128 + 35 * blobs / blobs.std()
+        slope = np.zeros_like(base)
+        slope[PLATE] = np.gradient(base, axis=1)[PLATE]
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream(self.codec, rate=FPS)
+            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+            stream.bit_rate, stream.codec_context.gop_size = int(self.options["b"]), self.gop
+            stream.codec_context.options = self.options
+            for k in range(FRAMES):
+                moved = base - self.amplitude * np.cos(2 * np.pi * self.hz * k / FPS) * slope
+                seen = np.clip(moved + rng.normal(0, self.noise, base.shape), 0, 255).astype(np.uint8)
+                frame = av.VideoFrame.from_ndarray(seen, format="rgb24")
+                frame.pts, frame.time_base = k, Fraction(1, FPS)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+
+
+def tried(seed: int) -> tuple[float, float, float, float]:
+    """True gain and its error, told gain and its deviation."""
+    drawn = Film.of(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        drawn.write(path, seed)
+        with av.open(str(path)) as container:
+            luma = np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
+        true = Tone(drawn.hz, np.array([drawn.amplitude + 0j, 0]))
+        gain, error = gain_of(shifts_of(luma, REGION.astype(np.float32)), [true], 0, np.arange(FRAMES) / FPS)
+        measured = Tone(drawn.hz, true.phasor * gain)
+        (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
+    print(
+        f"{seed}: {drawn.codec}, {float(drawn.options['b']) / (WIDTH * HEIGHT * FPS):.2f} bits a pixel, noise "
+        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {gain:.2f} ± {error:.2f}, told "
+        f"{loss.gain:.2f} ± {loss.deviation:.2f}",
+        flush=True,
+    )
+    return gain, error, loss.gain, loss.deviation
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--films", type=int, default=24)
+    parser.add_argument("--first", type=int, default=100)
+    asked = parser.parse_args()
+    rows = np.array([tried(seed) for seed in range(asked.first, asked.first + asked.films)])
+    off, sure = np.abs(rows[:, 0] - rows[:, 2]), np.hypot(rows[:, 1], rows[:, 3])
+    print(
+        f"true - told, rms: {np.sqrt((off**2).mean()):.3f}; true - 1: {np.sqrt(((rows[:, 0] - 1) ** 2).mean()):.3f}"
+    )
+    print(
+        f"within one deviation {(off < sure).mean():.0%}, within two {(off < 2 * sure).mean():.0%} of {len(rows)}"
+    )
+
+
+if __name__ == "__main__":
+    main()
