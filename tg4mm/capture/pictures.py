@@ -118,6 +118,36 @@ class FilePictures:
         return image.astype(np.uint16) * 257 if widen else image
 
 
+@dataclass(frozen=True)
+class MaskedPictures:
+    """One fixed camera's pictures; what is masked stays as it is in the first of them."""
+
+    pictures: Pictures
+    mask: np.ndarray  # [H, W] bool
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.pictures.size
+
+    @property
+    def maximum(self) -> int:
+        return self.pictures.maximum
+
+    @cached_property
+    def _first(self) -> np.ndarray:
+        return np.array(self.pictures.strips([0])(slice(None))[0])
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        raw = self.pictures.strips(rows)
+
+        def strip(part: slice) -> np.ndarray:
+            data, mask = np.array(raw(part)), self.mask[part]
+            data[:, mask] = self._first[part][mask]
+            return data
+
+        return strip
+
+
 def pictures_of(images: ImageStack | FilePictures) -> Pictures:
     """The same pictures, as the motion stage reads them."""
     return StackedPictures(images) if isinstance(images, ImageStack) else images

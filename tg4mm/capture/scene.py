@@ -16,6 +16,7 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, read_record
 
 FORMAT_VERSION = 1
+KINDS_OF_PICTURES = "IPB"  # coded by themselves, predicted forward, predicted from both sides
 LONGEST_CODEC_PERIOD = 8  # frames; of a longer one, as between key frames, every frequency is near a multiple
 _FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
@@ -24,11 +25,11 @@ _COUNTS = ("width", "height", "n_train", "n_test", "codec_period")
 _TYPES: dict[str, tuple[type, str]] = {
     "scene": (str, "a string"),
     "background": (str, "a string"),
-    "between": (str, "a string of 0 and 1"),
     "sfm": (dict, "an object {…}"),
     "video": (dict, "an object {…}"),
     "engine": (dict, "an object {…}"),
     "modes": (list, "a list of objects"),
+    "picture_kinds": (str, "a string"),
     "alphas": (list, "a list of numbers"),
 }
 
@@ -51,12 +52,18 @@ def codec_period(root: Path) -> int | None:
     return int(period) if period and 2 <= period <= LONGEST_CODEC_PERIOD else None
 
 
+def picture_kinds(root: Path, count: int) -> list[int] | None:
+    """How each of the one video's pictures was coded, as FFmpeg numbers I, P and B; None where that is not known."""
+    told = read_scene(root, needs_fps=False).values.get("picture_kinds") or ""
+    if len(told) != count or told.strip(KINDS_OF_PICTURES):
+        return None
+    return [KINDS_OF_PICTURES.index(kind) + 1 for kind in told]
+
+
 def between_frames(root: Path, n_timesteps: int) -> np.ndarray | None:
     """[T] bool: frames of the one video that its codec predicts from both sides; None where that is not known."""
-    text = read_scene(root, needs_fps=False).values.get("between")
-    if not isinstance(text, str) or len(text) != n_timesteps or text.strip("01"):
-        return None
-    return np.array([bit == "1" for bit in text])
+    kinds = picture_kinds(root, n_timesteps)
+    return None if kinds is None or 3 not in kinds else np.array(kinds) == 3
 
 
 @dataclass(frozen=True)

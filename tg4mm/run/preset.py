@@ -26,6 +26,7 @@ from tg4mm.fit.motion.config import checked as checked_motion
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.fit.space.config import checked as checked_space
 from tg4mm.run import Run
+from tg4mm.run.stages.look import look_at_capture
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_plane, train_space
 
@@ -104,7 +105,8 @@ def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) ->
     elif not run.has_space:
         train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
     if capture.n_timesteps > 1:
-        train_motion(run, capture, images, configs["motion"], device)
+        found = look_at_capture(run, capture, images)
+        train_motion(run, capture, images, configs["motion"], device, None if found is None else found.mask())
 
 
 def _poses(run: Run, method: str, plan: Magnification, device: str) -> Poses:

@@ -6,7 +6,17 @@ for line in look("pump.mp4").vibrations:
 """
 
 from tg4mm.capture.look.look import look, look_at_pictures
-from tg4mm.capture.look.model import Look, LookLine, Mover, Tone
+from tg4mm.capture.look.model import Found, Look, LookLine, Mover, Tone
 from tg4mm.capture.look.reading import Picture, video_pictures
 
-__all__ = ["Look", "LookLine", "Mover", "Picture", "Tone", "look", "look_at_pictures", "video_pictures"]
+__all__ = [
+    "Found",
+    "Look",
+    "LookLine",
+    "Mover",
+    "Picture",
+    "Tone",
+    "look",
+    "look_at_pictures",
+    "video_pictures",
+]

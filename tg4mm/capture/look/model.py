@@ -55,8 +55,8 @@ class Tone:
 
 
 @dataclass(frozen=True)
-class Look:
-    """One pass over a recording of a fixed camera."""
+class Found:
+    """What one pass over a recording of a fixed camera finds; `record.py` writes and reads it."""
 
     lines: tuple[LookLine, ...]  # the largest amplitude first, marked ones last
     movers: tuple[Mover, ...]
@@ -66,20 +66,33 @@ class Look:
     composite: np.ndarray  # [K] mean over cells of power over noise: 1 where nothing vibrates
     composite_floor: float  # that one of a hundred recordings of noise exceeds anywhere
     moves_by_itself: np.ndarray  # [rows, columns] bool
+    cell_px: int
+    size: tuple[int, int]  # of the picture
+
+    @property
+    def vibrations(self) -> tuple[LookLine, ...]:
+        """The lines without a mark."""
+        return tuple(line for line in self.lines if not line.mark)
+
+    def mask(self) -> np.ndarray:
+        """[H, W] bool: the pixels of what moves by itself."""
+        width, height = self.size
+        fine = np.kron(self.moves_by_itself, np.ones((self.cell_px, self.cell_px), bool))
+        out = np.zeros((height, width), bool)
+        out[: fine.shape[0], : fine.shape[1]] = fine[:height, :width]
+        return out
+
+
+@dataclass(frozen=True)
+class Look(Found):
+    """The same with every cell's series."""
+
     hidden: np.ndarray  # [F, rows, columns] bool: something passes there
     usable: np.ndarray  # [rows, columns] bool: cells with texture that do not move by themselves
     shift_px: np.ndarray  # [F, rows, columns, 2] right and down, less the whole picture's
     shift_deviation_px: np.ndarray  # [rows, columns, 2] of one picture
     whole_px: np.ndarray  # [F, 2]
     times_s: np.ndarray  # [F]
-    cell_px: int
-    size: tuple[int, int]  # of the picture
-    notes: tuple[str, ...] = ()
-
-    @property
-    def vibrations(self) -> tuple[LookLine, ...]:
-        """The lines without a mark."""
-        return tuple(line for line in self.lines if not line.mark)
 
     @property
     def rate(self) -> float:

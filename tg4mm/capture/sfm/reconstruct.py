@@ -163,11 +163,13 @@ def _check_enough(sources: Sources) -> None:
 
 
 def _scene(job: _Job) -> dict[str, Any]:
-    scene = {"scene": job.work.out.resolve().name, "kind": job.kind.name, "background": "as photographed"}
+    name = job.work.out.resolve().name
+    scene: dict[str, Any] = {"scene": name, "kind": job.kind.name, "background": "as photographed"}
     periods = {survey.codec_period for survey in job.surveys}
-    if len(job.surveys) == 1 and job.surveys[0].between:
-        scene["between"] = job.surveys[0].between
-    return scene | ({"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {})
+    scene |= {"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {}
+    return scene | (
+        {"picture_kinds": job.surveys[0].kinds} if len(job.surveys) == 1 and job.surveys[0].kinds else {}
+    )
 
 
 def _flat(job: _Job) -> dict[str, Any]:

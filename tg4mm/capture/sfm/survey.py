@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import laplace
 
+from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, is_regular, regular_times
 from tg4mm.capture.sfm.frozen import NoveltyMeter
 from tg4mm.capture.sfm.repeats import Repeats
@@ -54,8 +55,8 @@ class Survey:
     codec_period: (
         int | None
     )  # frames, from one that the codec predicts forward to the next; None: it has no period
-    between: str  # T of 0 and 1: which the codec predicts from both sides; "" of a folder
     created_s: float | None  # when the recording began, seconds since 1970
+    kinds: str = ""  # of each picture I, P or B, as a video's frames are coded; empty: not known
 
     def __len__(self) -> int:
         """T, the number of pictures."""
@@ -142,14 +143,14 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
-        between=_bits(record.get("between", ""), len(sharpness)),
         created_s=found.number("created_s") if found.has("created_s") else None,
+        kinds=_kinds(record.get("kinds", ""), len(sharpness)),
     )
 
 
-def _bits(text: Any, count: int) -> str:
-    if not isinstance(text, str) or text.strip("01") or len(text) not in (0, count):
-        raise ValueError(f"between is {text!r}, expected {count} of 0 and 1")
+def _kinds(text: Any, count: int) -> str:
+    if not isinstance(text, str) or text.strip(KINDS_OF_PICTURES) or len(text) not in (0, count):
+        raise ValueError(f"kinds are {text!r}, expected {count} of {', '.join(KINDS_OF_PICTURES)}")
     return text
 
 
@@ -170,6 +171,7 @@ class _Look:
         self.sharpness: list[float] = []
         self.parts: list[int] = []
         self._between: list[bool] = []
+        self._kinds: list[str] = []
         self._brightest = 0.0
         self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
         self._meter = PartMeter()
@@ -190,6 +192,7 @@ class _Look:
             part, x, y, together = self._meter.add(grey)
         self.times.append(frame.time)
         self._between.append(frame.is_between)
+        self._kinds.append("I" if frame.is_alone else "B" if frame.is_between else "P")
         self.parts.append(part)
         self.shifts.append((x * k, y * k))
         self.together.append(together)
@@ -253,7 +256,7 @@ class _Look:
             "frozen": self._novelty.frozen_frames()[kept].tolist(),
             "sharpness": [self.sharpness[k] for k in kept],
             "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
-            "between": "".join("01"[self._between[k]] for k in kept) if any(self._between) else "",
+            "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_video else "",
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 

@@ -9,12 +9,13 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.fit.device import gpu_figures, reset_gpu_peak
@@ -32,10 +33,16 @@ _LOG = logging.getLogger("tg4mm")
 
 
 def train_motion(
-    run: Run, capture: Capture, images: ImageStack | FilePictures, config: MotionConfig, device: str = "cpu"
+    run: Run,
+    capture: Capture,
+    images: ImageStack | FilePictures,
+    config: MotionConfig,
+    device: str = "cpu",
+    mask: np.ndarray | None = None,
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
 
+    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself.
     The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
     docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
     each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
@@ -45,6 +52,8 @@ def train_motion(
     reset_peak_memory()
     reset_gpu_peak(device)
     observations = observe(capture, images)
+    if mask is not None and mask.any():
+        observations = replace(observations, pictures=MaskedPictures(observations.pictures, mask))
     checkpoint = RunCheckpoint(run, began)
     gaussians = checkpoint.gaussians
     try:

@@ -8,6 +8,7 @@ from itertools import count
 
 import numpy as np
 
+from tg4mm.capture.look import Found
 from tg4mm.capture.scene import between_frames, codec_period, video_file
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
@@ -21,6 +22,7 @@ from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weight
 from tg4mm.show.measure.modal_fields import clock_phases
 from tg4mm.show.measure.model_error import shared_error, with_model_error
 from tg4mm.show.measure.prepared import prepare
+from tg4mm.show.measure.regions import found_in, region_sensors
 from tg4mm.show.measure.relations import relation_of
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.rigid import Body, equations_of
@@ -43,6 +45,7 @@ class Measurement:
     reference: str  # name of the sensor that phases are against
     notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
     clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
+    look: Found | None = None  # of a flat capture: what the look at its regions found
 
     @property
     def unit_scale_m(self) -> float | None:
@@ -66,7 +69,8 @@ def measure(
 
     Args:
         run: a run, or what `prepare` or `prepare_fit` returned, which needs no pictures for further sensors.
-        sensors: regions to measure; `None`: clusters that move alike, and the whole scene.
+        sensors: regions to measure; `None`: clusters that move alike, of a flat capture the regions that vibrate, and
+            the whole scene.
         reference: name of the sensor that phases and coherence refer to; `None`: the first.
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
 
@@ -78,7 +82,10 @@ def measure(
     """
     scene = run if isinstance(run, Prepared) else prepare(run)
     groups = clusters or clusters_of(scene)
-    wanted = checked_names(sensors if sensors is not None else default_sensors(groups))
+    found = found_in(scene)
+    own = region_sensors(scene, found) if found is not None else []
+    usual = [*own, Sensor("all", "all")] if own else default_sensors(groups)
+    wanted = checked_names(sensors if sensors is not None else usual)
     if not wanted:
         raise MeasureError("no sensor was named")
     if reference is not None and reference not in [s.name for s in wanted]:
@@ -92,7 +99,7 @@ def measure(
     results = [r if r is against else _related(r, against) for r in results]
     shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
-    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases)
+    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases, found)
 
 
 def measure_one(scene: Prepared, sensor: Sensor) -> SensorResult:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.look import Found
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
 from tg4mm.core.progress import progress
@@ -18,12 +19,13 @@ from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import file_name
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.units import Unit, unit_of
+from tg4mm.show.regions import composite
 
 _MARKED = 200  # samples: of a longer record they would run into each other
 
 
 def write_plots(measurement: Measurement, out: Path) -> list[Path]:
-    """OUT/plots/<sensor>.svg and .png of every sensor."""
+    """OUT/plots/<sensor>.svg and .png of every sensor; of a flat capture composite.svg and .png, too."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -35,17 +37,29 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
     with plt.rc_context(STYLE), progress("plots", count, "sensors") as update:
         for done, result in enumerate(measurement.sensors, 1):
             figure = _figure(plt, result, unit_of(measurement, result))
-            for ending in ("svg", "png"):
-                data = io.BytesIO()
-                figure.savefig(
-                    data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None
-                )
-                path = folder / f"{file_name(result.name)}.{ending}"
-                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
-                paths.append(path)
-            plt.close(figure)
+            paths += _saved(plt, figure, folder / file_name(result.name))
             update(done)
+        if measurement.look is not None:
+            paths += _saved(plt, _composite(plt, measurement.look), folder / "composite")
     return paths
+
+
+def _saved(plt: Any, figure: Any, stem: Path) -> list[Path]:
+    """stem.svg and .png."""
+    paths = []
+    for ending in ("svg", "png"):
+        data = io.BytesIO()
+        figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
+        paths.append(stem.with_name(f"{stem.name}.{ending}"))
+        write_atomic(paths[-1], partial(Path.write_bytes, data=data.getvalue()))
+    plt.close(figure)
+    return paths
+
+
+def _composite(plt: Any, found: Found) -> Any:
+    figure = plt.figure(figsize=(10, 4), layout="constrained")
+    composite(figure.add_subplot(), found)
+    return figure
 
 
 def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:

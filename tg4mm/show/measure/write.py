@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases
@@ -49,12 +50,23 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
             }
             for s in measurement.shapes
         ],
+        "composite": None if (found := measurement.look) is None else _composite(found),
         "clip_phases": _clip_phases(measurement.clip_phases),
         "sensors": [_sensor(r) for r in measurement.sensors],
     }
     path = out / MARK
     write_json(path, to_json(value, MARK))
     return path
+
+
+def _composite(found: Found) -> dict[str, Any]:
+    """Of a flat capture: power over noise, mean over all cells, and what noise exceeds once in a hundred recordings."""
+    return {
+        "frequency_hz": found.hz.tolist(),
+        "power_over_noise": found.composite.tolist(),
+        "floor": found.composite_floor,
+        "cell_px": found.cell_px,
+    }
 
 
 def _clip_phases(phases: ClipPhases | None) -> list[dict[str, Any]] | None:

@@ -23,6 +23,7 @@ from tg4mm.show.measure import Sensor
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
 from tg4mm.show.report.found import limits_section
+from tg4mm.show.report.regions import regions_section
 from tg4mm.show.report.sections import capture_section, motion_section
 from tg4mm.show.report.sources import Evaluate, choose_alpha, load_model, metrics_of
 from tg4mm.show.report.spectra import measured, sensors_section
@@ -111,6 +112,7 @@ def _material(run: Run, train: Capture, band: tuple[float, float] | None, option
 def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Page:
     sections: list[Section] = []
     parts: tuple[Callable[[], Sequence[Section]], ...] = (
+        lambda: regions_section(m),
         lambda: [motion_section(m)],
         lambda: sensors_section(m),
         lambda: accuracy_section(m),

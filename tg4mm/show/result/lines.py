@@ -18,7 +18,14 @@ def lines_of(result: Result) -> list[str]:
         lines += _vibration(vibration, result)
     if more := result.vibrations[_MOST:]:
         lines.append(_INDENT + f"and {', '.join(f'{v.hz:.4g}' for v in more)} Hz")
-    if result.n_timesteps > 1 and not result.vibrations:
+    for vibration in result.beside[:_MOST]:
+        first, *rest = _vibration(vibration, result)
+        lines += [
+            first,
+            *rest,
+            _row("", "(only its own region shows it: the model of the whole picture does not)"),
+        ]
+    if result.n_timesteps > 1 and not result.vibrations and not result.beside:
         lines.append(_INDENT + _nothing(result))
     if result.vibrations:
         lines.append(_row("", "(where they are largest: 1 % of what is seen moves further)"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 Band = tuple[float, float]  # low and high, Hz, both ends inside
@@ -56,6 +56,9 @@ class Result:
     noise_px: float | None  # the same in the pictures
     agreement: tuple[float, ...]  # 0 … 1: what two halves of the data agree on, of each function of time
     cannot: tuple[str, ...]  # what cannot be told, a line each
+    beside: tuple[Vibration, ...] = field(
+        default=(), kw_only=True
+    )  # found region by region, but not in the model
     alpha: float  # suggested for --alpha
     next_command: str
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.look import Found
 from tg4mm.capture.scene import between_frames
 from tg4mm.core.errors import RunError
 from tg4mm.core.lines import Line
@@ -20,11 +21,13 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, TOLD_PERIODS, frames_of
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
+from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha
 from tg4mm.show.result.bands import suggested_bands
 from tg4mm.show.result.deviations import mode_deviations
 from tg4mm.show.result.line import line_near, phasors_at, why_no_damping
 from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.looked import looked_notes, looked_vibrations
 from tg4mm.show.result.model import Length, Result, Vibration
 from tg4mm.show.result.reach import Reach, reach_of
 from tg4mm.show.result.seen import Seen, seen_by
@@ -88,9 +91,9 @@ class Reading:
         if motion is None:
             return self._still()
         seen = self.seen
-        found = self._found(motion, seen)
+        found = [] if self.look is not None else self._found(motion, seen)
         drifts = [v for v in found if _is_drift(v, self.duration_s)]
-        vibrations = self._vibrations(motion, seen, [v for v in found if v not in drifts])
+        vibrations, beside = self._named(motion, seen, [v for v in found if v not in drifts])
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
         strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
@@ -111,7 +114,25 @@ class Reading:
             cannot=(*_drift_line(drifts, self.duration_s), *self._cannot(motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
+            beside=beside,
         )
+
+    @cached_property
+    def look(self) -> Found | None:
+        """What the look at a flat capture's regions found."""
+        return look_of(self.run) if self.capture is not None and self.capture.kind == "flat" else None
+
+    def _named(
+        self, motion: ModalMotion, seen: Seen, found: list[_Found]
+    ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
+        """The vibrations that the model holds, and others; of a flat capture those of its regions and no others."""
+        if self.look is None or self.capture is None:
+            return self._vibrations(motion, seen, found), ()
+        every = looked_vibrations(self.look, self.capture, motion.fps, self.duration_s)
+        hz = np.asarray(motion.freqs_hz)
+        held = [bool(((hz >= v.band[0]) & (hz <= v.band[1])).any()) for v in every]
+        inside = tuple(v for v, is_held in zip(every, held, strict=True) if is_held)
+        return inside, tuple(v for v, is_held in zip(every, held, strict=True) if not is_held)
 
     def _still(self) -> Result:
         """Of a capture of one timestep."""
@@ -235,7 +256,7 @@ class Reading:
 
     def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
         duration = self.duration_s
-        out = list(self.log.get("notes", ()))
+        out = [*self.log.get("notes", ()), *([] if self.look is None else looked_notes(self.look))]
         out.append(
             f"frequencies under {TOLD_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
             f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"

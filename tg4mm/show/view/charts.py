@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
+from tg4mm.capture.look import Found
 from tg4mm.core.colour import amount_colours, hex_colour
 from tg4mm.core.pages.svg import nice_ticks, number
 from tg4mm.show.view.colours import Band
@@ -112,6 +113,13 @@ def density_chart(frequencies: np.ndarray, amplitudes: np.ndarray, floor: np.nda
         )
         parts.append(Markup('<polyline class="{}" points="{}"/>').format(style, points))
     return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed")
+
+
+def composite_chart(found: Found) -> Markup:
+    """Power over noise, mean over all cells of a flat capture, as decibels; what noise alone exceeds dashed."""
+    power = np.maximum(found.composite[1:], 1.0)
+    floor = np.full(len(power), found.composite_floor)
+    return density_chart(found.hz[1:], 10 * np.log10(power), 10 * np.log10(floor), "dB over noise")
 
 
 def _hits(

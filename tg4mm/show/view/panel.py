@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from tg4mm.core.pages.svg import number
 from tg4mm.show.view.bands import ALL, band_around, band_of_slider, band_words, main_peaks, peak_labels
-from tg4mm.show.view.charts import block, spectrum_chart
+from tg4mm.show.view.charts import block, composite_chart, spectrum_chart
 from tg4mm.show.view.colours import Colour, choices, legend
 from tg4mm.show.view.session import Session
 
@@ -32,6 +32,8 @@ class Panel:
         self._told = ""
         scene = session.scene
         self._status = self._gui.add_html(block(*scene.notes, Markup('<p class="dim">&nbsp;</p>')))
+        if scene.look is not None:
+            self._gui.add_html(block("All regions together:", composite_chart(scene.look)))
         motion = scene.motion
         if motion is None or not len(scene.frequencies):
             self.view = self._gui.add_folder("View")

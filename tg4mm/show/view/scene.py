@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.look import Found
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
+from tg4mm.run.stages.look import look_of
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.report.maps import image_motion, leading_modes
 from tg4mm.show.report.summary import unit_of
@@ -38,6 +40,7 @@ class Scene:
     unit: str  # what lengths are shown in
     per_unit: float  # shown length per scene unit
     notes: tuple[str, ...] = ()  # lines: what could not be had, and why
+    look: Found | None = None  # of a flat capture: what the look at its regions found
 
     @property
     def duration(self) -> float:
@@ -114,7 +117,16 @@ def open_scene(run: Run) -> Scene:
     if capture is not None:
         weights = blending_weights(gaussians, _few_cameras(capture))
     return Scene(
-        run.path, gaussians, motion, weights, run.load_uncertainty(), cameras, unit, per_unit, tuple(notes)
+        run.path,
+        gaussians,
+        motion,
+        weights,
+        run.load_uncertainty(),
+        cameras,
+        unit,
+        per_unit,
+        tuple(notes),
+        None if capture is None or capture.kind != "flat" else look_of(run),
     )
 
 

@@ -1,0 +1,66 @@
+"""What a look found as plain values, for a run's log, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.look.model import Found, LookLine, Mover, Tone
+
+
+def to_record(found: Found) -> dict[str, Any]:
+    """Lists, numbers and texts; grids of cells as the numbers of those that are true."""
+    return {
+        "lines": [
+            asdict(line) | {"cells": _numbers(line.cells), "region": _numbers(line.region)}
+            for line in found.lines
+        ],
+        "movers": [asdict(mover) for mover in found.movers],
+        "light": [asdict(tone) for tone in found.light],
+        "whole": [asdict(tone) for tone in found.whole],
+        "hz": [float(f"{f:.6g}") for f in found.hz],
+        "composite": [float(f"{c:.4g}") for c in found.composite],
+        "composite_floor": found.composite_floor,
+        "moves_by_itself": _numbers(found.moves_by_itself),
+        "grid": list(found.moves_by_itself.shape),
+        "cell_px": found.cell_px,
+        "size": list(found.size),
+    }
+
+
+def from_record(values: Mapping[str, Any]) -> Found:
+    """What `to_record` was given."""
+    rows, columns = values["grid"]
+
+    def grid(numbers: list[int]) -> np.ndarray:
+        out = np.zeros(rows * columns, bool)
+        out[numbers] = True
+        return out.reshape(rows, columns)
+
+    lines = [
+        LookLine(**_tuples(v) | {"cells": grid(v["cells"]), "region": grid(v["region"])})
+        for v in values["lines"]
+    ]
+    return Found(
+        lines=tuple(lines),
+        movers=tuple(Mover(**_tuples(v)) for v in values["movers"]),
+        light=tuple(Tone(**v) for v in values["light"]),
+        whole=tuple(Tone(**v) for v in values["whole"]),
+        hz=np.array(values["hz"]),
+        composite=np.array(values["composite"]),
+        composite_floor=values["composite_floor"],
+        moves_by_itself=grid(values["moves_by_itself"]),
+        cell_px=values["cell_px"],
+        size=tuple(values["size"]),
+    )
+
+
+def _numbers(grid: np.ndarray) -> list[int]:
+    return [int(k) for k in np.flatnonzero(grid)]
+
+
+def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}

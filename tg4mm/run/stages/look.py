@@ -1,0 +1,45 @@
+"""A flat capture looked at region by region before its motion is fitted; what was found is in the run's log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.look import Found, Picture, look_at_pictures
+from tg4mm.capture.look.reading import FEWEST, INTRA
+from tg4mm.capture.look.record import from_record, to_record
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.scene import picture_kinds
+from tg4mm.core.progress import progress
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.run import Run
+
+_STAGE = "look"
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+
+
+def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
+    """What its one camera shows, looked at once; None of other kinds of captures, or too few pictures."""
+    if capture.kind != "flat" or capture.n_timesteps < FEWEST:
+        return None
+    if (kept := look_of(run)) is None:
+        kept = look_at_pictures(_pictures(capture, images), str(capture.root))
+        run.record(_STAGE, to_record(kept))
+    return kept
+
+
+def look_of(run: Run) -> Found | None:
+    """What the run's log holds."""
+    values = run.log().get(_STAGE)
+    return None if not values else from_record(values)
+
+
+def _pictures(capture: Capture, images: ImageStack | FilePictures) -> Iterator[Picture]:
+    (frames,) = fixed_cameras(capture)[:1]
+    kinds = picture_kinds(capture.root, len(frames.rows)) or [INTRA] * len(frames.rows)
+    with progress("regions", len(frames.rows), "pictures") as update:
+        for k, (row, time) in enumerate(zip(frames.rows, frames.times_s, strict=True)):
+            yield Picture(255 * (images.rgb(int(row)) @ _LUMA), float(time), kinds[k])
+            update(k + 1)

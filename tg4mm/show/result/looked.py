@@ -1,0 +1,80 @@
+"""A flat capture's vibrations as the look at its regions found them: what the picture's whole does not show, either."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.capture.look import Found, LookLine, Mover
+from tg4mm.show.result.bands import suggested_bands
+from tg4mm.show.result.model import Length, Vibration
+
+_MOST = 4  # things that move by themselves, said one by one
+_WHY_NO_DAMPING = {
+    "steady": "it stays as strong as it is during the record",
+    "grows": "it grows during the record",
+    "untold": "it is too faint to tell whether it rings down",
+}
+
+
+def looked_vibrations(found: Found, capture: Capture, fps: float, duration_s: float) -> tuple[Vibration, ...]:
+    """Those without a mark, the largest amplitude first."""
+    lines = found.vibrations
+    deviations = [line.hz_deviation for line in lines]
+    reach = [max(1 / duration_s, 2 * line.hz * (line.damping or 0)) for line in lines]  # half the width: ζ f
+    bands = suggested_bands([line.hz for line in lines], deviations, duration_s, fps, reach)
+    return tuple(_vibration(line, capture, band) for line, band in zip(lines, bands, strict=True))
+
+
+def _vibration(line: LookLine, capture: Capture, band: tuple[float, float]) -> Vibration:
+    viewmat, K = capture.viewmats[0].astype(float), capture.Ks[0].astype(float)
+    sight = np.array([*(np.array(line.centre_px) - K[:2, 2]) / K[[0, 1], [0, 1]], 1.0])
+    place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
+    pixels = Length(line.amplitude_px, line.amplitude_deviation_px)
+    return Vibration(
+        hz=line.hz,
+        deviation_hz=line.hz_deviation,
+        amplitude=pixels.times(1 / K[0, 0]),
+        place=(float(place[0]), float(place[1]), float(place[2])),
+        pixels=pixels,
+        damping=line.damping,
+        damping_deviation=line.damping_deviation,
+        why_no_damping="" if line.damping is not None else _WHY_NO_DAMPING.get(line.change, "no test tells"),
+        band=band,
+        begins_s=line.start_s,
+    )
+
+
+def looked_notes(found: Found) -> list[str]:
+    """What moves by itself or passes, what the light does, and lines that may be none of their own."""
+    out = [_moves(mover) for mover in found.movers[:_MOST]]
+    if len(found.movers) > _MOST:
+        out.append(f"{len(found.movers) - _MOST} more places where something moves by itself or passes")
+    out += [
+        f"whether something vibrates at {line.hz:.4g} Hz ({line.amplitude_px:.2g} px at {_at(line)}): {line.mark}"
+        for line in found.lines
+        if line.mark
+    ]
+    if found.light:
+        named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
+        out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
+    readouts = [line.readout_s for line in found.vibrations if line.readout_s]
+    if readouts:
+        out.append(
+            f"phases at different heights to better than the readout: they rise with the row as if a picture were read "
+            f"over {1e3 * readouts[0]:.1f} ms"
+        )
+    return out
+
+
+def _moves(mover: Mover) -> str:
+    left, upper, right, lower = mover.box
+    where = f"between pixels ({left}, {upper}) and ({right}, {lower})"
+    if mover.kind == "passes":
+        return f"what is {where} while something passes, from {mover.from_s:.1f} to {mover.until_s:.1f} s"
+    rate = "" if mover.hz is None else f", periodically at {mover.hz:.4g} Hz or an alias of it"
+    return f"what vibrates {where}: something there moves by itself{rate}, and is left out of the fit"
+
+
+def _at(line: LookLine) -> str:
+    return f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})"
