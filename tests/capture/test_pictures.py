@@ -15,7 +15,7 @@ from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
-from tg4mm.capture.pictures import FilePictures, StackedPictures
+from tg4mm.capture.pictures import FilePictures, MaskedPictures, StackedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.observations import observe
@@ -109,3 +109,16 @@ def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, messa
     spoil(capture.paths[4])
     with pytest.raises(CaptureError, match=message):
         components(observe(capture, files), 16)
+
+
+def test_what_is_masked_stays_as_in_the_first_picture(capture: Capture) -> None:
+    mask = np.zeros(SIZE, bool)
+    mask[1:3, 2:5] = True
+    plain = StackedPictures(load_images(capture))
+    masked = MaskedPictures(plain, mask)
+    assert (masked.size, masked.maximum) == (plain.size, plain.maximum)
+    raw, out = plain.strips([0, 4, 6]), masked.strips([0, 4, 6])
+    for rows in (slice(None), slice(2, 4)):
+        assert (out(rows)[:, mask[rows]] == plain.strips([0])(rows)[0][mask[rows]]).all()
+        assert (out(rows)[:, ~mask[rows]] == raw(rows)[:, ~mask[rows]]).all()
+    assert not (raw(slice(None))[1][mask] == out(slice(None))[1][mask]).all()

@@ -10,6 +10,7 @@ from tg4mm.show.result.bands import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
 
 _MOST = 4  # things that move by themselves, said one by one
+_LEAST_READOUT_S = 0.004  # cameras that read rows one after another take 8 to 25 ms; less is a phase of the scene's
 _WHY_NO_DAMPING = {
     "steady": "it stays as strong as it is during the record",
     "grows": "it grows during the record",
@@ -58,7 +59,7 @@ def looked_notes(found: Found) -> list[str]:
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
-    readouts = [line.readout_s for line in found.vibrations if line.readout_s]
+    readouts = [line.readout_s for line in found.vibrations if abs(line.readout_s or 0) >= _LEAST_READOUT_S]
     if readouts:
         out.append(
             f"phases at different heights to better than the readout: they rise with the row as if a picture were read "

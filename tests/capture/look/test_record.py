@@ -1,0 +1,30 @@
+"""What a look found goes through a run's log unchanged."""
+
+from __future__ import annotations
+
+import json
+
+from tests.helpers.look import found
+from tg4mm.capture.look.record import from_record, to_record
+
+
+def test_a_record_is_plain_and_read_back_the_same() -> None:
+    first = found()
+    again = from_record(json.loads(json.dumps(to_record(first))))
+    assert to_record(again) == to_record(first)
+    assert again.lines[0].box == first.lines[0].box
+    assert (again.lines[0].cells == first.lines[0].cells).all()
+    assert again.movers == first.movers
+    assert again.light == first.light
+
+
+def test_the_mask_is_of_whole_cells_and_leaves_the_edge_that_no_cell_covers() -> None:
+    mask = found().mask()
+    assert mask.shape == (50, 64)
+    assert mask[:16, :16].all()
+    assert mask.sum() == 256
+
+
+def test_marked_lines_are_no_vibrations() -> None:
+    assert len(found().vibrations) == 1
+    assert found("2 × 2.600 Hz").vibrations == ()
