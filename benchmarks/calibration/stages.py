@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.calibration.draw import Truth
+import numpy as np
+
+from benchmarks.calibration.draw import TrueVibration, Truth
+from benchmarks.calibration.film import Region
 from benchmarks.calibration.score import Named, Score, score
 from tg4mm.capture.look import look
+from tg4mm.core.lines import Line, find_lines
+
+_INSIDE = 0.45  # of a region's shorter side: the radius of a sensor in it
 
 
 def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
@@ -26,8 +37,91 @@ def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
 
 
 def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
-    raise NotImplementedError
+    """sfm, train, and measure with a sensor in every region that vibrates: its samples, peaks and what train names."""
+    from tg4mm.capture.sfm.reconstruct import reconstruct
+    from tg4mm.run.train import train
+    from tg4mm.show.measure import Sensor, measure
+    from tg4mm.show.result import result_of
+
+    folder = video.with_suffix("")
+    began = time.process_time()
+    if not (folder / "set").exists():
+        reconstruct(video, folder / "set")
+    run = train(folder / "set", folder / "run")
+    result = result_of(run)
+    regions = list(dict.fromkeys(v.region for v in truth.vibrations))
+    sensors = [_sensor(Sensor, k, region, video.stem) for k, region in enumerate(regions)]
+    measured = measure(run, sensors) if sensors else None
+    seconds = time.process_time() - began
+    named = [
+        Named(
+            *(v.hz, v.deviation_hz, None if v.pixels is None else v.pixels.value),
+            *(
+                None if v.pixels is None else v.pixels.deviation,
+                v.damping,
+                v.damping_deviation,
+                v.begins_s or 0.0,
+            ),
+        )
+        for v in (*result.vibrations, *result.beside)
+    ]
+    out = score(truth, named, seconds)
+    for region, sensor in zip(regions, measured.sensors if measured is not None else (), strict=True):
+        own, px = sensor.series[0], sensor.px_per_unit
+        true = sum(_moved(v, own.times_s) for v in truth.vibrations if v.region == region) * np.array([1, -1])
+        error = px * own.displacement[:, :2] - true
+        error -= error.mean(0)
+        out.samples += (error / (px * own.deviation[:, :2])).ravel().tolist()
+    return {"sfm, train, measure": out}
+
+
+def _sensor(kind: type, k: int, region: Region, camera: str) -> object:
+    left, upper, right, lower = region
+    radius = _INSIDE * min(right - left, lower - upper)
+    return kind(f"region {k}", "pixel", ((left + right) / 2, (upper + lower) / 2, radius), camera)
+
+
+def _moved(vibration: TrueVibration, times_s: np.ndarray) -> np.ndarray:
+    """[F, 2] right and down in the middle of its region."""
+    motion, (_, upper, _, lower) = vibration.motion(), vibration.region
+    share = vibration.at((upper + lower) / 2)
+    return np.array([motion(float(t)) for t in times_s])[:, None] * share * np.array(vibration.amplitude_px)
 
 
 def baselines_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
-    raise NotImplementedError
+    """Lines (`tg4mm.core.lines`) in what two other estimators say of the regions that vibrate, or of the middle."""
+    regions = list(dict.fromkeys(v.region for v in truth.vibrations))
+    w, h = truth.width, truth.height
+    regions = regions or [(w // 2 - 30, h // 2 - 30, w // 2 + 30, h // 2 + 30)]
+    with tempfile.TemporaryDirectory() as folder:
+        wanted, out = Path(folder) / "regions.json", Path(folder) / "out.json"
+        wanted.write_text(json.dumps(regions))
+        script = Path(__file__).with_name("baselines.py")
+        clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+        subprocess.run([python, str(script), str(video), str(wanted), str(out)], check=True, env=clean)
+        found = json.loads(out.read_text())
+    seconds = found.pop("seconds")
+    return {
+        name: score(truth, _named(np.array(series), regions, truth.fps), seconds[name])
+        for name, series in found.items()
+    }
+
+
+def _named(series: np.ndarray, regions: Sequence[Region], fps: float) -> list[Named]:
+    times = np.arange(series.shape[1]) / fps
+    out = []
+    for own, (left, upper, right, lower) in zip(series, regions, strict=True):
+        for line in find_lines(own, times).lines:
+            amplitude, deviation = _along(line)
+            damped = (line.damping, line.damping_deviation, line.from_s)
+            centre = ((left + right) / 2, (upper + lower) / 2)
+            out.append(Named(line.hz, line.hz_deviation, amplitude, deviation, *damped, centre))
+    return out
+
+
+def _along(line: Line) -> tuple[float, float]:
+    """Amplitude and ± of a line of two components along the direction of its largest motion."""
+    phase = 0.5 * np.angle((line.phasor**2).sum())
+    along = np.real(line.phasor * np.exp(-1j * phase))
+    size = float(np.linalg.norm(along)) or 1e-12
+    return size, float(np.sqrt(((along / size) ** 2 * line.amplitude_deviation**2).sum()))

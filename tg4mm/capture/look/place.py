@@ -94,7 +94,7 @@ class _Placing:
         size_of = np.trace(self.weights[region], axis1=1, axis2=2)[:, None]
         x, y = (size_of * self.cells.pool.centre[region]).sum(0) / size_of.sum()
         sure = max(1, int((statistic > _READOUT_STATISTIC).sum())) / len(statistic)
-        cut = 2 * stats.f.isf(min(_FALSE, _FALSE * sure), 4, _FREEDOM)
+        cut = 4 * stats.f.isf(min(_FALSE, _FALSE * sure), 4, _FREEDOM)
         numbers = cell_numbers(self.search)
         return Placed(
             *(amplitude, deviation, direction, phase, (float(x), float(y)), numbers[region]),

@@ -59,7 +59,8 @@ def looked_notes(found: Found) -> list[str]:
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
-    readouts = [line.readout_s for line in found.vibrations if abs(line.readout_s or 0) >= _LEAST_READOUT_S]
+    readouts = [line.readout_s or 0.0 for line in found.vibrations]
+    readouts = [readout for readout in readouts if abs(readout) >= _LEAST_READOUT_S]
     if readouts:
         out.append(
             f"phases at different heights to better than the readout: they rise with the row as if a picture were read "
