@@ -176,6 +176,11 @@ def to_frame(number: int) -> None:
 
 
 @answer
+def cursor(at: list[float]) -> None:
+    bpy.context.scene.cursor.location = at
+
+
+@answer
 def put(to: str, value: Any) -> None:
     """Set an input of the active object's splat modifier, for a picture."""
     modifier = _modifier()

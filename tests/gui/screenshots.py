@@ -2,7 +2,7 @@
 
     python tests/gui/screenshots.py SPLAT.ply [--low HZ --high HZ] [--alpha 50] [--draw Splats] [--out docs/images]
 
-Imports the file by mouse, opens the tab, magnifies the band, and writes blender_panel.png and
+Imports the file by mouse, opens the tab, magnifies the band, probes what moves most, and writes blender_panel.png and
 blender_amplitude.png, ellipsoids coloured by amplitude with the legend, at the frame where the motion is largest.
 Needs what setup.sh built, and root. The file of the README is a run's own: `tg4mm demo`, then demo/splat.ply.
 """
@@ -25,7 +25,7 @@ from tests.gui import looking, sidebar  # noqa: E402
 from tests.gui.session import Session  # noqa: E402
 from tg4mm.core.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
 
-SIZE = (1280, 800)
+SIZE = (1280, 1200)
 LARGEST = 300_000  # bytes of a picture
 LOOK_FROM = (-1.2, -1.5, 0.7)
 
@@ -50,6 +50,8 @@ def main() -> None:
         blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
         shots.append(_take(blender, blender.folder / "rest.png"))
         blender.ask("put", to="Magnification", value=options.alpha)
+        if splat.n_modes:
+            _probe(blender, splat)
         shots.append(_take(blender, options.out / "blender_panel.png"))
         if splat.n_modes:
             blender.ask("put", to="Draw As", value="Ellipsoids")
@@ -93,6 +95,14 @@ def _aim(blender: Session, splat: SplatFile) -> None:
     at = (low + high) / 2 + 0.09 * distance * right / np.linalg.norm(right)
     blender.ask("view", look_from=LOOK_FROM, at=at.tolist(), distance=distance)
     blender.ask("deselect")
+
+
+def _probe(blender: Session, splat: SplatFile) -> None:
+    """Probe the opaque Gaussian that moves most, with the panels of motion and band open above the reading."""
+    reach = np.square(np.abs(splat.displacement)).sum(axis=(0, 2)) * (splat.opacities > 0.3)
+    blender.ask("cursor", at=splat.means[int(np.argmax(reach))].tolist())
+    sidebar.press(blender, "bpy.ops.tg4mm.probe(source='CURSOR')")
+    sidebar.open_only(blender, 1, 2, 4)  # Motion, Band, Probe
 
 
 def _largest(splat: SplatFile, alpha: float, band: tuple[float, float]) -> int:

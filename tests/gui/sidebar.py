@@ -96,6 +96,14 @@ def _fold(blender: Session, box: Box) -> None:
         _click_header(blender, opened[-1])  # what is above stays where it is
 
 
+def open_only(blender: Session, *which: int) -> None:
+    """Fold every panel but these, numbered from the one that holds them, 0."""
+    box = blender.region("VIEW_3D", "UI")
+    _fold(blender, box)
+    for i in sorted(which, reverse=True):  # what is above stays where it is
+        _click_header(blender, _headers(blender, box)[i])
+
+
 def _headers(blender: Session, box: Box) -> list[Header]:
     """The headers in sight, once they have stopped sliding."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
@@ -178,7 +186,7 @@ def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
     blender.click(42, 14)
     time.sleep(0.5)
     blender.key("space")  # the menu's search
-    blender.write("TG4MM Splats")
+    blender.write("Import TG4MM Splats")
     time.sleep(0.5)
     blender.key("Return")
     blender.wait(lambda: blender.ask("chosen_file") != "", "the file browser")
