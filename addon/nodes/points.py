@@ -179,8 +179,8 @@ def drawable_scales(scales: np.ndarray) -> np.ndarray:
 
 def main_axis(phasors: np.ndarray) -> np.ndarray:
     """[3] unit vector along which phasors [N, 3] move most; its largest component is positive."""
-    parts = np.concatenate([phasors.real, phasors.imag]).astype(np.float64)
-    axis = np.linalg.eigh(parts.T @ parts)[1][:, -1]
+    re, im = phasors.real.astype(np.float64), phasors.imag.astype(np.float64)
+    axis = np.linalg.eigh(re.T @ re + im.T @ im)[1][:, -1]
     return axis * np.sign(axis[np.argmax(np.abs(axis))])
 
 
@@ -191,11 +191,13 @@ def strength(phasors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndar
     the direction Re[m exp(−iψ)], ψ = arg(m·m)/2. Of the two ends the one on the side of `axis` is meant, so
     that two points have the same phase when they move to the same side at the same time.
     """
-    m = phasors.astype(np.complex128)
-    square = (m * m).sum(axis=1)
-    amplitude = np.sqrt(((np.abs(m) ** 2).sum(axis=1) + np.abs(square)) / 2)
-    psi = np.angle(square) / 2
-    away = (m * np.exp(-1j * psi)[:, None]).real @ axis < 0
+    # Rows of x, y and z in float32, as they are kept: five times as fast.
+    re, im = (np.ascontiguousarray(part.T, np.float32) for part in (phasors.real, phasors.imag))
+    rr, ii, ri = ((a * b).sum(axis=0) for a, b in ((re, re), (im, im), (re, im)))
+    amplitude = np.sqrt((rr + ii + np.hypot(rr - ii, 2 * ri)) / 2)
+    psi = np.arctan2(2 * ri, rr - ii) / 2
+    along = np.asarray(axis, np.float32)
+    away = np.cos(psi) * (along @ re) + np.sin(psi) * (along @ im) < 0
     return amplitude, (psi / (2 * np.pi) + 0.5 * away) % 1.0
 
 
