@@ -52,6 +52,7 @@ def measure(
     from tg4mm.run import Run
     from tg4mm.show.measure import measure as measured
     from tg4mm.show.measure import parse_sensor, prepare, read_sensors
+    from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names
     from tg4mm.show.measure.write import work_folder
 
@@ -62,6 +63,7 @@ def measure(
             f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
         )
     opened = Run.open(run)
+    check_sensors(opened, asked)
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
         found = measured(prepare(opened, keep), asked or None, reference)

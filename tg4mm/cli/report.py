@@ -46,12 +46,15 @@ def report(
     from tg4mm.research.evaluate import evaluate_run
     from tg4mm.run import Run
     from tg4mm.show.measure import parse_sensor
+    from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names
     from tg4mm.show.report import ReportOptions, write_report
     from tg4mm.show.result.requested import refuse_empty
 
     sensors = checked_names([parse_sensor(text) for text in sensor or []])
     opened = Run.open(run)
+    if sensors:
+        check_sensors(opened, sensors)
     bands = known_bands(opened, asked)
     if not allow_empty_band:
         refuse_empty(opened, Magnification(tuple(BandGain(*one, 1.0) for one in bands)))

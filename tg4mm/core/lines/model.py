@@ -46,7 +46,9 @@ class Shape:
 
     def wave(self, t: np.ndarray) -> np.ndarray:
         """[T] complex, phase 0 at `middle_s`."""
-        return self.envelope(t) * np.exp(2j * np.pi * self.hz * (t - self.middle_s(t)))
+        e = self.envelope(t)
+        middle = float((power := e**2) @ t / power.sum())
+        return e * np.exp(2j * np.pi * self.hz * (t - middle))
 
 
 def trend(t: np.ndarray) -> np.ndarray:
@@ -56,8 +58,15 @@ def trend(t: np.ndarray) -> np.ndarray:
 
 def design(shapes: Sequence[Shape], t: np.ndarray) -> np.ndarray:
     """[T, TREND + 1 + 2K]: the trend, then Re and −Im of each wave in turn."""
-    waves = [part for s in shapes for part in (lambda w: (w.real, -w.imag))(s.wave(t))]
-    return np.column_stack([trend(t), *waves])
+    return _columns([s.wave(t) for s in shapes], trend(t))
+
+
+def _columns(waves: Sequence[np.ndarray], slow: np.ndarray) -> np.ndarray:
+    out = np.empty((len(slow), slow.shape[1] + 2 * len(waves)))
+    out[:, : slow.shape[1]] = slow
+    for k, w in enumerate(waves):
+        out[:, slow.shape[1] + 2 * k], out[:, slow.shape[1] + 2 * k + 1] = w.real, -w.imag
+    return out
 
 
 def solved(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,9 +77,11 @@ def solved(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray) -> tuple[np.nd
     return own[0::2] + 1j * own[1::2], y - x @ weights
 
 
-def slopes(shape: Shape, phasor: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
-    """[T, D] derivatives of a line by its frequency and, if that is free, its decay."""
-    turning = shape.wave(t)[:, None] * phasor
+def slopes(
+    shape: Shape, phasor: np.ndarray, t: np.ndarray, wave: np.ndarray | None = None
+) -> list[np.ndarray]:
+    """[T, D] derivatives of a line by its frequency and, if that is free, its decay. wave: `shape.wave(t)`."""
+    turning = (shape.wave(t) if wave is None else wave)[:, None] * phasor
     by_hz = (2j * np.pi * (t - shape.middle_s(t))[:, None] * turning).real
     if not shape.is_free:
         return [by_hz]
@@ -94,13 +105,20 @@ def refined(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray, ends: tuple[f
     bounds = np.array(low), np.maximum(high, np.array(low) + 3e-9)
     margin = 1e-9 * (1 + np.abs(bounds[1]))
 
+    slow = trend(t)
+
     def misfit(x: np.ndarray) -> np.ndarray:
-        return solved(_with(shapes, x, duration), t, y)[1].ravel() / scale
+        basis = np.linalg.qr(_columns([s.wave(t) for s in _with(shapes, x, duration)], slow))[0]
+        return (y - basis @ (basis.T @ y)).ravel() / scale
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         own = _with(shapes, x, duration)
-        basis = np.linalg.qr(design(own, t))[0]
-        columns = [c for s, p in zip(own, solved(own, t, y)[0], strict=True) for c in slopes(s, p, t)]
+        waves = [s.wave(t) for s in own]
+        basis, upper = np.linalg.qr(_columns(waves, slow))
+        weights = np.linalg.lstsq(upper, basis.T @ y, rcond=None)[0][slow.shape[1] :]
+        phasors = weights[0::2] + 1j * weights[1::2]
+        each = zip(own, phasors, waves, strict=True)
+        columns = [c for s, p, w in each for c in slopes(s, p, t, w)]
         return np.stack([-(c - basis @ (basis.T @ c)).ravel() for c in columns], 1) / (duration * scale)
 
     x0 = np.clip(start, bounds[0] + 1e-9, np.maximum(bounds[1] - margin, bounds[0] + 1e-9))

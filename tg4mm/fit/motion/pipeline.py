@@ -216,8 +216,8 @@ def _result(
     pixels = figures["pixels_moved"]
     if pixels > ABOVE_PX and (not isinstance(model, Synchronous) or observations.is_flat):
         notes.append(
-            f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that such a capture is fitted for: "
-            "amplitudes come out too small"
+            f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
+            f"holds up to {ABOVE_PX} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
         )
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]

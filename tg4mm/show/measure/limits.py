@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
+from tg4mm.show.measure.linearity import lacking
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.scene import Prepared
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from tg4mm.show.measure.sensor_result import SensorResult
 
 _HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
-_LINEAR_PX = 1.0  # beyond it a picture does not change in proportion to motion
+_LACKING = 0.05  # of the largest motion: what the answer lacks of it, from here on it is said
 
 
 def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
@@ -40,13 +41,13 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"
         )
     for result in results:
-        size = max(abs(s.displacement[:, s.is_told]).max(initial=0.0) for s in result.all_series)
-        size *= result.px_per_unit
-        if size > _LINEAR_PX:
-            out.append(
-                f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "
-                "proportion, and amplitudes come out too small"
-            )
+        if (found := lacking(scene, result)) is not None:
+            size, share, deviation = found
+            if share > max(_LACKING, 2 * deviation):
+                out.append(
+                    f"{result.name} moves by up to {size:.2g} px, further than its picture changes in proportion to: "
+                    f"the largest motions come out {100 * share:.0f} % too small"
+                )
         for series in result.all_series:
             is_hidden = (series.false_share > _HIDDEN) & series.is_told
             if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:

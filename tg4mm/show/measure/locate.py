@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from tg4mm.capture import load_capture
 from tg4mm.fit.motion.jacobian.view import blend_sum
+from tg4mm.fit.motion.observations import frames_of
+from tg4mm.run import Run
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.scene import Prepared
@@ -26,12 +29,8 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     means = scene.means
     if sensor.region == "all":
         out = np.ones(len(means))
-    elif sensor.region == "box":
-        low, high = np.array(sensor.values[:3]), np.array(sensor.values[3:])
-        out = ((means >= low) & (means <= high)).all(1)
-    elif sensor.region == "sphere":
-        away = np.linalg.norm(means - np.array(sensor.values[:3]), axis=1)
-        out = away <= sensor.values[3]
+    elif sensor.region in ("box", "sphere"):
+        out = _inside(sensor, means)
     elif sensor.region == "cluster":
         out = _of_cluster(sensor, len(means), clusters)
     else:
@@ -39,10 +38,7 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     weights = np.asarray(out, np.float32)
     if not weights.any() and sensor.region == "pixel":
         raise MeasureError(f"sensor {sensor}: its pixels show the background; choose a pixel on a surface")
-    if not weights.any():
-        low, high = (np.percentile(means, p, axis=0) for p in (1, 99))
-        span = f"from ({_numbers(low)}) to ({_numbers(high)})"
-        raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
+    _check_holds(sensor, means, weights)
     if float(weights @ scene.seen) < _SEEN:
         raise MeasureError(
             f"sensor {sensor}: no camera whose pictures show motion sees its {int((weights > 0).sum())} Gaussians"
@@ -88,19 +84,53 @@ def _of_cluster(sensor: Sensor, n: int, clusters: Mapping[int, np.ndarray]) -> n
     return out
 
 
+def check_sensors(run: Run, sensors: Sequence[Sensor]) -> None:
+    """Before the pictures are read. Raises MeasureError for a region that the run does not have."""
+    capture = load_capture(run.dataset, split="train")
+    names, size = [f.name for f in frames_of(capture)[1]], (capture.width, capture.height)
+    means = run.load_space().means.numpy().astype(np.float64)
+    for sensor in sensors:
+        if sensor.region == "pixel":
+            check_pixel(sensor, names, size)
+        elif sensor.region in ("box", "sphere"):
+            _check_holds(sensor, means, _inside(sensor, means))
+
+
+def check_pixel(sensor: Sensor, cameras: Sequence[str], size: tuple[int, int]) -> None:
+    """Raise MeasureError for a camera that is none of these, or a pixel outside the picture of `size` (w, h)."""
+    if sensor.camera not in cameras:
+        known = ", ".join(cameras[:8]) + (" …" if len(cameras) > 8 else "")
+        raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
+    x, y, _ = sensor.values
+    if not (0 <= x <= size[0] and 0 <= y <= size[1]):
+        raise MeasureError(
+            f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {size[0]}×{size[1]}"
+        )
+
+
+def _inside(sensor: Sensor, means: np.ndarray) -> np.ndarray:
+    """[N] bool of a box or a sphere."""
+    if sensor.region == "sphere":
+        away = np.linalg.norm(means - np.array(sensor.values[:3]), axis=1)
+        return np.asarray(away <= sensor.values[3])
+    low, high = np.array(sensor.values[:3]), np.array(sensor.values[3:])
+    return np.asarray(((means >= low) & (means <= high)).all(1))
+
+
+def _check_holds(sensor: Sensor, means: np.ndarray, weights: np.ndarray) -> None:
+    if not weights.any():
+        low, high = (np.percentile(means, p, axis=0) for p in (1, 99))
+        span = f"from ({_numbers(low)}) to ({_numbers(high)})"
+        raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
+
+
 def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     """The surface seen around a pixel: Gaussians by how much of them blends into the neighbourhood."""
     names = [f.name for f in scene.observations.frames]
-    if sensor.camera not in names:
-        known = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
-        raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
-    view = scene.views[names.index(sensor.camera)]
+    check_pixel(sensor, names, scene.observations.size)
+    view = scene.views[names.index(str(sensor.camera))]
     height, width = view.mean.shape[:2]
     x, y, radius = sensor.values
-    if not (0 <= x <= width and 0 <= y <= height):
-        raise MeasureError(
-            f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {width}×{height}"
-        )
     rows, columns = np.mgrid[:height, :width] + 0.5
     near = ((columns - x) ** 2 + (rows - y) ** 2 <= max(radius, 0.75) ** 2).astype(np.float32)
     inside, whole = blend_sum(view.view, np.stack([near, np.ones_like(near), near], -1))[:, :2].T

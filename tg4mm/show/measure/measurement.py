@@ -18,7 +18,7 @@ from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.limits import limits_of
-from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
+from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, check_sensors, sight_axes, weights_of
 from tg4mm.show.measure.modal_fields import clock_phases
 from tg4mm.show.measure.model_error import shared_error, with_model_error
 from tg4mm.show.measure.prepared import prepare
@@ -80,6 +80,8 @@ def measure(
     Raises:
         MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is none of the sensors.
     """
+    if isinstance(run, Run):
+        check_sensors(run, sensors or ())
     scene = run if isinstance(run, Prepared) else prepare(run)
     groups = clusters or clusters_of(scene)
     found = found_in(scene)
@@ -202,7 +204,9 @@ def _px_per_unit(frames, centre: np.ndarray) -> float:
 
 
 def _related(result: SensorResult, against: SensorResult) -> SensorResult:
-    return replace(result, relation=relation_of(result, against))
+    out = replace(result, relation=relation_of(result, against))
+    out.__dict__["spectrum"] = result.spectrum  # worked out already
+    return out
 
 
 def _is_long(scene: Prepared, sensors: Sequence[Sensor]) -> bool:

@@ -50,6 +50,7 @@ def _saved(plt: Any, figure: Any, stem: Path) -> list[Path]:
     for ending in ("svg", "png"):
         data = io.BytesIO()
         figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
+        figure.set_layout_engine("none")  # the first picture has laid it out
         paths.append(stem.with_name(f"{stem.name}.{ending}"))
         write_atomic(paths[-1], partial(Path.write_bytes, data=data.getvalue()))
     plt.close(figure)

@@ -22,13 +22,19 @@ HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase,
 
 def format_table(measurement: Measurement) -> str:
     """A table, amplitudes zero to peak along each orbit's main axis; phases against the reference sensor."""
-    rows = [list(HEAD)]
-    for result in measurement.sensors:
-        rows += rows_of(measurement, result)
-    widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
+    rows = table_of(measurement)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
     return "\n".join([*lines, "", reference, *(f"note: {note}" for note in measurement.notes)]) + "\n"
+
+
+def table_of(measurement: Measurement) -> list[list[str]]:
+    """Rows of texts, the first of them the head; pixels in a column of their own where amplitudes are not in pixels."""
+    rows = [list(HEAD), *(row for result in measurement.sensors for row in rows_of(measurement, result))]
+    if unit_of(measurement).name != "px":
+        return rows
+    return [[cell for k, cell in enumerate(row) if HEAD[k] != "in pixels"] for row in rows]
 
 
 def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
@@ -60,7 +66,8 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     if level * result.px_per_unit < _NO_NOISE_PX:
         why = "the pictures hold no noise (compression took it, or no camera was there): no floor is told"
         return [[result.name, "none", "", "", "", "", "", why]]
-    told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
+    told = f"under {level * unit.factor:.2g} {unit.name}"
+    told += "" if unit.name == "px" else f", {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
 
 

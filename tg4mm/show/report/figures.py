@@ -44,9 +44,12 @@ def contact_sheet(images: list[np.ndarray], columns: int, gap: int = 4, edge: in
     return np.asarray(sheet)
 
 
-def line_that_moves(video: np.ndarray, margin: float = 0.12) -> Line:
-    """The line of a video [T, H, W, 3] in 0..1 with most change, cut to where it changes plus a margin."""
-    axis, index = most_moving_line(video)
+def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float = 0.12) -> Line:
+    """The line of a video [T, H, W, 3] in 0..1 with most change, cut to where it changes plus a margin.
+
+    axis: that things move along; None: of rows and columns, what changes most.
+    """
+    axis, index = most_moving_line(video, axis)
     line = video[:, index] if axis == "row" else video[:, :, index]
     change = line.astype(np.float64).var(axis=0).mean(axis=-1)
     length = len(change)

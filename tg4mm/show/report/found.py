@@ -5,7 +5,7 @@ from __future__ import annotations
 from markupsafe import Markup
 
 from tg4mm.core.pages.page import Block, Section, Table, Text
-from tg4mm.show.report.summary import Material, amount
+from tg4mm.show.report.summary import Material, size_of
 from tg4mm.show.result.lines import with_deviation
 from tg4mm.show.result.model import Length, Vibration
 
@@ -19,7 +19,7 @@ def vibrations_table(m: Material) -> list[Block]:
         "amplitude",
         "in pictures",
         "damping ratio",
-        "largest at (x, y, z)",
+        "largest at pixel" if m.result.is_flat else "largest at (x, y, z)",
         "band (Hz)",
     ]
     caption = (
@@ -31,13 +31,15 @@ def vibrations_table(m: Material) -> list[Block]:
 
 
 def _row(m: Material, v: Vibration) -> list[str]:
-    value, unit = amount(v.amplitude, m.result.unit_scale_m)
+    value, unit = size_of(v, m.result)
     pixels = "–" if v.pixels is None else f"{with_deviation(v.pixels)} px"
     damping = "–"
     if v.damping is not None:
         percent = None if v.damping_deviation is None else 100 * v.damping_deviation
         damping = f"{with_deviation(Length(100 * v.damping, percent))} %"
     place = ", ".join(f"{c:.3g}" for c in v.place)
+    if v.place_px is not None:
+        place = f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
     hz = with_deviation(Length(v.hz, v.deviation_hz))
     return [hz, f"{value} {unit}", pixels, damping, place, f"{v.band[0]:g} to {v.band[1]:g}"]
 

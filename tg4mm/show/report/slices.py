@@ -9,8 +9,10 @@ from markupsafe import Markup
 
 from tg4mm.core.pages.page import Block, Figure, picture
 from tg4mm.core.pages.svg import number
+from tg4mm.core.phasors import main_direction
 from tg4mm.show.report.figures import Line, line_that_moves, marked, slice_picture
 from tg4mm.show.report.summary import Material
+from tg4mm.show.slices import Axis
 
 _LEAST = 24  # pictures that a slice shows, by repeating a shorter record
 
@@ -19,7 +21,7 @@ def slices(m: Material) -> Block:
     """One figure; of a moving camera, slices of the model from one pose."""
     named = _named(m)
     shown = next(video for label, video in reversed(named) if video is not None)
-    line = line_that_moves(shown / np.float32(255))
+    line = line_that_moves(shown / np.float32(255), _axis_of_motion(m))
     periods = max(1, math.ceil(_LEAST / len(shown))) if len(shown) == m.train.n_timesteps else 1
     shape = f"{m.train.width} / {m.train.height}"  # as tall as the reference beside them
     panels = [picture(marked(shown[0], line), "Where the slices are cut", photo=True)]
@@ -28,6 +30,16 @@ def slices(m: Material) -> Block:
         for label, video in named
     ]
     return Figure(panels, _caption(m, line, periods * len(shown) / m.train.fps))
+
+
+def _axis_of_motion(m: Material) -> Axis | None:
+    """Rows where the strongest vibration moves more to the sides than up and down in the picture; columns else."""
+    motion = m.model.motion
+    if motion is None or m.main is None:
+        return None
+    k = int(np.argmin(np.abs(motion.freqs_hz - m.main.hz)))
+    right, down, _ = m.view.camera.viewmat[:3, :3] @ main_direction(motion.displacement[k], m.model.weights)
+    return "row" if abs(right) >= abs(down) else "column"
 
 
 def _named(m: Material) -> list[tuple[str, np.ndarray]]:

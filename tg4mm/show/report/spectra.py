@@ -13,7 +13,7 @@ from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform
-from tg4mm.show.measure.table import HEAD, rows_of
+from tg4mm.show.measure.table import table_of
 from tg4mm.show.measure.units import unit_of as unit_of_sensor
 from tg4mm.show.report.maps import in_band
 from tg4mm.show.report.summary import Material, unit_of
@@ -73,15 +73,15 @@ def sensors_section(m: Material) -> list[Section]:
 
 
 def _peaks(found: Measurement) -> Table:
-    rows = [row for result in found.sensors for row in rows_of(found, result)]
-    header = [*HEAD[:-1], "remark"]
+    head, *rows = table_of(found)
+    header = [*head[:-1], "remark"]
     caption = (
         f"Peaks above the noise floor; amplitudes zero to peak along each orbit's main axis, ± one standard deviation; "
         f"phases against {found.reference}."
     )
     if not any(row[-1] for row in rows):
         header, rows = header[:-1], [row[:-1] for row in rows]
-    return Table(header, rows, caption, left=len(HEAD))
+    return Table(header, rows, caption, left=len(head))
 
 
 def _figure(found: Measurement, result: SensorResult) -> Figure:

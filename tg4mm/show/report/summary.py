@@ -57,6 +57,13 @@ def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
     return with_deviation(millimetres), "mm"
 
 
+def size_of(v: Vibration, result: Result) -> tuple[str, str]:
+    """(value ± deviation, unit) of a vibration's amplitude: pixels of a flat capture, else as `amount`."""
+    if result.is_flat and v.pixels is not None:
+        return with_deviation(v.pixels), "px"
+    return amount(v.amplitude, result.unit_scale_m)
+
+
 def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[str, str]:
     """(value, unit) of a length in scene units: millimetres or finer where the scale is known, else units."""
     if unit_scale_m is None:
@@ -122,7 +129,7 @@ def summary(m: Material) -> str:
         return (
             f"No vibration was found{where} in {seen} at {number(m.train.fps)} Hz; what there is is {shown}."
         )
-    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
+    value, unit = size_of(m.main, m.result)
     hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
     others = [v for v in m.result.vibrations if v is not m.main]
     more = f" It also vibrates at {' and '.join(number(v.hz) for v in others[:3])} Hz." if others else ""
@@ -151,6 +158,8 @@ def _motion_stats(m: Material) -> list[Stat]:
     if m.result.noise is not None:
         value, unit = length(m.result.noise, m.result.unit_scale_m, digits=2)
         pixels = "" if m.result.noise_px is None else f"{m.result.noise_px:.2g} px: "
+        if m.result.is_flat and m.result.noise_px is not None:
+            value, unit, pixels = f"{m.result.noise_px:.2g}", "px", ""
         found.append(Stat("Noise floor", value, unit, f"{pixels}a motion as large as its noise"))
     return found
 
@@ -158,8 +167,8 @@ def _motion_stats(m: Material) -> list[Stat]:
 def _vibration_stats(m: Material) -> list[Stat]:
     assert m.main is not None
     assert m.model.motion is not None
-    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
-    pixels = "" if m.main.pixels is None else f"{with_deviation(m.main.pixels)} px; "
+    value, unit = size_of(m.main, m.result)
+    pixels = "" if m.main.pixels is None or m.result.is_flat else f"{with_deviation(m.main.pixels)} px; "
     k = int(np.argmin(np.abs(m.model.motion.freqs_hz - m.main.hz)))
     return [
         Stat(
@@ -169,11 +178,13 @@ def _vibration_stats(m: Material) -> list[Stat]:
             f"a record of {number(m.result.duration_s)} s",
         ),
         Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of what is seen"),
-        _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights)),
+        _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights), m.result.is_flat),
     ]
 
 
-def _direction_stat(direction: np.ndarray) -> Stat:
+def _direction_stat(direction: np.ndarray, is_flat: bool) -> Stat:
+    if is_flat:  # whose picture lies in the plane of x and z
+        return Stat("Direction", vector(direction[[0, 2]]), "", "right and up in the picture")
     axis = int(np.argmax(np.abs(direction)))
     angle = float(np.degrees(np.arccos(np.clip(abs(direction[axis]), 0, 1))))
     if angle < 10:

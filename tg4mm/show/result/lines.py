@@ -58,7 +58,9 @@ def _nothing(result: Result) -> str:
 
 
 def _vibration(v: Vibration, result: Result) -> list[str]:
-    lengths = [f"{with_deviation(v.amplitude)} scene units"]
+    lengths = (
+        [] if result.is_flat and v.pixels is not None else [f"{with_deviation(v.amplitude)} scene units"]
+    )
     if v.pixels is not None:
         lengths.insert(0, f"{with_deviation(v.pixels)} px")
     if result.unit_scale_m is not None:
@@ -66,6 +68,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
         fine = millimetres.value < 0.1
         lengths.append(f"{with_deviation(millimetres.times(1000 if fine else 1))} {'µm' if fine else 'mm'}")
     where = ", ".join(f"{c:.3g}" for c in v.place)
+    near = f"({where})" if v.place_px is None else f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
     damping = f"not to be told: {v.why_no_damping}"
     if v.damping is not None:
         percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
@@ -75,7 +78,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
     return [
         _row(
             f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",
-            f"{', '.join(lengths)} near ({where})",
+            f"{', '.join(lengths)} near {near}",
         ),
         _row("", f"damping {damping}"),
     ]
@@ -84,10 +87,9 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
 def _noise(result: Result) -> list[str]:
     lines = []
     if result.noise is not None:
-        pixels = "" if result.noise_px is None else f"{result.noise_px:.2g} px, "
-        lines.append(
-            _row("noise floor", f"{pixels}{result.noise:.2g} scene units: a motion as large as its noise")
-        )
+        sizes = [] if result.noise_px is None else [f"{result.noise_px:.2g} px"]
+        sizes += [] if result.is_flat and sizes else [f"{result.noise:.2g} scene units"]
+        lines.append(_row("noise floor", f"{', '.join(sizes)}: a motion as large as its noise"))
     if result.agreement:
         shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
         more = " …" if len(result.agreement) > _MOST else ""

@@ -35,6 +35,7 @@ class Vibration:
     damping_deviation: float | None
     why_no_damping: str  # "" where there is one
     band: Band  # suggested for --band
+    place_px: tuple[float, float] | None = None  # of a flat capture: the same in its picture, right and down
     begins_s: float | None = None  # where it begins in the record; None: before it
 
 
@@ -61,6 +62,11 @@ class Result:
     )  # found region by region, but not in the model
     alpha: float  # suggested for --alpha
     next_command: str
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether lengths are pixels of one picture and nothing else."""
+        return self.kind == "flat"
 
     @property
     def band(self) -> Band | None:

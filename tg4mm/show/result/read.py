@@ -204,6 +204,7 @@ class Reading:
                     damping_deviation=None if line is None else line.damping_deviation,
                     why_no_damping=_STEADY if v.is_steady else why_no_damping(line),
                     band=band,
+                    place_px=self._pixel(place),
                     begins_s=None if line is None else line.start_s,
                 )
             )
@@ -223,6 +224,14 @@ class Reading:
         there = int(np.argmin(np.where(seen.weights > 0, np.abs(amplitude - top), np.inf)))
         x, y, z = (float(c) for c in self.gaussians.means[there])
         return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
+
+    def _pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
+        """Of a flat capture, where a place lies in its picture."""
+        if self.capture is None or self.capture.kind != "flat":
+            return None
+        viewmat, K = self.capture.viewmats[0].astype(np.float64), self.capture.Ks[0].astype(np.float64)
+        x, y, z = K @ (viewmat[:3, :3] @ np.array(place) + viewmat[:3, 3])
+        return float(x / z), float(y / z)
 
     def _pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
         """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
@@ -272,7 +281,7 @@ class Reading:
             )
         if self.capture is None:
             out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
-        elif self.capture.unit_scale_m is None:
+        elif self.capture.unit_scale_m is None and self.capture.kind != "flat":
             out.append(
                 "millimetres: unit_scale_m (metres per scene unit) in "
                 f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"

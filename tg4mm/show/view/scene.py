@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,14 +16,13 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.render.cameras import Camera, capture_cameras
-from tg4mm.show.report.maps import image_motion, leading_modes
+from tg4mm.show.report.maps import leading_modes
 from tg4mm.show.report.summary import unit_of
+from tg4mm.show.result import result_of
 from tg4mm.show.view.cameras import overview
 from tg4mm.show.weights import blending_weights
 
 _LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes
-_SHIFT = 0.01  # of the picture's width, rms: what the first magnification brings the strongest motion to
-_LARGEST_ALPHA = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -76,23 +74,8 @@ class Scene:
         return np.array(found)
 
     def alpha_to_see(self) -> float:
-        """A round magnification at which the strongest motion crosses about a hundredth of the picture, rms."""
-        k = self.strongest(None)
-        if k is None or self.motion is None:
-            return 0.0
-        camera = self.cameras[0]
-        pixels = image_motion(self.gaussians, self.motion.displacement[k], self.weights, camera)
-        if pixels <= 0:
-            return 0.0
-        return rounded(min(max(_SHIFT * camera.width / pixels - 1.0, 0.0), _LARGEST_ALPHA))
-
-
-def rounded(value: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten, at least 1; 0 below a half."""
-    if value < 0.5:
-        return 0.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(1.0, min((m * power for m in (1, 2, 5, 10)), key=lambda m: abs(math.log(m / value))))
+        """The run's own (`result.advice`); 0 where nothing can be magnified."""
+        return 0.0 if self.strongest(None) is None else result_of(Run.open(self.path)).alpha
 
 
 def open_scene(run: Run) -> Scene:

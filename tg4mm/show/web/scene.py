@@ -11,18 +11,16 @@ from tg4mm.capture.model import Capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.phasors import peak_displacement
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.report.maps import image_motion
 from tg4mm.show.report.summary import title_of
+from tg4mm.show.result import result_of
 from tg4mm.show.web.factor import MotionFields
 from tg4mm.show.web.pack import Packed
 
 FORMAT_VERSION = 1
-_ALPHAS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-_SHOWN = 0.03  # of the picture's width: how far the strongest mode's rms motion reaches when the page opens
 
 
 def camera_json(camera: Camera) -> dict[str, Any]:
@@ -96,10 +94,9 @@ def _motion_json(
     run: Run, motion: ModalMotion, fields: MotionFields, packed: Packed, camera: Camera, pixels: np.ndarray
 ) -> dict[str, Any]:
     magnified = motion.is_magnified()
-    hz = _peaks(run, motion)
+    result = result_of(run)
     top = float((pixels * magnified).max(initial=0))
-    wanted = _SHOWN * camera.width / top - 1 if top > 0 else 0.0
-    alpha = min(_ALPHAS, key=lambda a: abs(np.log(a / max(wanted, 1e-3))))
+    alpha = result.alpha if top > 0 else 1.0
     light = motion.appearance
     series = {} if light is None else {"light_series": _parts(light.series * packed.light_sizes)}
     return {
@@ -109,7 +106,7 @@ def _motion_json(
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
         "amplitude": [_amplitude(m) for m in motion.displacement],
-        "peaks_hz": hz,
+        "peaks_hz": [v.hz for v in result.vibrations],
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
         "alpha": alpha,
@@ -121,15 +118,6 @@ def _motion_json(
 def _amplitude(phasors: np.ndarray) -> float:
     """How far the 1 % of Gaussians that move most in a mode [N, 3] move at least, scene units."""
     return float(np.percentile(peak_displacement(phasors), 99))
-
-
-def _peaks(run: Run, motion: ModalMotion) -> list[float]:
-    """Peaks of the spectrum in Hz, strongest first: those of the run's log, else those of its modes."""
-    logged = run.log().get("motion", {}).get("frequencies_hz")
-    found = (
-        peaks(motion, 2 * motion.fps / motion.n_timesteps) if logged is None else np.asarray(logged, float)
-    )
-    return [float(f) for f in found]
 
 
 def _parts(values: np.ndarray) -> dict[str, list]:

@@ -1,0 +1,38 @@
+"""What a linear answer lacks of a large motion goes by the texture, not by the motion's size."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.show.measure.linearity import missing_share
+
+
+def picture(sigma: float, x: float) -> np.ndarray:
+    """[64, 96, 3] band-limited texture, moved to the right by x pixels exactly."""
+    own = gaussian_filter(np.random.default_rng(0).normal(size=(64, 96)), sigma, mode="wrap")
+    turned = np.fft.fft(own, axis=1) * np.exp(-2j * np.pi * np.fft.fftfreq(96) * x)
+    return np.repeat(0.5 + 0.1 * np.fft.ifft(turned, axis=1).real[..., None] / own.std(), 3, -1)
+
+
+def linear_answer(sigma: float, x: float) -> float:
+    """Least squares by the gradient of the picture at rest."""
+    rest = picture(sigma, 0)
+    slope = np.gradient(rest, axis=1)[8:-8, 12:-12]
+    return -float((slope * (picture(sigma, x) - rest)[8:-8, 12:-12]).sum() / (slope**2).sum())
+
+
+@pytest.mark.parametrize(("sigma", "x"), [(1.2, 1.6), (6.0, 2.9), (1.2, -0.6)])
+def test_it_is_what_is_missing_of_the_true_motion(sigma: float, x: float) -> None:
+    answer = linear_answer(sigma, x)
+    frames = np.stack([picture(sigma, x)] * 2)
+    weights = np.zeros((64, 96))
+    weights[8:-8, 12:-12] = 1
+    share, deviation = missing_share(picture(sigma, 0), frames, np.array([[answer, 0.0]] * 2), weights)
+    assert share == pytest.approx(x / answer - 1, abs=0.35 * abs(x / answer - 1) + 0.01)
+    assert deviation == 0
+
+
+def test_blurred_texture_keeps_in_proportion_where_speckle_does_not() -> None:
+    assert abs(2.9 / linear_answer(6.0, 2.9) - 1) < 0.1 < 1.6 / linear_answer(1.2, 1.6) - 1

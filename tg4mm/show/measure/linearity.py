@@ -1,0 +1,74 @@
+"""How much of a large motion the linear answer lacks, by the pictures themselves.
+
+A sensor's answer is linear in the pictures' changes. How far that holds goes by the texture: blurred edges move by
+pixels and stay in proportion, fine speckle does not by half a pixel. So the mean picture is moved by the answer and
+compared with the frame: what is left, through the gradients of the moved picture, is what the answer lacks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import shift
+
+from tg4mm.capture.pictures import over_white
+from tg4mm.show.measure.scene import Prepared
+from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.result.seen import pixel_rows
+
+_FRAMES = 6  # of the largest motion
+_LOOKED_AT_PX = 0.3  # less is in proportion in every picture that a camera takes
+_EDGE = 0.02  # of the strongest change: pixels that change less do not count
+_MARGIN = 6  # pixels around them
+
+
+def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float] | None:
+    """Largest motion in pixels, the share of it that the answer lacks, and the share's deviation.
+
+    None for a moving camera, and for a motion that is small.
+    """
+    if scene.is_moving:
+        return None
+    names = [f.name for f in scene.observations.frames]
+    v = names.index(result.best_view)
+    series = next((s for s in result.all_series if s.clock in ("", names[v])), result.series)
+    view, own = scene.views[v], scene.views[v].frames
+    if len(own.rows) != len(series.times_s):
+        return None
+    rows = pixel_rows(result.body.centre[None], own.viewmat, own.K, scene.observations.size)[0][0]
+    moved = np.where(series.is_told, series.displacement, 0) @ series.axes @ rows.T
+    size = np.linalg.norm(moved, axis=1)
+    if not size.max(initial=0) > _LOOKED_AT_PX:
+        return None
+    largest = np.argsort(-size)[:_FRAMES]
+    raw = scene.observations.pictures.strips(own.rows[largest].tolist())
+    pictures = over_white(raw(slice(None)), scene.observations.pictures.maximum)
+    fields = result.body.motions(scene.means, result.body.weights)[: len(series.axes)]
+    changes = np.asarray(view.view.jvp(fields))
+    weights = (changes**2).sum((0, 3))
+    share, deviation = missing_share(view.mean, pictures, moved[largest], weights)
+    return float(size.max()), share, deviation
+
+
+def missing_share(
+    mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray
+) -> tuple[float, float]:
+    """Of motions [F, 2] (pixels right and down), how much more pictures [F, H, W, 3] moved along them, as a share.
+
+    mean [H, W, 3] the picture that they moved from; weights [H, W]: where it counts. The second number is the standard
+    error over the frames.
+    """
+    inside = weights > _EDGE * weights.max()
+    down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    box = tuple(slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
+    some, own = mean[box].astype(np.float64), inside[box]
+    shares = []
+    for picture, (x, y) in zip(pictures, moved, strict=True):
+        there = shift(some, (y, x, 0), order=3, mode="nearest")
+        slope_down, slope_right = np.gradient(there, axis=(0, 1))
+        columns = np.stack([-slope_right[own], -slope_down[own], there[own], np.ones_like(there[own])], -1)
+        left = (picture[box] - there)[own]
+        found = np.linalg.lstsq(columns.reshape(-1, 4), left.reshape(-1), rcond=None)[0][:2]
+        shares.append(float(found @ [x, y]) / (x * x + y * y))
+    return float(np.mean(shares)), float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(
+        shares
+    ) > 1 else 0.0
