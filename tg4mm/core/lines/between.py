@@ -2,7 +2,7 @@
 
 A codec stores them more coarsely than those that it predicts forward. What they lose differs from frame to frame and
 with the motion's size: a line gets sidebands and a false decay. So each line is tested for having another phasor in
-those pictures, by the noise of the others. Where one has, a line four times weaker that looks like it in the other
+those pictures, by the noise of the others. Where one has, a weaker line that looks like it in the other
 pictures is its sideband.
 """
 
@@ -18,7 +18,9 @@ from tg4mm.core.lines.model import Shape, design, refined, solved
 from tg4mm.core.lines.record import FEWEST, Record
 
 _SURE = 1e-3  # chance that pictures between others are called lossy though they are not
-WEAKER = 4.0  # times weaker than the line that it comes of: what a codec makes
+WEAKER = (
+    1.5  # times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
+)
 _PLACES = 3  # of pictures between two others, at most, that are told apart
 
 

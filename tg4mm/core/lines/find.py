@@ -17,12 +17,12 @@ from scipy.stats import f as f_distribution
 from tg4mm.core.lines.between import without_between
 from tg4mm.core.lines.line import Line
 from tg4mm.core.lines.model import Shape, refined, solved
-from tg4mm.core.lines.noise import degrees
 from tg4mm.core.lines.record import LEAST_CHANGE, Lines, Record, covariances, nothing, wald
 from tg4mm.core.lines.search import candidates
 
 _CHANCE = 0.01  # that noise alone makes a line in a record
 _TRIED = 6.0  # independent frequencies, decays and beginnings to each sample
+_EACH, _BESIDE = 4, 6  # samples for each line, and beside them
 _SURE = 1e-3  # chance of a decay, or a beginning, that is none
 _LEAST_SIZE = 0.02  # of the strongest line: side lobes that noise left, harmonics of what is not linear
 
@@ -47,7 +47,7 @@ def find_lines(
     if record is None:
         return nothing(values)
     shapes: list[Shape] = []
-    while len(shapes) < min(most, (len(record.t) - 8) // 6):
+    while len(shapes) < min(most, (len(record.t) - _BESIDE) // _EACH):
         more = _with_next(record, shapes)
         if more is None:
             break
@@ -106,9 +106,9 @@ def _shape_of(line: Line, t: np.ndarray) -> Shape:
 def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     """The shapes and one more, all refined; None where none stands out."""
     residual = solved(shapes, record.t, record.y)[1]
-    floor = record.floor(residual)
+    floor, freedom = record.floor(residual)
     width, tried = record.y.shape[1], _TRIED * len(record.t)
-    least = width * float(f_distribution.isf(_CHANCE / tried, 2 * width, degrees(len(floor))))
+    least = width * float(f_distribution.isf(_CHANCE / tried, 2 * width, freedom))
     found = candidates(residual, record.t, floor, shapes, record.ends, least)
     if max((c.statistic for c in found), default=0.0) < least:
         return None

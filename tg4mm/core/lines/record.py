@@ -13,7 +13,7 @@ import numpy as np
 
 from tg4mm.core.lines.line import Line
 from tg4mm.core.lines.model import Shape, refined, slopes, solved, trend
-from tg4mm.core.lines.noise import around, level, samples, sandwiched, spectra
+from tg4mm.core.lines.noise import around, degrees, level, samples, sandwiched, spectra
 
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line
@@ -22,6 +22,7 @@ LEAST_CHANGE = (
 )
 _ALIKE = 6  # components up to which their correlation is taken out
 _TINY = 1e-12
+_KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,15 @@ class Record:
         """The row of a level [n_bins, D] that a frequency belongs to."""
         return int(np.clip(round(self.folded(hz) * float(np.ptp(self.t))) - 1, 0, n_bins - 1))
 
-    def floor(self, residual: np.ndarray) -> np.ndarray:
-        """[F, D] the same, lines that may still be there left out."""
-        return np.maximum(level(np.abs(spectra(residual, self.t)) ** 2), self._least())
+    def floor(self, residual: np.ndarray) -> tuple[np.ndarray, int]:
+        """[F, D] the same, lines that may still be there left out, and its degrees of freedom.
+
+        Of a short record, whose bins a line may fill, what is known of the noise from elsewhere, if anything is.
+        """
+        power = np.abs(spectra(residual, self.t)) ** 2
+        if len(power) < FEWEST and (self.known > 0).all():
+            return np.broadcast_to(self._least(), power.shape), _KNOWN
+        return np.maximum(level(power), self._least()), degrees(len(power))
 
     def _least(self) -> np.ndarray:
         """[D] of a level: what is known, and rounding."""

@@ -154,6 +154,10 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
+    def peaks_hz(self) -> list[float]:
+        """Of everything that stands out, what may be a drift among it, by falling strength."""
+        return [] if self.motion is None else [v.hz for v in self._found(self.motion, self.seen)]
+
     def _found(self, motion: ModalMotion, seen: Seen) -> list[_Found]:
         """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
         hz = [float(f) for f in peaks(motion, PERIODS / self.duration_s, self.uncertainty.get("noise"))]
@@ -323,7 +327,7 @@ class _Found:
 
 def _is_drift(found: _Found, duration_s: float) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return found.hz * duration_s < TOLD_PERIODS or found.hz < _SURE * found.deviation_hz
+    return found.mode_hz * duration_s < TOLD_PERIODS or found.hz < _SURE * found.deviation_hz
 
 
 def _drift_line(drifts: list[_Found], duration_s: float) -> list[str]:

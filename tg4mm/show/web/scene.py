@@ -16,7 +16,7 @@ from tg4mm.run import Run
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.report.maps import image_motion
 from tg4mm.show.report.summary import title_of
-from tg4mm.show.result import result_of
+from tg4mm.show.result.read import reading_of
 from tg4mm.show.web.factor import MotionFields
 from tg4mm.show.web.pack import Packed
 
@@ -94,9 +94,9 @@ def _motion_json(
     run: Run, motion: ModalMotion, fields: MotionFields, packed: Packed, camera: Camera, pixels: np.ndarray
 ) -> dict[str, Any]:
     magnified = motion.is_magnified()
-    result = result_of(run)
+    reading = reading_of(run)
     top = float((pixels * magnified).max(initial=0))
-    alpha = result.alpha if top > 0 else 1.0
+    alpha = reading.result().alpha if top > 0 else 1.0
     light = motion.appearance
     series = {} if light is None else {"light_series": _parts(light.series * packed.light_sizes)}
     return {
@@ -106,7 +106,7 @@ def _motion_json(
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
         "amplitude": [_amplitude(m) for m in motion.displacement],
-        "peaks_hz": [v.hz for v in result.vibrations],
+        "peaks_hz": reading.peaks_hz(),
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
         "alpha": alpha,
