@@ -10,7 +10,9 @@ from tg4mm.show.result.bands import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
 
 _MOST = 4  # things that move by themselves, said one by one
-_LEAST_READOUT_S = 0.004  # cameras that read rows one after another take 8 to 25 ms; less is a phase of the scene's
+_LEAST_READOUT_S = (
+    0.004  # cameras that read rows one after another take 8 to 25 ms; less is a phase of the scene's
+)
 _WHY_NO_DAMPING = {
     "steady": "it stays as strong as it is during the record",
     "grows": "it grows during the record",
