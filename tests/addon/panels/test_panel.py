@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+import bmesh  # noqa: E402
 
 from tests.addon.playing import import_splat, setter  # noqa: E402
 
@@ -256,3 +260,36 @@ def test_static_file_has_no_motion_controls(extension: ModuleType, tmp_path: Pat
     assert "This file holds no motion" in shown
     assert not {extension.names.ALPHA, "View Colours", extension.names.COLOUR_BY} & set(shown)
     assert not {"tg4mm.band", "tg4mm.probe"} & set(shown)
+
+
+def test_lost_references_are_told_in_the_panel(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    told = textwrap.wrap(extension.nodes.applied.LOST, 34)
+    assert not set(told) & set(drawn(extension, obj))
+    edited = bmesh.new()
+    edited.from_mesh(obj.data)
+    edited.verts.ensure_lookup_table()
+    edited.verts.remove(edited.verts[-1])
+    edited.to_mesh(obj.data)
+    edited.free()
+    bpy.context.view_layer.update()
+    assert set(told) <= set(drawn(extension, obj))
+
+
+def test_what_makes_native_splats_coarse_is_told_and_goes(
+    extension: ModuleType, splat_path: Path, tmp_path: Path
+) -> None:
+    if not extension.compat.native_splats():
+        pytest.skip("this Blender has no splats of its own")
+    splat = read_splat(splat_path)
+    means = splat.means.copy()
+    means[2] = 1e5
+    opacities = np.where(np.arange(len(splat)) == 2, 0.1, 1.0).astype(np.float32)
+    write_splat(tmp_path / "far.ply", replace(splat, means=means, opacities=opacities))
+    obj, names = import_splat(tmp_path / "far.ply"), extension.names
+    assert "tg4mm.crop_outliers" not in drawn(extension, obj)
+    setter(extension, obj)(names.DRAW, names.NATIVE)
+    assert {"tg4mm.crop_outliers", "All positions are coarse"} <= set(drawn(extension, obj))
+    assert not {"Min Opacity", "tg4mm.solid_colours", "View Colours"} & set(drawn(extension, obj))
+    assert bpy.ops.tg4mm.crop_outliers() == {"FINISHED"}
+    assert "tg4mm.crop_outliers" not in drawn(extension, obj)
