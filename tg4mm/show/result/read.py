@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import Found
-from tg4mm.capture.scene import between_frames
+from tg4mm.capture.scene import between_frames, video_file
 from tg4mm.core.errors import RunError
 from tg4mm.core.lines import Line
 from tg4mm.core.phasors import peak_displacement, scale_top
@@ -282,6 +282,11 @@ class Reading:
         if "noise" not in self.uncertainty and vibrations:
             out.append(
                 f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"
+            )
+        if vibrations and self.capture is not None and video_file(self.capture.root) is not None:
+            out.append(
+                "what the video's compression took of small amplitudes, which the ± does not hold: "
+                f"tg4mm measure {shlex.quote(str(self.run.path))} --out FOLDER tests it"
             )
         if self.capture is None:
             out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
