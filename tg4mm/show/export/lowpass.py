@@ -1,10 +1,10 @@
-"""The rasteriser's low-pass made part of the Gaussians, for files whose viewers have none of their own.
+"""The rasteriser's low-pass made part of the Gaussians, for viewers that have none, and for who looks from close up.
 
 Training draws every Gaussian wider by 0.3 px² (`eps2d`) with its opacity as it is, so trained Gaussians may be much
-thinner than a pixel. Where nothing widens them they leave holes; a viewer that widens by 0.3 px² of a larger picture
-shows needles. Here each gets that width in scene units, at the distances of the training cameras: a 3D smoothing filter
-as in Mip-Splatting (Yu et al. 2024). Opacities stay: they were trained for the wider Gaussians, and lowering
-them as that filter does, by the ratio of the volumes, would take them away (docs/blender.md).
+thinner than a pixel. Where nothing widens them they leave holes; a viewer that widens by 0.3 px² of a larger picture,
+or from nearer than training ever was, shows needles. Here each gets that width in scene units, by the camera that
+sampled it finest: the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, Eq. 8). Opacities stay: they were trained
+for the wider Gaussians; lowered as that filter does, by the ratio of the volumes, they would fade (docs/blender.md).
 """
 
 from __future__ import annotations
@@ -19,25 +19,50 @@ _MARGIN = 0.15  # of the picture's size: what is so far outside still reaches in
 
 
 def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
-    """[N] scene units²: BAKED_PX2 at each mean [N, 3], the average over the cameras that see it.
+    """[N] scene units²: BAKED_PX2 at each mean [N, 3], in the camera that samples it finest of those that see it.
 
     What no camera sees gets the median of the others; 0 where none sees anything.
     """
-    total, count = np.zeros(len(means)), np.zeros(len(means))
+    finest = np.full(len(means), np.inf)
     _, rows = np.unique(capture.camera_ids, return_index=True)
     with progress("smoothing", len(rows), "cameras", brief=True) as update:
         for done, (viewmat, K) in enumerate(zip(capture.viewmats[rows], capture.Ks[rows], strict=True), 1):
-            x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-            depth = np.maximum(z, 1e-9)
-            u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
-            seen = (z > 0.01) & _inside(u, capture.width) & _inside(v, capture.height)
-            total += np.where(seen, z**2 / (K[0, 0] * K[1, 1]), 0.0)
-            count += seen
+            pixel, seen = _sampled(means, viewmat, K, capture.width, capture.height)
+            finest = np.where(seen, np.minimum(finest, pixel), finest)
             update(done)
-    variance = BAKED_PX2 * total / np.maximum(count, 1)
-    known = count > 0
-    variance[~known] = np.median(variance[known]) if known.any() else 0.0
-    return variance
+    known = np.isfinite(finest)
+    finest[~known] = np.median(finest[known]) if known.any() else 0.0
+    return BAKED_PX2 * finest
+
+
+def widened_for(
+    scales: np.ndarray,
+    means: np.ndarray,
+    variance: np.ndarray,
+    camera: tuple[np.ndarray, np.ndarray, int, int],
+) -> np.ndarray | None:
+    """Scales [N, 3] for a `camera` (viewmat, K, width, height) nearer than training was; None where it is not.
+
+    With the BAKED_PX2 that the rasteriser adds, no Gaussian is then thinner than `variance` [N] makes it.
+    """
+    pixel, seen = _sampled(means, *camera)
+    own = BAKED_PX2 * pixel
+    if not seen.any() or np.median(own[seen] / np.maximum(variance[seen], 1e-300)) > _NEARER:
+        return None
+    return widened(scales, np.maximum(variance - own, 0.0))
+
+
+_NEARER = 0.9  # of the finest training sampling; a test view from among the training cameras is above 1
+
+
+def _sampled(
+    means: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a square pixel is at each mean, scene units² [N], and which means are in the picture or beside it."""
+    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
+    depth = np.maximum(z, 1e-9)
+    u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
+    return z**2 / (K[0, 0] * K[1, 1]), (z > 0.01) & _inside(u, width) & _inside(v, height)
 
 
 def widened(scales: np.ndarray, variance: np.ndarray) -> np.ndarray:

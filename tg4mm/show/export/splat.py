@@ -84,13 +84,14 @@ def to_splat(
     )
 
 
-def smoothing_of(run: Run) -> np.ndarray | None:
+def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
     """[N] variances for `to_splat`; None, with a warning, where the dataset, whose cameras say them, is gone."""
     if not run.dataset.is_dir():
-        _LOG.warning(
-            "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
-            run.dataset,
-        )
+        if warn:
+            _LOG.warning(
+                "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
+                run.dataset,
+            )
         return None
     return smoothing_variance(run.load_space().means.numpy().astype(np.float64), load_capture(run.dataset))
 

@@ -6,9 +6,12 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import torch
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.filters import TemporalFilter
@@ -20,6 +23,8 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 from tg4mm.run.poses import method_of, poses_of
+from tg4mm.show.export.lowpass import widened_for
+from tg4mm.show.export.splat import smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json
 from tg4mm.show.render.image import WHITE, render_image
 from tg4mm.show.render.video import check_rate, video_of_files
@@ -97,7 +102,7 @@ def render_sequence(
             (t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras
         }
         jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
-        render_missing(jobs, pose, request, f"rendering, α = {request.label}")
+        render_missing(jobs, close_up(run, pose), request, f"rendering, α = {request.label}")
         if video and len(wanted) > 1:
             speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
             for camera in cameras:
@@ -121,7 +126,7 @@ def render_orbit(
     with folder.held("renders into it"):
         folder.claim(record(run, request, cameras, "orbit"))
         jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
-        render_missing(jobs, pose, request, f"orbit, α = {request.label}")
+        render_missing(jobs, close_up(run, pose), request, f"orbit, α = {request.label}")
         pictures = [path for _, _, path in jobs]
         if len(pictures) > 1:
             _video_once(out / "orbit.mp4", pictures, fps)
@@ -135,20 +140,20 @@ def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose
 
 
 def render_missing(
-    jobs: Sequence[tuple[float, Camera, Path]], pose: Pose, request: RenderRequest, label: str
+    jobs: Sequence[tuple[float, Camera, Path]],
+    pose: Callable[[float, Camera], Gaussians],
+    request: RenderRequest,
+    label: str,
 ) -> int:
     """Render the (time, camera, file) jobs whose file is not complete; returns how many were rendered."""
     todo = [job for job in jobs if not is_complete_png(job[2], job[1].width, job[1].height)]
-    current: tuple[float, Gaussians] | None = None
     done = len(jobs) - len(todo)
     with progress(label, len(jobs), unit="pictures", start=done) as update:
         update(done)
         for time, camera, path in todo:
-            if current is None or current[0] != time:
-                current = (time, pose(time))
             size = (camera.width, camera.height)
             picture = render_image(
-                current[1],
+                pose(time, camera),
                 camera.viewmat,
                 camera.K,
                 *size,
@@ -159,6 +164,34 @@ def render_missing(
             done += 1
             update(done)
     return len(todo)
+
+
+def close_up(run: Run, pose: Pose) -> Callable[[float, Camera], Gaussians]:
+    """The Gaussians at a time for a camera: from closer than training was, as wide as training drew them.
+
+    The 0.3 px² that training drew each Gaussian wider by are fewer scene units there, and leave needles and holes
+    (`show/export/lowpass.py`). A run whose dataset is gone, and a splat file, do not say how near training was.
+    """
+    variances: list[np.ndarray | None] = []  # of the first picture on: a folder that is complete needs none
+    last: list[tuple[float, Gaussians]] = []
+
+    def at(time: float, camera: Camera) -> Gaussians:
+        if not last or last[0][0] != time:
+            last[:] = [(time, pose(time))]
+        gaussians = last[0][1]
+        if not variances:
+            variances.append(smoothing_of(run, warn=False))
+        if (variance := variances[0]) is None:
+            return gaussians
+        means, scales = (
+            a.detach().cpu().numpy().astype(np.float64) for a in (gaussians.means, gaussians.scales)
+        )
+        wide = widened_for(scales, means, variance, (camera.viewmat, camera.K, camera.width, camera.height))
+        if wide is None:
+            return gaussians
+        return replace(gaussians, scales=torch.as_tensor(wide).to(gaussians.scales))
+
+    return at
 
 
 def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
