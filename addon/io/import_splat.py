@@ -12,7 +12,7 @@ from bpy_extras.io_utils import ImportHelper
 from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
 from ..core.splatfile.read import ENDINGS
-from ..core.splatfile.source import Options
+from ..core.splatfile.source import Options, parsed_frequencies
 from ..nodes import drawing, receiving, scene
 from ..nodes.blending import true_colours
 from ..panels import showing
@@ -107,7 +107,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
                 self.sequence,
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
-                Options(loading.frequencies(self.frequencies), _fps(context.scene), webp.decode),
+                Options(parsed_frequencies(self.frequencies), _fps(context.scene), webp.decode),
             )
         except Tg4mmError as error:
             self.report({"ERROR"}, str(error))

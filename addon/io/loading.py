@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,22 +62,6 @@ def load(
     return Loaded(
         objects, "; ".join([message, *told]), longest.fps if modes else 0.0, longest.n_timesteps, upright
     )
-
-
-def frequencies(text: str) -> tuple[float, ...]:
-    """`"5, 7.5"` as (5.0, 7.5), Hz. Raises SplatFileError naming what is no frequency."""
-    found = []
-    for word in text.replace(";", " ").replace(",", " ").split():
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not 0 <= value < math.inf:
-            raise SplatFileError(
-                f"Frequencies: {word!r} is no frequency; expected numbers in Hz such as 5, 7.5"
-            )
-        found.append(value)
-    return tuple(found)
 
 
 def _read(path: Path, options: Options) -> SplatFile:

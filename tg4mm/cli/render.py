@@ -67,6 +67,15 @@ def render(
     ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
+    frequencies: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HZ,HZ,…",
+            help="Of a splat file with motion that lost its line with the frequencies in another program: one for each "
+            "mode. Without them it is drawn still.",
+        ),
+    ] = None,
+    fps: Annotated[float, typer.Option(help="With --frequencies: timesteps per second, Hz.")] = 30.0,
     allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
@@ -85,12 +94,13 @@ def render(
     asked = parse_bands(band)
     check_paired(alpha, asked)
     chosen_filter = temporal_filter(filter, asked)
+    from tg4mm.core.splatfile.source import parsed_frequencies
     from tg4mm.fit.device import check_device
     from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
     from tg4mm.show.render import RenderRequest, render_orbit, render_sequence
 
     check_device(device.value)
-    opened = open_run(run)
+    opened = open_run(run, parsed_frequencies(frequencies or ""), fps)
     if cameras is None:
         cameras_asked(opened, given[0] if given else None)
     low_pass = opened.low_pass_px2 if isinstance(opened, SplatRun) else LOW_PASS_PX2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -20,17 +21,20 @@ LOW_PASS_PX2 = 0.3  # what training draws each Gaussian wider by, square pixels
 class SplatRun(Run):
     """A run that is one splat file. It has no dataset, so no cameras, and no log."""
 
+    _said: tuple[tuple[float, ...], float] = ((), 30.0)  # frequencies and fps, Hz
+
     @classmethod
-    def open(cls, path: Path | str) -> SplatRun:
-        """Read a splat file. Raises SplatFileError if it is none."""
+    def open(cls, path: Path | str, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> SplatRun:
+        """Read a splat file; `freqs_hz` and `fps` as in `read_splat`. Raises SplatFileError if it is none."""
         run = cls(Path(path), {"preset": "modal", "settings": {}, "dataset": None})
+        run._said = (tuple(freqs_hz), fps)
         _ = run.splat
         return run
 
     @cached_property
     def splat(self) -> SplatFile:
         """What the file holds."""
-        return read_splat(self.path)
+        return read_splat(self.path, *self._said)
 
     @property
     def low_pass_px2(self) -> float:
@@ -66,9 +70,13 @@ class SplatRun(Run):
         return ModalMotion(splat.freqs_hz, splat.displacement, splat.rotation, splat.fps, splat.n_timesteps)
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> Run:
     """The run folder at `path`, or the splat file that it is. Raises RunError or SplatFileError."""
-    return SplatRun.open(path) if path.is_file() else Run.open(path)
+    if path.is_file():
+        return SplatRun.open(path, freqs_hz, fps)
+    if freqs_hz:
+        raise RunError(f"--frequencies is for a splat file with motion that lost them; {path} is none")
+    return Run.open(path)
 
 
 def cameras_asked(run: Run, given: str | None) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from ..errors import SplatFileError
 
 Decode = Callable[
     [bytes], np.ndarray
@@ -30,3 +33,19 @@ class Head:
     n_modes: int = 0  # whose frequencies it says
     n_lost: int = 0  # modes whose frequencies it does not say
     y_up: bool = False  # the format's axes, Y up, which reading turns to Z up; else they are as in the file
+
+
+def parsed_frequencies(text: str) -> tuple[float, ...]:
+    """`"5, 7.5"` as (5.0, 7.5), Hz. Raises SplatFileError naming what is no frequency."""
+    found = []
+    for word in text.replace(";", " ").replace(",", " ").split():
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not 0 <= value < math.inf:
+            raise SplatFileError(
+                f"frequencies {text!r}: {word!r} is none; expected numbers in Hz such as 5, 7.5"
+            )
+        found.append(value)
+    return tuple(found)

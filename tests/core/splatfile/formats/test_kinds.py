@@ -438,3 +438,56 @@ def test_zstd_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "zstandard", None)
     assert "is SPZ 4, packed by zstd, for which the Python module zstandard is needed" in one_line(path)
     assert read_head(path) == Head("SPZ 4", 3, y_up=True)
+
+
+def test_a_file_that_lost_its_frequencies_opens_still_or_with_those_that_are_said(tmp_path):
+    import re
+
+    from tests.core.splatfile.conftest import assert_same
+    from tg4mm.core.splatfile import write_splat
+
+    splat = random_splat(m=2, unit_scale_m=None)
+    path = tmp_path / "a.ply"
+    write_splat(path, splat)
+    path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
+    still_read, head = read_splat(path), read_head(path)
+    assert (still_read.n_modes, head.n_modes, head.n_lost) == (0, 0, 2)
+    assert still_read.notes[0].startswith(
+        "opened still: it has 24 properties of modes but no 'comment tg4mm' line"
+    )
+    said = read_splat(path, freqs_hz=splat.freqs_hz, fps=30.0)
+    kept = {"notes": (), "n_timesteps": splat.n_timesteps, "time_origin_s": splat.time_origin_s}
+    assert_same(replace(said, **kept), splat)
+    assert said.n_timesteps == round(30 / splat.freqs_hz.min())
+    with pytest.raises(SplatFileError, match="1 frequencies were said, and the file has 24 mode properties"):
+        read_splat(path, freqs_hz=[5.0])
+    with pytest.raises(SplatFileError, match=r"fps is 0; expected"):
+        read_splat(path, freqs_hz=[5.0, 6.0], fps=0)
+
+
+def test_what_tg4mm_exports_as_gltf_comes_back_with_its_motion(tmp_path):
+    from tg4mm.show.export.gltf import write_glb
+
+    splat = random_splat(m=2, n=7, unit_scale_m=0.02)
+    write_glb(tmp_path / "a.glb", splat, np.array([20.0, -0.5]))
+    read = read_splat(tmp_path / "a.glb")
+    assert (read.fps, read.n_timesteps, read.unit_scale_m, read.time_origin_s) == (30.0, 30, 0.02, 0.25)
+    np.testing.assert_array_equal(read.freqs_hz, splat.freqs_hz)
+    np.testing.assert_allclose(read.displacement, splat.displacement, atol=1e-5)
+    np.testing.assert_allclose(read.means, splat.means, atol=1e-5)
+    assert not read.rotation.any()  # the format has no place for it
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "binary_big_endian", "ascii"])
+def test_plyfile_writes_what_we_read(form, tmp_path):
+    import plyfile
+
+    splat = still(n=9, k=4)
+    columns = stored(splat)
+    table = np.zeros(9, [(name, "f4") for name in columns])
+    for name, column in columns.items():
+        table[name] = column
+    element = plyfile.PlyElement.describe(table, "vertex")
+    order = ">" if "big" in form else "<"
+    plyfile.PlyData([element], text=form == "ascii", byte_order=order).write(str(tmp_path / "a.ply"))
+    assert_alike(read_splat(tmp_path / "a.ply"), splat, (1e-5, 1e-4, 1e-5, 1e-5, 1e-5))

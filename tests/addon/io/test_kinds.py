@@ -1,0 +1,85 @@
+"""The import takes every kind of splat file; what the format says of up is taken over once; what is odd is said."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+
+from tests.addon.conftest import some_splat  # noqa: E402
+from tests.addon.playing import blocks  # noqa: E402
+from tests.helpers.splat_files import KINDS, sog_parts, sog_zip, write_as  # noqa: E402
+from tg4mm.core.splatfile import read_splat, write_splat  # noqa: E402
+
+
+def imported(path: Path, **options: object):
+    assert bpy.ops.import_scene.tg4mm_splat(filepath=str(path), **options) == {"FINISHED"}
+    return bpy.context.object
+
+
+def places(obj, n: int) -> np.ndarray:
+    """[n, 3] world places of the object's first points: it may have others, for its transform."""
+    found = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", found)
+    matrix = np.array(obj.matrix_world)
+    return found.reshape(-1, 3)[:n] @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_imported_with_z_up(extension: ModuleType, kind: str, tmp_path: Path) -> None:
+    pytest.importorskip("zstandard") if kind == "SPZ 4" else None
+    pytest.importorskip("gsply") if kind == "compressed PLY" else None
+    path = write_as(kind, tmp_path, some_splat(degree=1))
+    obj = imported(path, sequence=False)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(places(obj, 23), read_splat(path).means, atol=1e-5)
+
+
+def test_cameras_beside_a_file_whose_format_says_what_is_up_are_not_asked(
+    extension: ModuleType, tmp_path: Path
+) -> None:
+    (tmp_path / "cameras.json").write_text('[{"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}]')  # −Y up
+    path = write_as("SPZ 3", tmp_path, some_splat())
+    obj = imported(path)
+    assert tuple(obj.rotation_euler) == (0, 0, 0)
+    assert imported(write_as("PLY", tmp_path, some_splat())).rotation_euler.x != 0
+
+
+def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(
+    extension: ModuleType, tmp_path: Path
+) -> None:
+    meta, pictures = sog_parts(some_splat())
+    before = blocks()
+    for data in pictures.values():
+        from io import BytesIO
+
+        from PIL import Image
+
+        want = np.asarray(Image.open(BytesIO(data)).convert("RGBA"))
+        np.testing.assert_array_equal(extension.io.webp.decode(data), want)
+    assert blocks() == before
+    data = pictures["quats.webp"]
+    damaged = data[:4] + (len(data) - 28).to_bytes(4, "little") + data[8:-20]
+    sog_zip(tmp_path / "a.sog", meta, pictures | {"quats.webp": damaged})
+    with pytest.raises(RuntimeError, match=r"a\.sog: quats\.webp is damaged: Blender cannot read it"):
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(tmp_path / "a.sog"))
+    assert blocks() == before
+
+
+def test_frequencies_that_were_lost_are_asked_for(extension: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    write_splat(path, some_splat())
+    path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
+    assert not extension.nodes.scene.moves(imported(path))
+    assert extension.nodes.scene.moves(imported(path, frequencies="3, 5, 7.5"))
+    for text, told in (
+        ("3, five", "'five' is none; expected numbers in Hz"),
+        ("3", "1 frequencies were said"),
+    ):
+        with pytest.raises(RuntimeError, match=told):
+            bpy.ops.import_scene.tg4mm_splat(filepath=str(path), frequencies=text)
