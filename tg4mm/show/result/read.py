@@ -91,7 +91,8 @@ class Reading:
         if motion is None:
             return self._still()
         seen = self.seen
-        found = [] if self.look is not None else self._found(motion, seen)
+        has_regions = self.look is not None and bool(self.look.vibrations)
+        found = [] if has_regions else self._found(motion, seen)
         drifts = [v for v in found if _is_drift(v, self.duration_s)]
         vibrations, beside = self._named(motion, seen, [v for v in found if v not in drifts])
         noise, noise_px = self._noise(seen)
@@ -125,8 +126,11 @@ class Reading:
     def _named(
         self, motion: ModalMotion, seen: Seen, found: list[_Found]
     ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
-        """The vibrations that the model holds, and others; of a flat capture those of its regions and no others."""
-        if self.look is None or self.capture is None:
+        """The vibrations that the model holds, and others; where a flat capture's regions name some, these alone.
+
+        Where they name none, the whole picture may still show what no region does: motion that is no steady tone.
+        """
+        if self.look is None or self.capture is None or not self.look.vibrations:
             return self._vibrations(motion, seen, found), ()
         every = looked_vibrations(self.look, self.capture, motion.fps, self.duration_s)
         hz = np.asarray(motion.freqs_hz)
