@@ -16,6 +16,7 @@ from .. import names
 from .graph import Graph
 from .made import Made
 
+AT_ONCE = 8  # modes in a group
 # Sums over the modes so far, or their largest: Most is an amplitude, Phase that mode's.
 _SUMS = (
     ("Offset", "Vector"),
@@ -51,24 +52,47 @@ def build_motion(name: str, freqs_hz: Sequence[float], fps: float, made: Made) -
     for socket in (names.ALPHA, names.LOW, names.HIGH):
         total[socket] = inputs[socket]
     total[names.ALPHA] = graph.finite(inputs[names.ALPHA])
-    for k, (f, socket) in enumerate(zip(freqs_hz, shown, strict=True)):
-        # The tree computes in float32, in which a band edge typed as 0.1 and a frequency of 0.1 may differ.
-        slack = 1e-6 * max(1.0, f)
-        numbers = {"Above": f + slack, "Below": f - slack, "Angle": 2 * math.pi * float(f) / fps}
-        attributes = {**names.phasor(k), "amplitude": names.amplitude(k), "phase": names.phase(k)}
-        outputs = graph.group(mode, **total, **numbers, **attributes, Shown=inputs[socket])
+    for first in range(0, len(shown), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        part = made.keep(_build_modes(name, mode, first, freqs_hz[some], shown[some], fps))
+        outputs = graph.group(part, **total, **{socket: inputs[socket] for socket in shown[some]})
         total.update({sum_: outputs[sum_] for sum_, _ in _SUMS})
     amplitude = graph.math("SQRT", total["Squares"])
     graph.finish(Offset=total["Offset"], Turn=total["Turn"], Amplitude=amplitude, Phase=total["Phase"])
     return graph.tree
 
 
-def _build_mode(name: str) -> Any:
-    """A node group that adds one mode to the sums over the modes before.
+def _build_modes(
+    name: str, mode: Any, first: int, freqs_hz: Sequence[float], shown: Sequence[str], fps: float
+) -> Any:
+    """A node group that adds some modes, from number `first` on, to the sums over the modes before.
 
-    All modes share it: Blender's time for changing a tree grows with the tree, so one tree for all of them would
-    take an import of 64 modes a minute.
+    Blender's time for each change of a tree grows with the tree, so a tree for all modes takes their number squared.
     """
+    graph = Graph(bpy.data.node_groups.new(f"{name} Modes {first + 1}", "GeometryNodeTree"))
+    passed = ("Time", names.ALPHA, names.LOW, names.HIGH)
+    for socket in passed:
+        graph.interface(socket, "Float")
+    for socket in shown:
+        graph.interface(socket, "Bool", True)
+    for socket, kind in _SUMS:
+        graph.interface(socket, kind)
+        graph.result(socket, kind)
+    inputs = graph.inputs()
+    total = {socket: inputs[socket] for socket in (*passed, *(sum_ for sum_, _ in _SUMS))}
+    for k, (f, socket) in enumerate(zip(freqs_hz, shown, strict=True), start=first):
+        # The tree computes in float32, in which a band edge typed as 0.1 and a frequency of 0.1 may differ.
+        slack = 1e-6 * max(1.0, f)
+        numbers = {"Above": f + slack, "Below": f - slack, "Angle": 2 * math.pi * float(f) / fps}
+        attributes = {**names.phasor(k), "amplitude": names.amplitude(k), "phase": names.phase(k)}
+        outputs = graph.group(mode, **total, **numbers, **attributes, Shown=inputs[socket])
+        total.update({sum_: outputs[sum_] for sum_, _ in _SUMS})
+    graph.finish(**{sum_: total[sum_] for sum_, _ in _SUMS})
+    return graph.tree
+
+
+def _build_mode(name: str) -> Any:
+    """A node group that adds one mode to the sums over the modes before; all modes share it."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Mode", "GeometryNodeTree"))
     for socket in (*(part.replace("_", " ") for part in names.phasor(0)), "amplitude", "phase"):
         graph.interface(socket, "String")  # names of attributes
