@@ -24,7 +24,7 @@ from tg4mm.capture.codec.probe import Probe, probe, rate_options
 from tg4mm.capture.sfm.video import av_module
 from tg4mm.core.errors import Tg4mmError
 
-# The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, 30 films of x264, x265)
+# The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.05
 LOST = 0.5  # a gain below it is marked
 FRESH_PIXELS, FRESH_NOISE = (
