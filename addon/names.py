@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections import Counter
 from collections.abc import Sequence
 
@@ -32,8 +34,10 @@ SCALE, ROTATION, COLOUR, OPACITY, DISPLACEMENT = "scale", "rotation", "colour", 
 MODE_PREFIX = "mode_"
 # Harmonics, called as Blender 5.3's own splats call them: coefficient 0 with the opacity, and each further one.
 NATIVE_PREFIX, NATIVE_BASE = "radiance:", "radiance:base"
-# Of the last four vertices of a mesh, which are no Gaussians (nodes/applied.py): number, 1 to 4, and first place.
+# Of the last four vertices of a mesh, which are no Gaussians (nodes/applied.py): number, 1 to 4, first place, and a
+# number for the frequencies that their file has.
 REFERENCE, REFERENCE_REST = "tg4mm_reference", "tg4mm_reference_rest"
+REFERENCE_MODES = "tg4mm_reference_modes"
 
 # Custom properties of the object. MARK tells our objects; the others say what the file said.
 MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"
@@ -57,6 +61,11 @@ PROBE_LABEL, PROBE_PHASORS, PROBE_DEVIATIONS = (
 )
 PROBE_OF = "tg4mm_probe_of"  # on a sphere empty: the splat object that it was made for
 CROP_OF = "tg4mm_crop_of"  # on a box empty: likewise
+
+
+def modes_number(freqs_hz: Sequence[float], fps: float) -> int:
+    """A number of 31 bits that tells files of other frequencies or another rate apart."""
+    return zlib.crc32(struct.pack(f"<{len(freqs_hz) + 1}d", *freqs_hz, fps)) & 0x7FFFFFFF
 
 
 def phasor(mode: int) -> dict[str, str]:

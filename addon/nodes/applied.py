@@ -17,6 +17,7 @@ from .. import compat, names
 from .graph import Graph
 
 LOST = "Reference points are missing or doubled: motion and sizes do not follow Apply Transform"
+OTHER = "Joined with a file of other frequencies: that part moves at the frequencies of this one"
 _EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -28,8 +29,9 @@ class Applied(NamedTuple):
     changed: Any  # A is not the identity
 
 
-def build_applied(name: str) -> Any:
-    """A node group: of the points of one part A, and the points with a warning where references are lost."""
+def build_applied(name: str, modes: int) -> Any:
+    """A node group: of the points of one part A, and the points with a warning where references are lost or another
+    file's. `modes`: names.modes_number of the file."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Applied", "GeometryNodeTree"))
     graph.interface("Points", "Geometry")
     for socket, kind in (
@@ -52,10 +54,14 @@ def build_applied(name: str) -> Any:
     eye = _combined(graph, (*_EYE, (0.0, 0.0, 0.0)))
     some = graph.compare("GREATER_THAN", _count(graph, points), 0, "INT")
     lost = graph.both(some, graph.opposite(whole))
-    warned = graph.call("GeometryNodeWarning", {"Show": lost, "Message": LOST}, warning_type="WARNING")
+    number = {"Geometry": four, "Value": graph.attribute(names.REFERENCE_MODES, "INT"), "Index": 0}
+    of = graph.call("GeometryNodeSampleIndex", number, data_type="INT", domain="POINT")
+    other = graph.both(whole, graph.compare("NOT_EQUAL", of, modes, "INT"))
+    for said, message in ((lost, LOST), (other, OTHER)):
+        warned = graph.call("GeometryNodeWarning", {"Show": said, "Message": message}, warning_type="WARNING")
+        points = graph.choose("GEOMETRY", warned, points, points)  # it counts where its output is used
     graph.finish(
-        # A warning counts where its output is used.
-        Points=graph.choose("GEOMETRY", warned, points, points),
+        Points=points,
         Matrix=graph.choose("MATRIX", changed, eye, product),
         Back=graph.choose("MATRIX", changed, eye, back),
         Changed=changed,

@@ -81,7 +81,7 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     mine = {"Geometry": inputs["Geometry"], "Selection": graph.compare("EQUAL", number, turn, "INT")}
     part = graph.call("GeometryNodeSeparateGeometry", mine, domain="POINT")
     several = graph.compare("GREATER_THAN", count, 1, "INT")
-    group = made.keep(build_applied(name))
+    group = made.keep(build_applied(name, names.modes_number(content.freqs_hz, content.fps)))
     moved, points = applied(graph, group, graph.choose("GEOMETRY", several, inputs["Geometry"], part))
     drawn = _played(graph, points, inputs, content, (draw, by), moved, materials, (name, made))
     graph.finish(Geometry=graph.repeated(end, before, drawn))

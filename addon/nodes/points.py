@@ -53,13 +53,15 @@ def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
             fill(names.deviation(k), "FLOAT", splat.deviation[k])
     middle, size = splat.means.mean(axis=0), splat.means.std() or 1.0
     steps = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    fill.finish(splat.means, (middle + size * steps)[: fill.extra])
+    number = names.modes_number(splat.freqs_hz, splat.fps)
+    fill.finish(splat.means, (middle + size * steps)[: fill.extra], number)
 
 
 def fill_references(mesh: Any) -> None:
     """Four references alone: of a sequence, whose points are in other meshes."""
     fill = _Rows(mesh, 0, 4)
-    fill.finish(np.zeros((0, 3)), np.concatenate([np.zeros((1, 3)), np.eye(3)]))
+    steps = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    fill.finish(np.zeros((0, 3)), steps, names.modes_number((), 0.0))
 
 
 def gaussians(mesh: Any) -> np.ndarray:
@@ -214,14 +216,18 @@ class _Rows:
         data = self.mesh.attributes.new(name, data_type, "POINT").data
         data.foreach_set(field, self._flat(np.reshape(rows, (-1, width)), other))
 
-    def finish(self, places: np.ndarray, references: np.ndarray) -> None:
+    def finish(self, places: np.ndarray, references: np.ndarray, modes: int) -> None:
         """Places of all vertices. None is selected, as new ones are: the probe reads what a person selects."""
         self.mesh.vertices.foreach_set("co", self._flat(places, references))
         if self.extra:
             self(names.REFERENCE_REST, "FLOAT_VECTOR", np.zeros((self.count, 3)), references)
-            marks = np.zeros(self.count + self.extra, np.int32)
-            marks[self.count :] = 1 + np.arange(self.extra)
-            self.mesh.attributes.new(names.REFERENCE, "INT", "POINT").data.foreach_set("value", marks)
+            for name, numbers in (
+                (names.REFERENCE, 1 + np.arange(self.extra)),
+                (names.REFERENCE_MODES, modes),
+            ):
+                marks = np.zeros(self.count + self.extra, np.int32)
+                marks[self.count :] = numbers
+                self.mesh.attributes.new(name, "INT", "POINT").data.foreach_set("value", marks)
         self.mesh.vertices.foreach_set("select", np.zeros(self.count + self.extra, bool))
         self.mesh.update()
 

@@ -219,6 +219,16 @@ def test_joined_objects_move_as_they_did(
     assert_alike(seen(moving), Seen(*map(np.concatenate, zip(*both, strict=True))))
 
 
+def test_a_part_of_another_file_is_told(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
+    write_splat(tmp_path / "other.ply", replace(some_splat(9), freqs_hz=np.array([3.0, 5.0, 8.0])))
+    other = import_splat(tmp_path / "other.ply")
+    assert warnings(moving) == warnings(other) == []
+    only(moving, other)
+    assert bpy.ops.object.join() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert warnings(moving) == [extension.nodes.applied.OTHER]
+
+
 def edit(obj: Any, chosen: np.ndarray, operator: Any, **options: Any) -> None:
     """Run an operator of Edit Mode on the chosen vertices."""
     only(obj)
