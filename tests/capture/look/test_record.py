@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+
+import numpy as np
 
 from tests.helpers.look import found
+from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.record import from_record, to_record
 
 
@@ -23,6 +27,16 @@ def test_the_mask_is_of_whole_cells_and_leaves_the_edge_that_no_cell_covers() ->
     assert mask.shape == (50, 64)
     assert mask[:16, :16].all()
     assert mask.sum() == 256
+
+
+def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_is_not() -> None:
+    line = found().lines[0]
+    wide = np.zeros_like(line.region)
+    wide[1, 2:] = True
+    cases = [(0.9, line.region, True), (0.3, line.region, False), (0.9, wide, False)]
+    for amplitude, region, is_marked in cases:
+        own = replace(line, amplitude_px=amplitude, region=region)
+        assert bool(marked([own], 30.0, 6.0)[0].mark) == is_marked
 
 
 def test_marked_lines_are_no_vibrations() -> None:

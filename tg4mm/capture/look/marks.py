@@ -12,6 +12,7 @@ from tg4mm.capture.look.search import images
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
+_EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 
 
 def marked(lines: list[LookLine], rate: float, duration_s: float) -> list[LookLine]:
@@ -30,6 +31,8 @@ class _Near:
 
 
 def _mark(line: LookLine, lines: list[LookLine], rate: float, duration_s: float) -> str:
+    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
+        return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
     near = _Near(line, 1 / duration_s)
     for other in lines:
         if other.amplitude_px >= _LARGER * line.amplitude_px:
