@@ -176,8 +176,10 @@ def to_frame(number: int) -> None:
 
 
 @answer
-def cursor(at: list[float]) -> None:
+def probe(at: list[float]) -> None:
+    """Probe the Gaussian nearest to a place, for a picture."""
     bpy.context.scene.cursor.location = at
+    bpy.ops.tg4mm.probe(source="CURSOR")
 
 
 @answer

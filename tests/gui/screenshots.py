@@ -100,8 +100,7 @@ def _aim(blender: Session, splat: SplatFile) -> None:
 def _probe(blender: Session, splat: SplatFile) -> None:
     """Probe the opaque Gaussian that moves most, with the panels of motion and band open above the reading."""
     reach = np.square(np.abs(splat.displacement)).sum(axis=(0, 2)) * (splat.opacities > 0.3)
-    blender.ask("cursor", at=splat.means[int(np.argmax(reach))].tolist())
-    sidebar.press(blender, "bpy.ops.tg4mm.probe(source='CURSOR')")
+    blender.ask("probe", at=splat.means[int(np.argmax(reach))].tolist())
     sidebar.open_only(blender, 1, 2, 4)  # Motion, Band, Probe
 
 
