@@ -6,7 +6,7 @@
     moved = tg4mm.animate(fit, t=8, magnification=50)
     picture = tg4mm.render(moved, tg4mm.capture_cameras(capture)[0])          # [H, W, 3] float32 in 0..1
     scene = tg4mm.prepare_fit(capture, fit)
-    waveform = tg4mm.measure(scene, [tg4mm.parse_sensor("tip=sphere:0,0,1.2,0.1")])["tip"]
+    waveform = tg4mm.measure(scene, [tg4mm.parse_sensor("top=sphere:0,0,1.2,0.6")])["top"]
     waveform.times_s, waveform.displacement, waveform.deviation               # [T], [T, 3], [T, 3]
 
 `__all__` lists the public names; docs/python.md describes them. A name is imported when it is first asked for, so that

@@ -58,7 +58,7 @@ def test_spz_is_one_file_at_rest(run, splat, tmp_path, capsys) -> None:
 def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys) -> None:
     assert export(run, tmp_path / "frames", "spz", "--alpha", "20", "--band", "4", "6") == 0
     assert "spz holds no motion: 6 files, one for each timestep" in capsys.readouterr().err
-    files = sorted(path.name for path in (tmp_path / "frames").iterdir())
+    files = sorted(path.name for path in (tmp_path / "frames").glob("*.spz"))
     assert files == [f"frame_{t:04d}.spz" for t in range(6)]
     for t in (0, 2, 5):
         read = gsply.read_spz(str(tmp_path / "frames" / f"frame_{t:04d}.spz"))

@@ -76,4 +76,4 @@ def test_pictures_of_another_file_are_not_mixed_in(run_path: Path, tmp_path: Pat
     rendered(tmp_path / "a.ply", out, cameras, "--alpha", "0")
     again = ["render", str(tmp_path / "b.ply"), "--alpha", "0", "--cameras", str(cameras), "--out", str(out)]
     assert main(again) == 2
-    assert "choose another --out" in capsys.readouterr().err
+    assert "out was made of another model: give another folder" in capsys.readouterr().err

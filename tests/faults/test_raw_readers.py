@@ -80,9 +80,9 @@ ALLOWED = {
     "dataset_gen/sources/header.py": "the end of a packed .blend file",
     "dataset_gen/sources/ply.py": "PLY, as long as its header says",
     # What this program has just written itself, or another of its own processes says.
-    "tg4mm/capture/sfm/request.py": "a request, as JSON would give it back",
     "tg4mm/core/room.py": "temporary arrays without a name",
-    "dataset_gen/tree.py": "a description, as JSON would give it back",
+    "tg4mm/capture/sfm/request.py": "a request, as JSON would give it back",
+    "tg4mm/core/work_folder.py": "a request, as JSON would give it back",
     "dataset_gen/worker.py": "the task given to a render process",
     "dataset_gen/render.py": "what Blender rendered a moment ago",
     "dataset_gen/sensor.py": "a JPEG made in memory",

@@ -40,7 +40,7 @@ def test_render_export_and_evaluate_take_auto(run: Run, tmp_path: Path, capsys) 
     assert json.loads((tmp_path / "o" / "render.json").read_text())["band_hz"] == band
     sequence = ["--format", "ply-sequence", "--out", str(tmp_path / "s")]
     assert main(["export", str(run.path), *common, *sequence]) == 0
-    assert len(list((tmp_path / "s").iterdir())) == 30
+    assert len(list((tmp_path / "s").glob("*.ply"))) == 30
     out = tmp_path / "m.json"
     assert main(["evaluate", str(run.path), "--alphas", "5", "--band", "auto", "--out", str(out)]) == 0
     assert json.loads(out.read_text())["band_hz"] == band

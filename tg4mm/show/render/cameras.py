@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
+from tg4mm.capture.confine import image_path
 from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.pictures.decode import image_header
 from tg4mm.core.records import Record, read_record, shown
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -170,16 +171,14 @@ def size_of_first_picture(path: Path) -> tuple[int, int] | None:
     """(width, height) of the picture that the first frame of a transforms JSON names; None where it is not there."""
     frames = read_record(Path(path)).values.get("frames")
     first = frames[0] if isinstance(frames, list) and frames and isinstance(frames[0], dict) else {}
-    name = first.get("file_path")
-    for suffix in ("", ".png", ".jpg") if isinstance(name, str) else ():
-        picture = Path(path).parent / f"{name}{suffix}"
-        if picture.is_file():
-            try:
-                with Image.open(picture) as opened:
-                    return opened.size
-            except OSError:
-                return None
-    return None
+    name, folder = first.get("file_path"), Path(path).parent
+    if not isinstance(name, str):
+        return None
+    try:
+        header = image_header(image_path(folder, folder, name, str(path)))
+    except CaptureError:
+        return None
+    return header.width, header.height
 
 
 def _camera_of_frame(file: Record, i: int, values: Any, size: tuple[int, int] | None) -> Camera:
