@@ -18,7 +18,7 @@ from tg4mm.core.splatfile import read_splat
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
-from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_variance, widened, widened_for
+from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_variance, widened
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, smoothing_of, to_splat
 
 EPS = 1e-6  # square pixels: a viewer without a low-pass
@@ -92,11 +92,10 @@ def test_from_close_up_a_run_and_its_exported_file_look_alike_and_training_views
     file = torch.tensor(widened(scales, variance), dtype=torch.float32)
     for i in range(len(capture.viewmats)):
         viewmat, K = capture.viewmats[i], capture.Ks[i]
-        assert widened_for(scales, means, variance, (viewmat, K, 24, 24)) is None
+        assert lacking(means, variance, (viewmat, K, 24, 24)) is None
         for side in (48, 96):
-            wide = widened_for(
-                scales, means, variance, (viewmat, K * [[side / 24], [side / 24], [1]], side, side)
-            )
+            extra = lacking(means, variance, (viewmat, K * [[side / 24], [side / 24], [1]], side, side))
+            wide = widened(scales, extra)
             view = viewmat, K, side
             own = picture(gaussians, torch.tensor(wide, dtype=torch.float32), *view, 0.3)
             exported = picture(gaussians, file, *view, EPS)

@@ -35,21 +35,19 @@ def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
     return BAKED_PX2 * finest
 
 
-def widened_for(
-    scales: np.ndarray,
-    means: np.ndarray,
-    variance: np.ndarray,
-    camera: tuple[np.ndarray, np.ndarray, int, int],
+def lacking(
+    means: np.ndarray, variance: np.ndarray, camera: tuple[np.ndarray, np.ndarray, int, int]
 ) -> np.ndarray | None:
-    """Scales [N, 3] for a `camera` (viewmat, K, width, height) nearer than training was; None where it is not.
+    """[N] variances that Gaussians lack for a `camera` (viewmat, K, width, height) nearer than training was.
 
-    With the BAKED_PX2 that the rasteriser adds, no Gaussian is then thinner than `variance` [N] makes it.
+    With them and the BAKED_PX2 that the rasteriser adds, no Gaussian is thinner than `variance` [N] makes it. None for
+    a camera that is not nearer.
     """
     pixel, seen = _sampled(means, *camera)
     own = BAKED_PX2 * pixel
     if not seen.any() or np.median(own[seen] / np.maximum(variance[seen], 1e-300)) > _NEARER:
         return None
-    return widened(scales, np.maximum(variance - own, 0.0))
+    return np.maximum(variance - own, 0.0)
 
 
 _NEARER = 0.9  # of the finest training sampling; a test view from among the training cameras is above 1

@@ -23,7 +23,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 from tg4mm.run.poses import method_of, poses_of
-from tg4mm.show.export.lowpass import widened_for
+from tg4mm.show.export.lowpass import lacking
 from tg4mm.show.export.splat import smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json
 from tg4mm.show.render.image import WHITE, render_image
@@ -172,24 +172,27 @@ def close_up(run: Run, pose: Pose) -> Callable[[float, Camera], Gaussians]:
     The 0.3 px² that training drew each Gaussian wider by are fewer scene units there, and leave needles and holes
     (`show/export/lowpass.py`). A run whose dataset is gone, and a splat file, do not say how near training was.
     """
-    variances: list[np.ndarray | None] = []  # of the first picture on: a folder that is complete needs none
+    known: list[
+        tuple[np.ndarray, np.ndarray | None]
+    ] = []  # means at rest and what training drew them wider by
     last: list[tuple[float, Gaussians]] = []
 
     def at(time: float, camera: Camera) -> Gaussians:
         if not last or last[0][0] != time:
             last[:] = [(time, pose(time))]
         gaussians = last[0][1]
-        if not variances:
-            variances.append(smoothing_of(run, warn=False))
-        if (variance := variances[0]) is None:
+        if not known:  # of the first picture on: a folder that is complete needs none
+            known.append((run.load_space().means.numpy().astype(np.float64), smoothing_of(run, warn=False)))
+        means, variance = known[0]
+        if variance is None:
             return gaussians
-        means, scales = (
-            a.detach().cpu().numpy().astype(np.float64) for a in (gaussians.means, gaussians.scales)
+        extra = lacking(means, variance, (camera.viewmat, camera.K, camera.width, camera.height))
+        if extra is None:
+            return gaussians
+        wide = (
+            gaussians.scales.double().square() + torch.as_tensor(extra).to(gaussians.scales.device)[:, None]
         )
-        wide = widened_for(scales, means, variance, (camera.viewmat, camera.K, camera.width, camera.height))
-        if wide is None:
-            return gaussians
-        return replace(gaussians, scales=torch.as_tensor(wide).to(gaussians.scales))
+        return replace(gaussians, scales=wide.sqrt().to(gaussians.scales.dtype))
 
     return at
 
