@@ -27,17 +27,16 @@ FOCAL = 88.8889  # pixels of a training picture
 DISTANCE = 4.0311  # of every training camera
 PLACE = (-1.135, -2.957, 2.494)  # of a test camera
 AGREEMENT = 33.0  # dB
-VARIANCE = 0.3 * (DISTANCE / FOCAL) ** 2  # scene units², of the low-pass at the middle of the scene
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return float(-10 * np.log10(np.square(a - b).mean()))
 
 
-def exported(splat: SplatFile) -> SplatFile:
-    """As the exporter writes it, for a ring of the training cameras."""
+def smoothing(splat: SplatFile) -> np.ndarray:
+    """[N] variances of the exporter's filter, for a ring of the training cameras."""
     from tg4mm.capture import Capture
-    from tg4mm.show.export.lowpass import smoothing_variance, widened
+    from tg4mm.show.export.lowpass import smoothing_variance
 
     K = np.array([[FOCAL, 0, TRAINED / 2], [0, FOCAL, TRAINED / 2], [0, 0, 1]])
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -58,8 +57,17 @@ def exported(splat: SplatFile) -> SplatFile:
         (HERE,) * 12,
     )
     variance = smoothing_variance(splat.means.astype(np.float64), capture)
-    assert np.median(variance) == pytest.approx(VARIANCE, rel=0.2)
-    return replace(splat, scales=widened(splat.scales, variance).astype(np.float32), low_pass_px2=0.3)
+    nearest = (splat.means @ viewmats[:, 2, :3].T + viewmats[:, 2, 3]).min(axis=1)  # of the cameras, by depth
+    assert np.median(variance) == pytest.approx(0.3 * np.median(nearest / FOCAL) ** 2, rel=0.05)
+    return variance
+
+
+def exported(splat: SplatFile) -> SplatFile:
+    """The trained Gaussians as `tg4mm export` writes them: as wide as training drew them."""
+    from tg4mm.show.export.lowpass import widened
+
+    scales = widened(splat.scales, smoothing(splat)).astype(np.float32)
+    return replace(splat, scales=scales, low_pass_px2=0.3)
 
 
 def viewmat(place: np.ndarray) -> np.ndarray:
@@ -70,20 +78,20 @@ def viewmat(place: np.ndarray) -> np.ndarray:
 
 
 def trained(splat: SplatFile) -> np.ndarray:
-    """[SIZE, SIZE, 3] the core's picture, its low-pass enlarged with the picture: what was trained, over white."""
+    """[SIZE, SIZE, 3] the core's picture as `tg4mm render` draws it from close up, over white."""
     torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
     pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install '.[core]'")
     from tg4mm.fit.rasterize import rasterization
+    from tg4mm.show.export.lowpass import lacking, widened
 
-    scale = SIZE / TRAINED
-    focal = FOCAL * scale
-    K = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1.0]]
-    arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
-    tensors = [
-        torch.as_tensor(a, dtype=torch.float32) for a in (*arrays, viewmat(np.array(PLACE))[None], [K])
-    ]
+    focal, view = FOCAL * SIZE / TRAINED, viewmat(np.array(PLACE))
+    K = np.array([[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1.0]])
+    extra = lacking(splat.means.astype(np.float64), smoothing(splat), (view, K, SIZE, SIZE))
+    assert extra is not None
+    arrays = (splat.means, splat.quats, widened(splat.scales, extra), splat.opacities, splat.sh)
+    tensors = [torch.as_tensor(a, dtype=torch.float32) for a in (*arrays, view[None], K[None])]
     rgb, _, _ = rasterization(
-        *tensors, SIZE, SIZE, eps2d=0.3 * scale**2, sh_degree=splat.sh_degree, backgrounds=torch.ones(1, 3)
+        *tensors, SIZE, SIZE, eps2d=0.3, sh_degree=splat.sh_degree, backgrounds=torch.ones(1, 3)
     )
     return rgb[0].clamp(0, 1).numpy()
 

@@ -415,7 +415,8 @@ LENGTH = {"metres": 0.5, "points": [{"a": [1, 2], "b": [3, 4]}, {"a": [5, 6.5], 
 SURVEY = {
     "width": 12, "height": 8, "fps": "30000/1001", "times": ["0", "1/30", "2/30"],
     "shifts_px": [[0, 0], [0.5, None], [1, 1]], "parts": [0, 0, -1], "frozen": [False, False, True],
-    "sharpness": [1.0, 2.0, 3.0], "created_s": 1.5,
+    "sharpness": [1.0, 2.0, 3.0], "together": [1.0, None, 0.5], "repeats": [], "share": "5/6", "kinds": "IBP",
+    "created_s": 1.5,
 }  # fmt: skip
 
 
@@ -570,7 +571,11 @@ READERS: dict[str, Reader] = {
     "run triplane": Reader(_paper("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(_paper("planes_0001.safetensors"), _read_paper, of_tensors),
     "metrics.json, partial": Reader(_partial, _read_partial, of_json),
-    "demo.json": Reader(record("demo.json", {"size": 64, "done": {"train": 1.5}}), _read_demo, of_json),
+    "demo.json": Reader(
+        record("demo.json", {"format": "tg4mm-demo", "version": 1, "size": 64, "done": {"train": 1.5}}),
+        _read_demo,
+        of_json,
+    ),
     "LPIPS weights, safetensors": Reader(_weights(".safetensors"), _read_weights, of_tensors),
     "LPIPS weights, pth": Reader(_weights(".pth"), _read_weights, of_bytes),
     "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),

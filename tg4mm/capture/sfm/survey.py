@@ -116,9 +116,13 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
     shifts_px = np.array(shifts, np.float64).reshape(len(sharpness), 2)
     parts = np.array([int(part) for part in record["parts"]], np.int64)
     frozen = np.array([bool(x) for x in record["frozen"]], bool)
-    if not len(parts) == len(frozen) == len(sharpness) or not NOTHING <= parts.min() <= parts.max() < len(
-        parts
-    ):
+    together = np.array([np.nan if x is None else x for x in record["together"]], np.float64)
+    share = Fraction(record.get("share", 1))
+    if not 0 < share <= 1 or np.isinf(together).any():
+        raise ValueError("a share that is none")
+    if not len(parts) == len(frozen) == len(together) == len(
+        sharpness
+    ) or not NOTHING <= parts.min() <= parts.max() < len(parts):
         raise ValueError("parts that are not those of the pictures")
     moments = None if times is None else tuple(Fraction(time) for time in times)
     if moments is not None and len(moments) != len(sharpness):
@@ -137,9 +141,9 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         times=moments,
         parts=parts,
         shifts_px=shifts_px,
-        together=np.array([np.nan if x is None else x for x in record["together"]], np.float64),
+        together=together,
         repeats=tuple(int(k) for k in record.get("repeats", [])),
-        share=Fraction(record.get("share", 1)),
+        share=share,
         frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
