@@ -68,7 +68,7 @@ def page_file(moving_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path
     return export_html(moving_run, tmp_path_factory.mktemp("page") / "scene.html")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless Chromium of the system, driven by playwright; without them the test is skipped."""
     sync_api = pytest.importorskip(
