@@ -69,42 +69,6 @@ def test_links_lead_to_files(page: Path) -> None:
     assert not missing
 
 
-RECORDS = [p for p in sorted((ROOT / "docs" / "decisions").glob("*.md")) if p.name != "index.md"]
-
-
-def faults_of_a_record(text: str, others: set[str]) -> list[str]:
-    """What a decision record lacks. `others`: names of the records that it may be superseded by."""
-    lines = text.splitlines()
-    faults = [] if lines[0].startswith("# ") else ["title"]
-    status = re.fullmatch(r"\*Status: (accepted|superseded by \[[^\]]+\]\(([^)]+)\))\.\*", lines[2])
-    if status is None or (status[2] and status[2] not in others):
-        faults.append(f"status {lines[2]}")
-    faults += [part for part in ("Context", "Decision", "Consequence") if text.count(f"\n**{part}.** ") != 1]
-    return faults + ([f"{len(lines)} lines"] if len(lines) > 30 else [])
-
-
-def test_decisions_are_short_records() -> None:
-    names = {path.name for path in RECORDS}
-    texts = {path.name: path.read_text(encoding="utf-8") for path in RECORDS}
-    assert len(names) > 40
-    assert {n: f for n, t in texts.items() if (f := faults_of_a_record(t, names - {n}))} == {}
-    index = (ROOT / "docs" / "decisions" / "index.md").read_text(encoding="utf-8")
-    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    listed = dict(re.findall(r"^\d+\. \[(.+)\]\((.+)\)$", index, re.MULTILINE))
-    assert {target: title for title, target in listed.items()} == {
-        name: text.splitlines()[0].removeprefix("# ") for name, text in texts.items()
-    }
-    assert [name for name in names if f"- decisions/{name}\n" not in menu] == []
-
-
-def test_a_bad_record_is_seen() -> None:
-    good = "# A\n\n*Status: superseded by [B](b.md).*\n\n**Context.** x\n\n**Decision.** y\n\n**Consequence.** z\n"
-    assert faults_of_a_record(good, {"b.md"}) == []
-    assert faults_of_a_record(good, {"c.md"}) == ["status *Status: superseded by [B](b.md).*"]
-    assert faults_of_a_record(good.replace("**Decision.**", "So:"), {"b.md"}) == ["Decision"]
-    assert faults_of_a_record(good + "\n" * 40, {"b.md"}) == ["49 lines"]
-
-
 @pytest.mark.slow
 def test_the_site_builds_strictly(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
