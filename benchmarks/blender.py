@@ -1,6 +1,6 @@
 """Seconds of an import and milliseconds a frame of the Blender extension, in the bpy that runs this.
 
-python -m benchmarks.blender [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15] [--draw 0] [--brief]
+python -m benchmarks blender [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15] [--draw 0] [--brief]
 
 Frames are evaluated in background: node tree and instances. `--draw N` also draws each with Workbench at N×N pixels,
 which without a graphics card is software's work. Where Blender has splats of its own, its own import of the Gaussians
@@ -14,13 +14,14 @@ small sets; an import of 200,000 in under 2 s.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import os
 import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -180,23 +181,21 @@ def measure_own(path: Path) -> None:
     print(f"  {'its own import, still':25s} {times.line(1.0, 's', None)}, {grown}", flush=True)
 
 
-def main() -> None:
+OPTIONS = {
+    "--counts": "10000,50000,200000",  # Gaussians
+    "--modes": 8,
+    "--degree": {"type": int, "default": 3, "help": "of the spherical harmonics"},
+    "--frames": 15,
+    "--draw": {"type": int, "default": 0, "help": "pixels along a side; 0: evaluate alone"},
+    "--brief": {"action": "store_true", "help": "the file's colours alone"},
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--counts", default="10000,50000,200000", help="Gaussians, separated by commas")
-    parser.add_argument("--modes", type=int, default=8)
-    parser.add_argument("--degree", type=int, default=3, help="of the spherical harmonics")
-    parser.add_argument("--frames", type=int, default=15)
-    parser.add_argument("--draw", type=int, default=0, help="pixels along a side; 0: evaluate alone")
-    parser.add_argument("--brief", action="store_true", help="the file's colours alone")
-    options = parser.parse_args()
     load_average = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     print(f"bpy {bpy.app.version_string}, {options.modes} modes, degree {options.degree}, {load_average}")
-    with tempfile.TemporaryDirectory() as folder:
-        builder = load("make_extension", ROOT / "addon" / "make_extension.py")
-        staged = builder.stage(Path(folder) / "tg4mm_extension")
-        extension = load("tg4mm_extension", staged / "__init__.py", staged)
-        extension.register()
+    with tempfile.TemporaryDirectory() as folder, registered(Path(folder)) as extension:
         for count in map(int, options.counts.split(",")):
             path, still = Path(folder) / f"n{count}.ply", Path(folder) / f"s{count}.ply"
             splat = random_splat(count, options.modes, options.degree)
@@ -208,8 +207,15 @@ def main() -> None:
             if extension.compat.native_splats():
                 measure_own(still)
             measure(extension, path, count, options)
-        extension.unregister()
 
 
-if __name__ == "__main__":
-    main()
+@contextlib.contextmanager
+def registered(folder: Path) -> Iterator[ModuleType]:
+    """The extension, staged in a folder and registered over an empty file."""
+    builder = load("make_extension", ROOT / "addon" / "make_extension.py")
+    staged = builder.stage(folder / "tg4mm_extension")
+    extension = load("tg4mm_extension", staged / "__init__.py", staged)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    extension.register()
+    yield extension
+    extension.unregister()

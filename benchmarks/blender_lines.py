@@ -1,6 +1,6 @@
 """The same scenes from Blender 4.5 and 5.2: how far pictures and truth differ.
 
-    python -m benchmarks.blender_lines --other .venv52/bin/python [--scenes mic ship] [--size 128] [--samples 32]
+    python -m benchmarks blender_lines --other .venv52/bin/python [--scenes mic ship] [--size 128] [--samples 32]
 
 This Python's bpy makes one set, the other Python's another; printed is what lies between them.
 """
@@ -71,13 +71,17 @@ def make(python: Path, scene: str, out: Path, size: int, samples: int) -> Path:
     return next(path.parent for path in out.glob(f"{scene}_*/scene.json"))
 
 
-def main() -> None:
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--other", type=Path, required=True, help="Python with the other bpy")
-    p.add_argument("--scenes", nargs="+", default=list(NAMES), choices=NAMES)
-    p.add_argument("--size", type=int, default=128, help="pixels (default: 128)")
-    p.add_argument("--samples", type=int, default=32, help="light paths per pixel (default: 32)")
-    o = p.parse_args()
+OPTIONS = {
+    "--other": {"type": Path, "required": True, "help": "Python with the other bpy"},
+    "--scenes": {"nargs": "+", "default": list(NAMES), "choices": NAMES},
+    "--size": 128,  # pixels
+    "--samples": 32,  # light paths per pixel
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print a row for each scene."""
+    o = options
     print("| scene | largest, of 255 | mean | pixels that differ | depth | displacement | seen by one only |")
     print("|---|---|---|---|---|---|---|")
     for scene in o.scenes:
@@ -90,7 +94,3 @@ def main() -> None:
             f"{d.passes['Displacement']:.1e} | {100 * d.seen:.2f} % |",
             flush=True,
         )
-
-
-if __name__ == "__main__":
-    main()

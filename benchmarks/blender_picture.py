@@ -1,6 +1,6 @@
 """An exported file in the Blender extension beside the core's own picture of it, in the bpy that runs this.
 
-python -m benchmarks.blender_picture SPLAT.ply CAMERAS.json OUT [--view 0] [--alphas 0,20,50]
+python -m benchmarks blender_picture SPLAT.ply CAMERAS.json OUT [--view 0] [--alphas 0,20,50]
     [--timestep 1] [--size 256] [--draw Native,Splats,Ellipsoids] [--engine CYCLES] [--samples 4]
 
 Draws an exported file (its scales hold the low-pass) from one camera of a NeRF-synthetic transforms file, over white,
@@ -27,10 +27,8 @@ import mathutils
 import numpy as np
 from PIL import Image
 
-from benchmarks.blender import load
+from benchmarks.blender import registered
 from tg4mm.core.splatfile import positions_at, read_splat
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float, alpha: float) -> np.ndarray:
@@ -78,20 +76,22 @@ def blender_picture(path: Path) -> np.ndarray:
     return rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
 
 
-def main() -> None:
+OPTIONS = {
+    "splat": {"type": Path, "help": "exported splat file with motion"},
+    "cameras": {"type": Path, "help": "transforms file, NeRF-synthetic"},
+    "out": {"type": Path, "help": "folder for the pictures"},
+    "--view": {"type": int, "default": 0, "help": "which camera of the file"},
+    "--alphas": "0,20,50",
+    "--timestep": 1,
+    "--size": 256,  # pixels
+    "--draw": "Native,Splats,Ellipsoids",
+    "--engine": {"default": "CYCLES", "help": "CYCLES, EEVEE or WORKBENCH"},
+    "--samples": 4,
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print a line for each way to draw and α."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("splat", type=Path, help="exported splat file with motion")
-    parser.add_argument("cameras", type=Path, help="transforms file, NeRF-synthetic")
-    parser.add_argument("out", type=Path, help="folder for the pictures")
-    parser.add_argument("--view", type=int, default=0, help="which camera of the file")
-    parser.add_argument("--alphas", default="0,20,50")
-    parser.add_argument("--timestep", type=int, default=1)
-    parser.add_argument("--size", type=int, default=256, help="pixels")
-    parser.add_argument("--draw", default="Native,Splats,Ellipsoids")
-    parser.add_argument("--engine", default="CYCLES", help="CYCLES, EEVEE or WORKBENCH")
-    parser.add_argument("--samples", type=int, default=4)
-    options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     cameras = json.loads(options.cameras.read_text(encoding="utf-8"))
     pose = np.array(cameras["frames"][options.view]["transform_matrix"])
@@ -100,16 +100,10 @@ def main() -> None:
         for alpha in alphas:
             picture = core_picture(options, pose, angle, alpha)
             Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(options.out / f"core_{alpha:g}.png")
-    with tempfile.TemporaryDirectory() as folder:
-        builder = load("make_extension", ROOT / "addon" / "make_extension.py")
-        staged = builder.stage(Path(folder) / "tg4mm_extension")
-        extension = load("tg4mm_extension", staged / "__init__.py", staged)
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        extension.register()
+    with tempfile.TemporaryDirectory() as folder, registered(Path(folder)) as extension:
         bpy.ops.import_scene.tg4mm_splat(filepath=str(options.splat.resolve()))
         set_scene(pose, angle, options)
         draw_all(extension, options, alphas)
-        extension.unregister()
 
 
 def draw_all(extension: ModuleType, options: argparse.Namespace, alphas: list[float]) -> None:
@@ -134,7 +128,3 @@ def draw_all(extension: ModuleType, options: argparse.Namespace, alphas: list[fl
                 core = Image.open(options.out / f"core_{alpha:g}.png").convert("RGB")
                 psnr = -10 * np.log10(np.square(picture - np.asarray(core, float) / 255).mean())
                 print(f"{version} {way:28s} α {alpha:3g}  {psnr:5.1f} dB  {took:6.1f} s", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Every capture kind and every effect of a real camera: generate, train, evaluate, one table.
 
-    python -m benchmarks.captures DIR [--scenes mic hotdog chair] [--kinds orbit sweep handheld rig clips]
+    python -m benchmarks captures DIR [--scenes mic hotdog chair] [--kinds orbit sweep handheld rig clips]
                                       [--effects none shake drift flicker sensor jpeg h264 all] [--size 128]
 
 Sets, runs and figures go to DIR; a case that has its figures is not done again, and a stopped one goes on. Kinds: each
@@ -134,28 +134,31 @@ def _percent(value: Any) -> str:
     return "–" if value is None else f"{100 * value:.1f} %"
 
 
-def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    p.add_argument("out", type=Path, metavar="DIR")
-    p.add_argument("--scenes", nargs="*", default=["mic", "hotdog", "chair"], metavar="SCENE")
-    p.add_argument("--kinds", nargs="*", choices=list(KINDS), default=list(KINDS), metavar="KIND")
-    p.add_argument("--effects", nargs="*", choices=list(EFFECTS), default=list(EFFECTS), metavar="EFFECT")
-    p.add_argument("--size", type=int, default=128, help="edge of the pictures, pixels (default: 128)")
-    p.add_argument("--processes", type=int, default=1, help="render processes at once (default: 1)")
-    p.add_argument(
-        "--generate", default="", metavar="OPTIONS", help="further options of the generator, in quotes"
-    )
-    p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of tg4mm train")
-    p.add_argument(
-        "--band", nargs=2, default=[], metavar=("LO", "HI"), help="band that tg4mm evaluate magnifies, Hz"
-    )
-    p.add_argument("--table", action="store_true", help="only print what is there")
-    return p
+OPTIONS = {
+    "out": {"type": Path, "metavar": "DIR"},
+    "--scenes": {"nargs": "*", "default": ["mic", "hotdog", "chair"], "metavar": "SCENE"},
+    "--kinds": {"nargs": "*", "choices": list(KINDS), "default": list(KINDS), "metavar": "KIND"},
+    "--effects": {"nargs": "*", "choices": list(EFFECTS), "default": list(EFFECTS), "metavar": "EFFECT"},
+    "--size": 128,  # edge of the pictures, pixels
+    "--processes": 1,  # render processes at once
+    "--generate": {
+        "default": "",
+        "metavar": "OPTIONS",
+        "help": "further options of the generator, in quotes",
+    },
+    "--set": {"action": "append", "default": [], "metavar": "KEY=VALUE", "help": "a setting of tg4mm train"},
+    "--band": {
+        "nargs": 2,
+        "default": [],
+        "metavar": ("LO", "HI"),
+        "help": "that tg4mm evaluate magnifies, Hz",
+    },
+    "--table": {"action": "store_true", "help": "only print what is there"},
+}
 
 
-def main() -> None:
+def run(options: argparse.Namespace) -> None:
     """Does what is left to do, case by case, and prints the table as far as it is."""
-    options = parser().parse_args()
     common = ["--size", str(options.size), "--processes", str(options.processes), *options.generate.split()]
     lines = [COLUMNS, RULE]
     for case in cases(options.out, options.scenes, options.kinds, options.effects):
@@ -166,7 +169,3 @@ def main() -> None:
         print(lines[-1], file=sys.stderr, flush=True)
     cores = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
     print(f"{options.size}×{options.size}, {cores}\n", *lines, sep="\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """What other programs show of an exported run from close up, beside our own picture of that size, and the truth.
 
-python -m benchmarks.close_up RUN [--truth FOLDER] [--blender PYTHON] [--factors 1,2,4] [--views 2]
+python -m benchmarks close_up RUN [--truth FOLDER] [--blender PYTHON] [--factors 1,2,4] [--views 2]
 
 Test views of the run's dataset, enlarged by each factor. Ours is what `tg4mm render` draws. Beside it, PSNR in dB over
 white: the exported PLY drawn by the plain formula without a low-pass; the exported SPZ as gsply reads it, drawn
@@ -18,14 +18,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image
 
-from benchmarks.formats import of_spz
+from benchmarks.formats import drawn, of_spz
 from benchmarks.low_pass import premultiplied, smaller
 from tg4mm.capture import Capture, load_capture
-from tg4mm.core.splatfile import SplatFile, read_splat
-from tg4mm.fit.gaussians import Gaussians
+from tg4mm.core.splatfile import read_splat
 from tg4mm.run import Run
 from tg4mm.show.export.formats import export_spz
 from tg4mm.show.export.splat import export_ply
@@ -60,14 +58,6 @@ def enlarged(camera: Camera, factor: int) -> Camera:
     return replace(camera, K=K, width=factor * camera.width, height=factor * camera.height)
 
 
-def drawn(splat: SplatFile, camera: Camera) -> np.ndarray:
-    """[H, W, 3] by the plain formula, without a low-pass."""
-    arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
-    gaussians = Gaussians(*(torch.from_numpy(np.ascontiguousarray(a)) for a in arrays))
-    size = (camera.width, camera.height)
-    return render_image(gaussians, camera.viewmat, camera.K, *size, low_pass_px2=NO_LOW_PASS)
-
-
 def by_blender(python: str, ply: Path, cameras: list[Camera], folder: Path) -> list[np.ndarray]:
     """[H, W, 3] over white of each camera, by Blender's own import of the PLY and Cycles."""
     jobs = []
@@ -86,46 +76,37 @@ def true_picture(truth: Capture, view: int, side: int) -> np.ndarray:
     return small[..., :3] + 1 - small[..., 3:]
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.square(np.asarray(a, float) - b).mean()))
+OPTIONS = {"run": Path, "--truth": Path, "--blender": str, "--factors": "1,2,4", "--views": 2}
 
 
-def main() -> None:
+def run(options: argparse.Namespace) -> None:
     """Print a row for each factor."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--truth", type=Path)
-    parser.add_argument("--blender")
-    parser.add_argument("--factors", default="1,2,4")
-    parser.add_argument("--views", type=int, default=2)
-    options = parser.parse_args()
-    run = Run.open(options.run)
-    gaussians = run.load_space()
-    seen = close_up(run, lambda _: gaussians)
+    trained = Run.open(options.run)
+    gaussians = trained.load_space()
+    seen = close_up(trained, lambda _: gaussians)
     truth = None if options.truth is None else load_capture(options.truth, split="test")
-    base = capture_cameras(load_capture(run.dataset, split="test"))[: options.views]
+    base = capture_cameras(load_capture(trained.dataset, split="test"))[: options.views]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        ply = export_ply(run, folder / "a.ply")
-        files = {"PLY": read_splat(ply), "SPZ, gsply": of_spz(export_spz(run, folder / "a.spz"))}
+        ply = export_ply(trained, folder / "a.ply")
+        files = {"PLY": read_splat(ply), "SPZ, gsply": of_spz(export_spz(trained, folder / "a.spz"))}
         for factor in map(int, options.factors.split(",")):
             cameras = [enlarged(camera, factor) for camera in base]
             own = [render_image(seen(0.0, c), c.viewmat, c.K, c.width, c.height) for c in cameras]
-            shown = {what: [drawn(splat, c) for c in cameras] for what, splat in files.items()}
+            shown = {
+                what: [drawn(splat, c, low_pass_px2=NO_LOW_PASS) for c in cameras]
+                for what, splat in files.items()
+            }
             if options.blender:
                 shown["Blender, Cycles"] = by_blender(options.blender, ply, cameras, folder)
-            row = [
-                f"{what} {np.mean([psnr(a, b) for a, b in zip(p, own, strict=True)]):.1f}"
-                for what, p in shown.items()
-            ]
+            row = [f"{what} {mean_psnr(pictures, own):.1f}" for what, pictures in shown.items()]
             if truth is not None:
                 wanted = [true_picture(truth, i, c.width) for i, c in enumerate(cameras)]
-                for what, p in {"ours": own, **shown}.items():
-                    row.append(
-                        f"truth | {what} {np.mean([psnr(a, b) for a, b in zip(p, wanted, strict=True)]):.1f}"
-                    )
-            print(f"{options.run.name} {factor}x", *row, sep="  ", flush=True)
+                every = {"ours": own, **shown}.items()
+                row += [f"truth | {what} {mean_psnr(pictures, wanted):.1f}" for what, pictures in every]
+            print(f"{trained.name} {factor}x", *row, sep="  ", flush=True)
 
 
-if __name__ == "__main__":
-    main()
+def mean_psnr(pictures: list[np.ndarray], others: list[np.ndarray]) -> float:
+    errors = [np.square(np.asarray(a, float) - b).mean() for a, b in zip(pictures, others, strict=True)]
+    return float(np.mean(-10 * np.log10(errors)))

@@ -1,6 +1,6 @@
 """What compression takes from small motion, and what the blind test tells of it, on random films.
 
-python -m benchmarks.codec_loss [--films N] [--first SEED]: a line for each film, then rms errors and coverage.
+python -m benchmarks codec_loss [--films N] [--first SEED]: a line for each film, then rms errors and coverage.
 """
 
 from __future__ import annotations
@@ -97,20 +97,15 @@ def tried(seed: int) -> tuple[float, float, float, float]:
     return gain, error, loss.gain, loss.deviation
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--films", type=int, default=24)
-    parser.add_argument("--first", type=int, default=100)
-    asked = parser.parse_args()
-    rows = np.array([tried(seed) for seed in range(asked.first, asked.first + asked.films)])
+OPTIONS = {"--films": 24, "--first": 100}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print a line for each film, then the figures over all."""
+    rows = np.array([tried(seed) for seed in range(options.first, options.first + options.films)])
     off, sure = np.abs(rows[:, 0] - rows[:, 2]), np.hypot(rows[:, 1], rows[:, 3])
-    print(
-        f"true - told, rms: {np.sqrt((off**2).mean()):.3f}; true - 1: {np.sqrt(((rows[:, 0] - 1) ** 2).mean()):.3f}"
-    )
+    rms, from_one = (np.sqrt((x**2).mean()) for x in (off, rows[:, 0] - 1))
+    print(f"true - told, rms: {rms:.3f}; true - 1: {from_one:.3f}")
     print(
         f"within one deviation {(off < sure).mean():.0%}, within two {(off < 2 * sure).mean():.0%} of {len(rows)}"
     )
-
-
-if __name__ == "__main__":
-    main()

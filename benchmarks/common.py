@@ -1,4 +1,4 @@
-"""What the benchmarks share: the machine's description, and the time of a call."""
+"""What the benchmarks share: the machine's description, and the times of calls."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import torch
@@ -25,27 +26,45 @@ def machine() -> str:
     return f"{platform.node()}: {processor}, {threads}, OMP_WAIT_POLICY {policy}, {load}"
 
 
-def milliseconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Median and smallest time of `call`, after one call that loads or compiles."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append((time.perf_counter() - start) * 1e3)
-    return statistics.median(times), min(times)
+class Times(NamedTuple):
+    """Milliseconds of a call, several times.
 
-
-def processor_milliseconds(call: Callable[[], object], repeats: int) -> float:
-    """Smallest processor time of `call`, after one call that loads or compiles.
-
-    With one thread it hardly depends on what else the machine does, unlike time by the clock. With more it is no sum:
-    the system books short work of other threads late.
+    Processor time with one thread hardly depends on what else the machine does, unlike time by the clock. With more it
+    is no sum: the system books short work of other threads late.
     """
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        times.append((time.process_time() - start) * 1e3)
-    return min(times)
+
+    clock: list[float]
+    processor: list[float]
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.clock)
+
+    @property
+    def least(self) -> float:
+        return min(self.clock)
+
+
+def timed(calls: dict[str, Callable[[], object]], repeats: int, each: int = 1) -> dict[str, Times]:
+    """Times of every call: `each` of one, then of the next, round after round, after one that is not counted.
+
+    What slows the machine down for a while falls to all of them. With `each` above 1 every turn begins with a call that
+    is not counted: it fetches what the one before has driven out of the caches.
+    """
+    rounds = -(-repeats // each)
+    times = {name: Times([], []) for name in calls}
+    for n in range(rounds):
+        for name, call in calls.items():
+            if each > 1 or not n:
+                call()
+            for _ in range(repeats * n // rounds, repeats * (n + 1) // rounds):
+                clock, processor = time.perf_counter(), time.process_time()
+                call()
+                times[name].clock.append((time.perf_counter() - clock) * 1e3)
+                times[name].processor.append((time.process_time() - processor) * 1e3)
+    return times
+
+
+def times_of(call: Callable[[], object], repeats: int) -> Times:
+    """Times of one call, after one that loads or compiles."""
+    return timed({"": call}, repeats)[""]

@@ -1,6 +1,6 @@
 """What formats of other tools keep of a run: size, and PSNR of what a reader gets against the run itself.
 
-    python -m benchmarks.formats RUN [--alpha 20]
+    python -m benchmarks formats RUN [--alpha 20]
 
 Written, read back by another's reader (glTF by its targets, SPZ by gsply, USD by OpenUSD), drawn by our rasteriser from
 the first camera at every timestep of a period, against the run magnified by α. The least over timesteps counts.
@@ -27,7 +27,7 @@ from tg4mm.run import Run
 from tg4mm.show.export.formats import export_gltf, export_spz_sequence, export_usd, one_period
 from tg4mm.show.export.splat import export_ply, frames_of, splat_of
 from tg4mm.show.render import RenderRequest
-from tg4mm.show.render.cameras import capture_cameras
+from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.render.image import render_image
 
 At = Callable[[int], SplatFile]  # timestep → Gaussians
@@ -70,54 +70,41 @@ def of_usd(path: Path) -> At:
     return at
 
 
-def drawn(splat: SplatFile, camera) -> np.ndarray:
-    tensors = (
-        torch.from_numpy(a) for a in (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
-    )
-    picture = render_image(Gaussians(*tensors), camera.viewmat, camera.K, camera.width, camera.height)
-    return np.asarray(picture, np.float64)
+def drawn(splat: SplatFile, camera: Camera, **options: float) -> np.ndarray:
+    """[H, W, 3] by our rasteriser."""
+    arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
+    gaussians = Gaussians(*(torch.from_numpy(np.ascontiguousarray(a)) for a in arrays))
+    size = (camera.width, camera.height)
+    return np.asarray(render_image(gaussians, camera.viewmat, camera.K, *size, **options), np.float64)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--alpha", type=float, default=20.0)
-    options = parser.parse_args()
-    run = Run.open(options.run)
-    request = RenderRequest(alpha=options.alpha)
-    times = one_period(run)
-    camera = capture_cameras(load_capture(run.dataset))[0]
-    true = frames_of(run, request, times)
+OPTIONS = {"run": Path, "--alpha": 20.0}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print a row for each format."""
+    trained, request = Run.open(options.run), RenderRequest(alpha=options.alpha)
+    times = one_period(trained)
+    camera = capture_cameras(load_capture(trained.dataset))[0]
+    true = frames_of(trained, request, times)
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch)
-        ply = read_splat(export_ply(run, out / "a.ply"))
-        export_gltf(run, out / "a.glb", request.plan)
-        export_spz_sequence(run, out / "spz", request)
-        export_usd(run, out / "a.usdc", request)
-        still = replace(splat_of(run), rotation=np.zeros_like(ply.rotation))
-        rows: dict[str, tuple[int, At]] = {
-            "ply": ((out / "a.ply").stat().st_size, lambda t: moment(ply, t, options.alpha)),
-            "gltf": (
-                (out / "a.glb").stat().st_size,
-                lambda t: moment(still, t, options.alpha, turning=False),
-            ),
-            "spz, a timestep": (
-                (out / "spz/frame_0000.spz").stat().st_size,
-                lambda t: of_spz(out / f"spz/frame_{t:04d}.spz"),
-            ),
-            "usd": ((out / "a.usdc").stat().st_size, of_usd(out / "a.usdc")),
+        ply = read_splat(export_ply(trained, out / "a.ply"))
+        export_gltf(trained, out / "a.glb", request.plan)
+        export_spz_sequence(trained, out / "spz", request)
+        export_usd(trained, out / "a.usdc", request)
+        still = replace(splat_of(trained), rotation=np.zeros_like(ply.rotation))
+        rows: dict[str, tuple[str, At]] = {
+            "ply": ("a.ply", lambda t: moment(ply, t, options.alpha)),
+            "gltf": ("a.glb", lambda t: moment(still, t, options.alpha, turning=False)),
+            "spz, a timestep": ("spz/frame_0000.spz", lambda t: of_spz(out / f"spz/frame_{t:04d}.spz")),
+            "usd": ("a.usdc", of_usd(out / "a.usdc")),
         }
         print(
             f"{len(ply)} Gaussians, {ply.n_modes} modes, {ply.n_timesteps} timesteps, α = {options.alpha:g}"
         )
         print("| format | bytes | least PSNR, dB |\n|---|---|---|")
-        for name, (size, at) in rows.items():
+        for name, (file, at) in rows.items():
             errors = [np.mean((drawn(at(t), camera) - drawn(true.at(t), camera)) ** 2) for t in times]
             psnr = f"{-10 * np.log10(max(errors)):.1f}" if max(errors) else "equal"
-            print(f"| {name} | {size:,} | {psnr} |")
-
-
-if __name__ == "__main__":
-    main()
+            print(f"| {name} | {(out / file).stat().st_size:,} | {psnr} |")

@@ -1,6 +1,6 @@
 """A run on one of the phone captures of the fox's room, scored against the known vibration.
 
-    python -m benchmarks.fox_phone RUN --truth DIR [--scene RUN] [--out FILE] [--no-pictures]
+    python -m benchmarks fox_phone RUN --truth DIR [--scene RUN] [--out FILE] [--no-pictures]
 
 RUN was trained on a capture whose scene.json says its kind (tripod, handheld, clips, flat); DIR holds truth.json and
 gauss.npz. The run's world is aligned with the truth's by the cameras' poses. `picture`: displacement in the tripod's
@@ -14,7 +14,6 @@ the capture's pictures. `pictures`: SSIM of views magnified by 20 against the ex
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -224,27 +223,22 @@ def scored(run: Run, truth: Truth, scene: Gaussians | None = None, pictures: boo
     return figures
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Score, print, and write JSON where asked to. 2 on bad input."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--truth", type=Path, default=Path("../shared/data/fox_phone/truth"))
-    parser.add_argument(
-        "--scene", type=Path, help="a run with true poses, whose rest scene carries the truth"
-    )
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--no-pictures", action="store_true", help="leave out the SSIM of magnified views")
-    args = parser.parse_args(arguments)
-    try:
-        scene = Run.open(args.scene).load_space() if args.scene else None
-        figures = scored(Run.open(args.run), Truth.load(args.truth), scene, not args.no_pictures)
-    except (Tg4mmError, OSError) as error:
-        print(f"benchmarks/fox_phone.py: {error}", file=sys.stderr)
-        return 2
+OPTIONS = {
+    "run": Path,
+    "--truth": Path("../shared/data/fox_phone/truth"),
+    "--scene": {"type": Path, "help": "a run with true poses, whose rest scene carries the truth"},
+    "--out": Path,
+    "--no-pictures": {"action": "store_true", "help": "leave out the SSIM of magnified views"},
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Score, print, and write JSON where asked to."""
+    scene = Run.open(options.scene).load_space() if options.scene else None
+    figures = scored(Run.open(options.run), Truth.load(options.truth), scene, not options.no_pictures)
     print(report(figures))
-    if args.out:
-        write_json(args.out, figures)
-    return 0
+    if options.out:
+        write_json(options.out, figures)
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -276,7 +270,3 @@ def report(figures: dict[str, Any]) -> str:
     for view, values in figures.get("pictures", {}).items():
         lines.append(f"SSIM ×{ALPHA} {view}: " + "  ".join(f"{k} {v:.4f}" for k, v in values.items()))
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

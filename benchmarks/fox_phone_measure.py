@@ -1,6 +1,6 @@
 """Virtual sensors on the fox's tripod or clips against the exact motion: amplitude and phase in pixels.
 
-python -m benchmarks.fox_phone_measure RUN --truth CAPTURES/fox_phone/truth
+python -m benchmarks fox_phone_measure RUN --truth CAPTURES/fox_phone/truth
 
 Of a tripod the sensors are pixels of its view; of clips spheres around the same places, and each component of the
 motion common to all of them is compared, on the clock of the first clip.
@@ -27,19 +27,19 @@ from tg4mm.show.measure.fourier import sinusoid_columns
 PLACES = {"nose": (302, 423, 14), "frame": (90, 192, 16), "wall": (430, 120, 40)}
 
 
-def main() -> None:
+OPTIONS = {
+    "run": Path,
+    "--truth": {"type": Path, "required": True},
+    "--sensor": {"action": "append", "default": [], "help": "NAME=REGION beside nose, frame and wall"},
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--truth", type=Path, required=True)
-    parser.add_argument("--sensor", action="append", help="NAME=REGION beside nose, frame and wall")
-    asked = parser.parse_args()
-    truth, scene = Truth.load(asked.truth), prepare(Run.open(asked.run))
+    truth, scene = Truth.load(options.truth), prepare(Run.open(options.run))
     kind = kind_of(scene.capture)
     world = _world(scene, truth, kind)
-    own = [parse_sensor(text) for text in asked.sensor or []]
+    own = [parse_sensor(text) for text in options.sensor]
     sensors = [*(_pixel(name) if kind == "tripod" else _sphere(name, truth, world) for name in PLACES), *own]
     for sensor in sensors:
         print(f"--sensor {sensor}")
@@ -135,7 +135,3 @@ def _of_clips(result: SensorResult, hz: np.ndarray) -> tuple[np.ndarray, np.ndar
         if abs(hz[f] - peak.frequency_hz) < 0.5 / np.ptp(result.times_s):
             own[f], deviation[f] = peak.phasor, peak.deviation
     return own, deviation
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Dataset trees of the phone captures of the fox's room with their true poses: what a perfect SfM would hand over.
 
-    python -m benchmarks.fox_phone_sets CAPTURES OUT [--only tripod handheld clips flat] [--sizes full half]
+    python -m benchmarks fox_phone_sets CAPTURES OUT [--only tripod handheld clips flat] [--sizes full half]
 
 CAPTURES holds tripod/, handheld/, clips/ and truth/; OUT gets tripod, handheld, clips, flat (the tripod's video alone,
 its camera at the origin looking along +y) and the same as …_half.
@@ -174,24 +174,22 @@ def surface_points(captures: Path, truth: dict[str, Any]) -> SurfacePoints:
     return SurfacePoints(xyz[chosen].astype(np.float32), rgb[chosen])
 
 
-def main() -> None:
+OPTIONS = {
+    "captures": Path,
+    "out": Path,
+    "--only": {"nargs": "+", "choices": KINDS, "default": KINDS},
+    "--sizes": {"nargs": "+", "choices": sorted(SIZES), "default": ("half", "full")},
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Write the sets that are asked for and are not there yet; OUT/ready.txt has a line for each."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("captures", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--only", nargs="+", choices=KINDS, default=KINDS)
-    parser.add_argument("--sizes", nargs="+", choices=sorted(SIZES), default=("half", "full"))
-    args = parser.parse_args()
-    truth = json.loads((args.captures / "truth" / "truth.json").read_text())
-    for size in args.sizes:
+    truth = json.loads((options.captures / "truth" / "truth.json").read_text())
+    for size in options.sizes:
         suffix, side = SIZES[size]
-        for kind in args.only:
-            out = args.out / f"{kind}{suffix}"
+        for kind in options.only:
+            out = options.out / f"{kind}{suffix}"
             if not (out / "scene.json").is_file():
-                write_set(out, args.captures, truth, kind, side)
-                with (args.out / "ready.txt").open("a") as ready:
+                write_set(out, options.captures, truth, kind, side)
+                with (options.out / "ready.txt").open("a") as ready:
                     ready.write(f"{out.name}\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
 """The paper's configuration on a GPU: seconds of each stage, frames per second, the paper's figures beside them.
 
-    python -m benchmarks.gpu [--data DATASET] [--out gpu.json]
-    python -m benchmarks.gpu --smoke --device cpu            the same code in seconds, for CI
+    python -m benchmarks gpu [--data DATASET] [--out gpu.json]
+    python -m benchmarks gpu --smoke --device cpu            the same code in seconds, for CI
 
 Both presets on 512×512 pictures: `modal` with a space stage of 20,000 iterations, `paper` with 20,000 of the space
 triplane (of which 3,000 fit the base Gaussians) and 7,000 of the motion triplanes, shared by all timesteps; between
@@ -12,18 +12,13 @@ error of what is found can be given too. --smoke needs no dataset; its figures s
 
 from __future__ import annotations
 
-import tg4mm  # noqa: F401, before torch and numba: how their threads wait
-
-# isort: split
-
 import argparse
 import importlib.metadata
 import math
 import platform
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -255,16 +250,16 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Measure, write the JSON, print the table. 2 where the device or the dataset is not there."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, help=f"dataset folder [default: {DATA}; none with --smoke]")
-    parser.add_argument("--device", choices=DEVICES, default="cuda")
-    parser.add_argument("--smoke", action="store_true", help="a tiny scene, a few iterations")
-    parser.add_argument(
-        "--out", type=Path, default=Path("gpu.json"), help="where the figures go [default: %(default)s]"
-    )
-    options = parser.parse_args(argv)
+OPTIONS = {
+    "--data": {"type": Path, "help": f"dataset folder [default: {DATA}; none with --smoke]"},
+    "--device": {"choices": DEVICES, "default": "cuda"},
+    "--smoke": {"action": "store_true", "help": "a tiny scene, a few iterations"},
+    "--out": Path("gpu.json"),  # where the figures go
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure, write the JSON, print the table."""
     data = options.data if options.smoke or options.data is not None else DATA
     try:
         check_device(options.device)
@@ -273,15 +268,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             figures = measure(data, SMOKE if options.smoke else FULL, options.device, Path(folder))
     except Tg4mmError as error:
         hint = "" if options.smoke else " (--device cpu --smoke runs the same code anywhere)"
-        print(f"benchmarks/gpu.py: {error}{hint}", file=sys.stderr)
-        return 2
+        raise Tg4mmError(f"{error}{hint}") from None
     result = {
         "machine": machine(options.device), "smoke": options.smoke, "data": str(data or "synthetic"),
         "setup_seconds": setup, **figures, "published": {"gpu": "NVIDIA A800", **PUBLISHED},
     }  # fmt: skip
     write_json(options.out, _finite(result))
     print(table(result))
-    return 0
 
 
 def _finite(value: Any) -> Any:
@@ -289,7 +282,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """How far the space stage gets from each initialisation, one row for a dataset and a start.
 
-    python -m benchmarks.initialisation SET [SET …] --out FOLDER [--inits hull,points,sfm,random] [--iterations 1500]
+    python -m benchmarks initialisation SET [SET …] --out FOLDER [--inits hull,points,sfm,random] [--iterations 1500]
                                         [--pictures]
 
 Trains the Gaussians at rest alone (means over time, as `tg4mm train` does) and compares the test views' means over
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -145,32 +144,22 @@ def means(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     return lines
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("sets", nargs="+", type=Path, metavar="SET")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--inits", default=",".join(STARTS))
-    parser.add_argument("--iterations", type=int, default=1500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--pictures", action="store_true")
-    options = parser.parse_args(arguments)
+OPTIONS = {
+    "sets": {"nargs": "+", "type": Path, "metavar": "SET"},
+    "--out": {"type": Path, "required": True},
+    "--inits": ",".join(STARTS),
+    "--iterations": 1500,
+    "--seed": 0,
+    "--pictures": False,
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print a row for each dataset and start, then means."""
     starts = options.inits.split(",")
-    unknown = [start for start in starts if start not in INITS]
-    if unknown:
-        parser.error(f"--inits: {unknown[0]!r} is none of {', '.join(INITS)}")
+    if unknown := [start for start in starts if start not in INITS]:
+        raise Tg4mmError(f"--inits: {unknown[0]!r} is none of {', '.join(INITS)}")
     config = SpaceConfig(iterations=options.iterations, seed=options.seed)
-    rows: list[dict[str, Any]] = []
-    try:
-        for root in options.sets:
-            rows += rows_of(root, options.out, starts, config, options.pictures)
-    except Tg4mmError as error:
-        print(f"benchmarks/initialisation.py: {error}", file=sys.stderr)
-        return 2
+    each = (rows_of(root, options.out, starts, config, options.pictures) for root in options.sets)
+    rows = [row for some in each for row in some]
     print("\n" + table(HEADER, [cells(row) for row in rows] + means(rows), text_columns=2))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

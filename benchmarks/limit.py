@@ -1,6 +1,6 @@
 """What the arithmetic of blending alone would take, from the machine code of its inner loops.
 
-    python -m benchmarks.limit
+    python -m benchmarks limit
 
 needs AVX-512. It compiles the loops anew and prints what they are made of, for one block, the two loops of the backward
 pass together; forward it is the loop of the picture alone. The constants below are what it printed for an earlier
@@ -18,10 +18,7 @@ yardstick. Two limits follow, in cycles of one core:
 
 from __future__ import annotations
 
-import tg4mm  # noqa: F401, before torch and numba: how their threads wait
-
-# isort: split
-
+import argparse
 import math
 import os
 import re
@@ -30,6 +27,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import float32, njit
@@ -165,7 +163,7 @@ def composition(body: list[str]) -> Loop:
 
 def printed() -> None:
     """Compile both kernels on a small scene and print what their loops are made of."""
-    from kernels import Kernels, scene
+    from benchmarks.kernels import Kernels, scene
 
     parameters, viewmat, K = scene(500, 64)
     kernels = Kernels([p.numpy() for p in parameters], viewmat.numpy(), K.numpy(), (64, 64))
@@ -175,15 +173,14 @@ def printed() -> None:
             print(f"{name}, {blocks} block(s) a round: {composition(body)}", flush=True)
 
 
-def main() -> None:
+OPTIONS: dict[str, Any] = {}
+
+
+def run(options: argparse.Namespace) -> None:
     """`printed` in a process without cached kernels, of which there would be no machine code to see."""
     if "TG4MM_LIMIT" in os.environ:
         return printed()
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"NUMBA_CACHE_DIR": folder, "TG4MM_LIMIT": "1"}
-        subprocess.run([sys.executable, __file__], env=environment, check=True)
+        subprocess.run([sys.executable, "-m", "benchmarks", "limit"], env=environment, check=True)
     return None
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """PSNR of test views at ½, 1, 2 and 4 times the training resolution, with and without the low-pass in the scales.
 
-python -m benchmarks.low_pass DATASET WORK [--shrink 4]
+python -m benchmarks low_pass DATASET WORK [--shrink 4]
 
 DATASET is one NeRF-synthetic folder. Its pictures are made smaller by --shrink (means of pixels) in WORK/data, trained
 into WORK/run unless that is there, and rendered against the pictures of the full size, made smaller likewise, over
@@ -87,18 +87,18 @@ def scores(gaussians: Gaussians, test: Capture, trained: int, low_pass: float, s
     return found
 
 
-def main() -> None:
+OPTIONS = {"dataset": Path, "work": Path, "--shrink": 4}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("work", type=Path)
-    parser.add_argument("--shrink", type=int, default=4)
-    options = parser.parse_args()
-    data, run = options.work / "data", options.work / "run"
-    if not (run / "space.safetensors").exists():
+    data, trained_in = options.work / "data", options.work / "run"
+    if not (trained_in / "space.safetensors").exists():
         shrink(options.dataset, data, options.shrink)
-        subprocess.run([sys.executable, "-m", "tg4mm", "train", str(data), "--out", str(run)], check=True)
-    opened = Run.open(run)
+        subprocess.run(
+            [sys.executable, "-m", "tg4mm", "train", str(data), "--out", str(trained_in)], check=True
+        )
+    opened = Run.open(trained_in)
     gaussians, test = opened.load_space(), load_capture(options.dataset, split="test")
     trained, variance = load_capture(opened.dataset).width, smoothing_of(opened)
     old = gaussians.scales.numpy()
@@ -109,14 +109,9 @@ def main() -> None:
         f"{BAKED_PX2} px² in scales": replace(gaussians, scales=wide),
         "and opacity by volume": replace(gaussians, scales=wide, opacities=gaussians.opacities * volumes),
     }
-    print(
-        f"{trained}×{trained}, {len(gaussians)} Gaussians; dB at {', '.join(f'{f:g}' for f in FACTORS)} times that"
-    )
+    factors = ", ".join(f"{f:g}" for f in FACTORS)
+    print(f"{trained}×{trained}, {len(gaussians)} Gaussians; dB at {factors} times that")
     for viewer, (low_pass, samples) in VIEWERS.items():
         for file, content in files.items():
             row = scores(content, test, trained, low_pass, samples)
             print(f"viewer {viewer:8s} {file:22s}", *(f"{value:6.2f}" for value in row), flush=True)
-
-
-if __name__ == "__main__":
-    main()

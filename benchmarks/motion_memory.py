@@ -1,6 +1,6 @@
 """Memory and time of the motion stage on pictures of any size and number, without a space stage.
 
-    python -m benchmarks.motion_memory OUT [--size 1920x1080] [--cameras 8] [--timesteps 300] [--gaussians 60000]
+    python -m benchmarks motion_memory OUT [--size 1920x1080] [--cameras 8] [--timesteps 300] [--gaussians 60000]
                                        [--moved 0.3] [--iterations 4] [--gauss-newton 1]
 
 Random Gaussians rock about a vertical line by --moved pixels, six different pictures a period, which are written once
@@ -113,20 +113,25 @@ class Told:
         self._began = time.process_time()
 
 
-def main() -> None:
+def _size(text: str) -> tuple[int, ...]:
+    return tuple(int(x) for x in text.split("x"))
+
+
+OPTIONS = {
+    "out": Path,
+    "--size": {"type": _size, "default": (1920, 1080), "help": "pixels"},
+    "--cameras": 8,
+    "--timesteps": 300,
+    "--gaussians": 60_000,
+    "--moved": {"type": float, "default": 0.3, "help": "pixels; above 0.7 by Gauss-Newton"},
+    "--iterations": 4,
+    "--gauss-newton": 1,
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the lines and the most."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument(
-        "--size", type=lambda s: tuple(int(x) for x in s.split("x")), default=(1920, 1080), help="pixels"
-    )
-    parser.add_argument("--cameras", type=int, default=8)
-    parser.add_argument("--timesteps", type=int, default=300)
-    parser.add_argument("--gaussians", type=int, default=60_000)
-    parser.add_argument("--moved", type=float, default=0.3, help="pixels; above 0.7 by Gauss-Newton")
-    parser.add_argument("--iterations", type=int, default=4)
-    parser.add_argument("--gauss-newton", type=int, default=1)
-    asked = parser.parse_args()
+    asked = options
     print(machine())
     gaussians = random_scene(asked.gaussians)
     capture = filmed(asked.out, gaussians, asked)
@@ -139,7 +144,3 @@ def main() -> None:
         f"Gaussians, {fit.figures['components']} components, {fit.figures['pixels_moved']:.2f} px, "
         f"{fit.figures['gauss_newton']} Gauss-Newton iterations: {told.most:.0f} MiB at most"
     )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """How long the space stage takes on photographs, and how well it shows those that it was not given.
 
-    python -m benchmarks.photographs DATASET [--shrink 4] [--set space.iterations=3000 …] [--spoil 0.1] [--out FOLDER]
+    python -m benchmarks photographs DATASET [--shrink 4] [--set space.iterations=3000 …] [--spoil 0.1] [--out FOLDER]
 
 Every eighth picture from the fifth is held out. --shrink: pictures are made so many times smaller first (means over
 squares). --spoil: every training picture and channel is multiplied by a gain of its own, of this standard deviation in
@@ -15,10 +15,8 @@ each channel that fits best.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -28,7 +26,6 @@ from PIL import Image
 from benchmarks.common import machine
 from benchmarks.initialisation import sheet
 from tg4mm.capture import SurfacePoints, load_capture, load_images
-from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.metrics import psnr
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
@@ -96,7 +93,16 @@ def save_pictures(
     Image.fromarray((view * 255 + 0.5).astype(np.uint8)).save(folder / "between.png")
 
 
-def report(options: argparse.Namespace) -> None:
+OPTIONS = {
+    "dataset": Path,
+    "--shrink": 1,
+    "--set": {"action": "append", "default": [], "metavar": "KEY=VALUE"},
+    "--spoil": 0.0,
+    "--out": Path,
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Fit, and print the figures."""
     settings = dict(pair.split("=", 1) for pair in options.set)
     config = parse_settings(settings)["space"]
@@ -127,25 +133,3 @@ def report(options: argparse.Namespace) -> None:
         print(f"gains: deviation {np.log(given).std():.4f} given, {off.std():.4f} from what was found")
     if options.out:
         save_pictures(options.out, gaussians, training, test, pictures)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures of one fit."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("--shrink", type=int, default=1)
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--spoil", type=float, default=0.0)
-    parser.add_argument("--out", type=Path)
-    try:
-        report(parser.parse_args(arguments))
-    except Tg4mmError as error:
-        print(f"benchmarks/photographs.py: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Time of the CPU rasteriser, forward and backward, beside its peers and the arithmetic limit.
 
-    python -m benchmarks.rasterize [--run RUN] [--repeats 9] [--only synthetic | cost | run]
+    python -m benchmarks rasterize [--run RUN] [--repeats 9] [--only synthetic | cost | run]
 
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
 500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
@@ -15,13 +15,8 @@ There the processor time says more, with one thread: OMP_NUM_THREADS=1 NUMBA_NUM
 
 from __future__ import annotations
 
-import tg4mm  # noqa: F401, before torch and numba: how their threads wait
-
-# isort: split
-
 import argparse
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -32,10 +27,11 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from benchmarks.common import machine, processor_milliseconds
+from benchmarks.common import Times, machine, timed, times_of
 from benchmarks.kernels import Kernels, scene
 from benchmarks.limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from tg4mm.capture import load_capture
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.rasterize.reference import rasterize_dense
@@ -159,7 +155,7 @@ def cost(repeats: int) -> None:
             evaluations = visible_evaluations(*kernels.lists)
             for unit, number in zip(counts, (n, kernels.n_pairs, size * size, evaluations), strict=True):
                 counts[unit].append(number)
-            times = {name: processor_milliseconds(call, repeats) for name, call in kernels.calls.items()}
+            times = {name: min(times_of(call, repeats).processor) for name, call in kernels.calls.items()}
             for name, value in times.items():
                 found.setdefault(name, []).append(value)
             shown = ", ".join(f"{name} {value:.2f}" for name, value in times.items())
@@ -177,30 +173,6 @@ def cost(repeats: int) -> None:
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
 
 
-def in_rounds(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float, float]]:
-    """Median and least milliseconds by the clock, and the least processor time (exact with one thread only), of each.
-
-    Each is called at most ROUND times, then the next, and so on round after round: what slows the machine down for a
-    while falls to all of them.
-    """
-    rounds = -(-repeats // ROUND)
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
-    for n in range(rounds):
-        for name, call in calls.items():
-            call()  # loads or compiles, and fetches what the one before has driven out of the caches
-            for _ in range(repeats * n // rounds, repeats * (n + 1) // rounds):
-                start = time.perf_counter(), time.process_time()
-                call()
-                times[name].append(
-                    ((time.perf_counter() - start[0]) * 1e3, (time.process_time() - start[1]) * 1e3)
-                )
-    by_name = {name: tuple(zip(*pairs, strict=True)) for name, pairs in times.items()}
-    return {
-        name: (statistics.median(clock), min(clock), min(processor))
-        for name, (clock, processor) in by_name.items()
-    }
-
-
 class Trained:
     """The Gaussians of a run and one camera of its dataset."""
 
@@ -214,13 +186,13 @@ class Trained:
         camera = len(self.viewmats) // 2
         self.viewmat, self.K = self.viewmats[camera], self.Ks[camera]
 
-    def times(self, repeats: int) -> dict[str, tuple[float, float, float]]:
-        """Milliseconds of every kernel and of whole passes (median, least, processor); prints the limit of blending."""
+    def times(self, repeats: int) -> dict[str, Times]:
+        """Of every kernel and of whole passes; prints the limit of blending."""
         g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)
         passes = {"forward, all": self.frame, "forward + backward, all": self.both_passes}
-        times = in_rounds({**kernels.calls, **passes}, repeats)
+        times = timed({**kernels.calls, **passes}, repeats, ROUND)
         evaluations, blocks = visible_evaluations(*kernels.lists), blocks_seen(kernels.reached)
         ghz = clock_ghz()
         print(
@@ -231,7 +203,7 @@ class Trained:
         for name, loop in limits if numba.get_num_threads() == 1 else ():
             least, of_blocks = evaluations / 16 * loop.arithmetic, blocks * loop.cycles * PIXELS / 16
             least, of_blocks = (n / (ghz * 1e6) for n in (least, of_blocks))
-            taken = times[name][2]
+            taken = min(times[name].processor)
             print(
                 f"arithmetic limit of {name}: {least:.2f} ms of processor time, {of_blocks:.2f} for these blocks; "
                 f"taken: {taken / least:.1f} and {taken / of_blocks:.1f} times that"
@@ -280,36 +252,36 @@ def trained(folder: str, repeats: int) -> None:
         torch.set_num_threads(threads)
         print(f"\n{folder}, {scene.size[0]}×{scene.size[1]}, {threads} threads")
         times = scene.times(repeats)
-        for name, (median, least, processor) in times.items():
-            print(f"  {name:24s} {median:7.2f} [{least:.2f}] ms, processor {processor:.2f} ms")
-        print(
-            f"  {1e3 / times['forward, all'][0]:.0f} frames per second, at best {1e3 / times['forward, all'][1]:.0f}"
-        )
+        for name, t in times.items():
+            print(f"  {name:24s} {t.median:7.2f} [{t.least:.2f}] ms, processor {min(t.processor):.2f} ms")
+        whole = times["forward, all"]
+        print(f"  {1e3 / whole.median:.0f} frames per second, at best {1e3 / whole.least:.0f}")
         batches = {f"{each} cameras a call": partial(scene.cameras, each) for each in (1, CAMERAS)}
-        for name, (median, least, _) in in_rounds(batches, max(repeats // 10, 3)).items():
-            print(f"  both passes of {CAMERAS} cameras, {name}: {median:.1f} [{least:.1f}] ms")
+        for name, t in timed(batches, max(repeats // 10, 3), ROUND).items():
+            print(f"  both passes of {CAMERAS} cameras, {name}: {t.median:.1f} [{t.least:.1f}] ms")
     try:
         torch.set_num_threads(1)
-        peer = processor_milliseconds(scene.gsplat_reference, repeats)
+        peer = min(times_of(scene.gsplat_reference, repeats).processor)
     except ImportError as error:
         print(f"gsplat's torch reference cannot be imported: {error}")
         return
-    ratio = peer / times["project"][2]
+    ratio = peer / min(times["project"].processor)
     print(
         f"gsplat's torch reference, projection + SH only: {peer:.1f} ms of processor, {ratio:.0f} times our `project`"
     )
 
 
-def main() -> None:
+OPTIONS = {
+    "--repeats": 9,
+    "--run": {"help": "a run folder with trained Gaussians"},
+    "--only": {"choices": ["synthetic", "cost", "run"], "help": "one part alone"},
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--run", help="a run folder with trained Gaussians")
-    parser.add_argument("--only", choices=["synthetic", "cost", "run"], help="one part alone")
-    parser.add_argument("--only-run", dest="only", action="store_const", const="run", help="--only run")
-    options = parser.parse_args()
     if options.only == "run" and not options.run:
-        sys.exit("--only run needs --run")
+        raise Tg4mmError("--only run needs --run")
     print(machine())
     if options.only in (None, "synthetic"):
         synthetic(options.repeats)
@@ -317,7 +289,3 @@ def main() -> None:
         cost(options.repeats)
     if options.run and options.only in (None, "run"):
         trained(options.run, options.repeats)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,15 +1,15 @@
 """A speckle plate that moves by a twentieth of a pixel: our sensor beside pyidi's Lucas–Kanade on the same frames.
 
-python -m benchmarks.speckle make data/speckle            # 96×96, 60 frames, a flat capture; and frames.npz
+python -m benchmarks speckle make data/speckle            # 96×96, 60 frames, a flat capture; and frames.npz
 tg4mm train data/speckle --out runs/speckle
-python -m benchmarks.speckle pyidi data/speckle           # needs pyidi, in an environment of its own; pyidi.npz
-python -m benchmarks.speckle compare runs/speckle data/speckle
+python -m benchmarks speckle pyidi data/speckle           # needs pyidi, in an environment of its own; pyidi.npz
+python -m benchmarks speckle compare runs/speckle data/speckle
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +101,9 @@ def _rms(values: np.ndarray) -> str:
     return ", ".join(f"{v:.5f}" for v in np.sqrt((values**2).mean(0)))
 
 
-if __name__ == "__main__":
-    command, *paths = sys.argv[1:]
-    {"make": make, "pyidi": by_pyidi, "compare": compare}[command](*map(Path, paths))
+OPTIONS = {"command": {"choices": ["make", "pyidi", "compare"]}, "paths": {"nargs": "+", "type": Path}}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Do one of the three steps."""
+    {"make": make, "pyidi": by_pyidi, "compare": compare}[options.command](*options.paths)

@@ -1,6 +1,6 @@
 """Time of the first picture in a fresh process: kernels compiled (cold cache) and read from the cache (warm).
 
-    python -m benchmarks.startup [--repeats 3]
+    python -m benchmarks startup [--repeats 3]
 
 The last column is the processor time from the start of Python to the first picture: on a machine that does nothing
 else about the time by the clock, on a shared one what that would be.
@@ -49,19 +49,15 @@ def first_call(cache: Path) -> list[float]:
     return [float(x) for x in done.stdout.split()]
 
 
-def main() -> None:
+OPTIONS = {"--repeats": 3}  # of the warm cache
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=3, help="of the warm cache")
-    repeats = parser.parse_args().repeats
     print(machine())
     print(f"{'cache':8s} {'import':>8s} {'forward':>8s} {'backward':>8s} {'processor':>9s}  s")
     with tempfile.TemporaryDirectory() as folder:
         cold = first_call(Path(folder))
-        warm = [first_call(Path(folder)) for _ in range(repeats)]
+        warm = [first_call(Path(folder)) for _ in range(options.repeats)]
     for name, times in (("cold", cold), ("warm", [statistics.median(t) for t in zip(*warm, strict=True)])):
         print(f"{name:8s} " + " ".join(f"{t:8.2f}" for t in times))
-
-
-if __name__ == "__main__":
-    main()

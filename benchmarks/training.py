@@ -1,6 +1,6 @@
 """Iterations per second of both training stages on a run's own data, each beside what it took the place of.
 
-    python -m benchmarks.training RUN [--iterations 60] [--stage space|motion|both]
+    python -m benchmarks training RUN [--iterations 60] [--stage space|motion|both]
 
 RUN is a folder that `tg4mm train` left. Space stage: the run's Gaussians from a random view each, with loss and
 optimiser, by torch around the rendering kernels (`ParameterAdam`) and by `fused.py`. Motion stage: conjugate gradient
@@ -12,20 +12,15 @@ Processor time with one thread hardly depends on the load; with more, the system
 
 from __future__ import annotations
 
-import tg4mm  # noqa: F401, before torch and numba: how their threads wait
-
-# isort: split
-
 import argparse
 import statistics
-import time
 from collections.abc import Callable
 
 import numba
 import numpy as np
 import torch
 
-from benchmarks.common import machine
+from benchmarks.common import machine, timed
 from tg4mm.capture import load_capture, load_images
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import DEFAULT
@@ -78,21 +73,6 @@ def motion_iterations(operator: CpuOperator) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def in_turn(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, tuple[float, float, float]]:
-    """Median and least milliseconds by the clock, and the median of processor time, of every call."""
-    for call in calls.values():
-        call()
-    wall: dict[str, list[float]] = {name: [] for name in calls}
-    cpu: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            began, used = time.perf_counter(), time.process_time()
-            call()
-            wall[name].append((time.perf_counter() - began) * 1e3)
-            cpu[name].append((time.process_time() - used) * 1e3)
-    return {n: (statistics.median(wall[n]), min(wall[n]), statistics.median(cpu[n])) for n in calls}
-
-
 def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units: dict[str, int]) -> None:
     """Print the times with one thread and with all; `units`: of work that a call does."""
     threads = {1, numba.config.NUMBA_NUM_THREADS}
@@ -102,7 +82,8 @@ def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units
     for count in sorted(threads):
         numba.set_num_threads(count)
         torch.set_num_threads(count)
-        times = in_turn(calls, rounds)
+        found = timed(calls, rounds)
+        times = {n: (t.median, t.least, statistics.median(t.processor)) for n, t in found.items()}
         first = [t / units[next(iter(calls))] for t in times[next(iter(calls))]]
         for name, values in times.items():
             per = [t / units[name] for t in values]
@@ -110,15 +91,17 @@ def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units
             print(f"{name:8s} {count:7d} {per[0]:8.2f} {per[1]:8.2f} {per[2]:9.2f}   {ratios}", flush=True)
 
 
-def main() -> None:
+OPTIONS = {
+    "run": str,
+    "--iterations": 60,
+    "--stage": {"choices": ["space", "motion", "both"], "default": "both"},
+}
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("run")
-    parser.add_argument("--iterations", type=int, default=60)
-    parser.add_argument("--stage", choices=["space", "motion", "both"], default="both")
-    options = parser.parse_args()
-    run = Run.open(options.run)
-    gaussians, capture = run.load_space(), load_capture(run.dataset)
+    trained = Run.open(options.run)
+    gaussians, capture = trained.load_space(), load_capture(trained.dataset)
     images = load_images(capture)
     print(machine())
     size = f"{capture.width}×{capture.height}, {len(gaussians)} Gaussians"
@@ -131,7 +114,3 @@ def main() -> None:
         title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"
         calls = motion_iterations(problem.on_cpu(problem.everything, DEFAULT))
         table(title, calls, max(3, options.iterations // 10), {name: int(name) for name in calls})
-
-
-if __name__ == "__main__":
-    main()

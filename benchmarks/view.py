@@ -1,6 +1,6 @@
 """Frames a second of `tg4mm view` at 768 × 768 for 50,000 Gaussians: the whole way, and what of it takes how long.
 
-    python -m benchmarks.view [--gaussians 50000] [--size 768] [--modes 3] [--repeats 30] [--run RUN] [--browser]
+    python -m benchmarks view [--gaussians 50000] [--size 768] [--modes 3] [--repeats 30] [--run RUN] [--browser]
 
 The whole way: pose of every Gaussian at the moment, rasterised, to bytes, JPEG, handed to the server's connection. The
 steps beside it are timed apart, and the price of the other way: new splats to viser's own renderer in the browser.
@@ -12,12 +12,7 @@ Figures are medians, the smallest in brackets: on a shared machine they lie apar
 
 from __future__ import annotations
 
-import tg4mm  # noqa: F401, before torch and numba: how their threads wait
-
-# isort: split
-
 import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -25,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.common import machine, milliseconds
+from benchmarks.common import Times, machine, times_of
 from benchmarks.kernels import scene as ball
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animator
@@ -90,10 +85,9 @@ def add_splats(server: LocalServer, gaussians: Gaussians) -> None:
     )
 
 
-def report(name: str, timed: tuple[float, float]) -> None:
-    print(
-        f"{name:46s} {timed[0]:7.1f} ms ({timed[1]:.1f})   {1e3 / timed[0]:6.1f} frames/s ({1e3 / timed[1]:.1f})"
-    )
+def report(name: str, timed: Times) -> None:
+    median, least = timed.median, timed.least
+    print(f"{name:46s} {median:7.1f} ms ({least:.1f})   {1e3 / median:6.1f} frames/s ({1e3 / least:.1f})")
 
 
 def steps(shown: Scene, size: int, repeats: int) -> None:
@@ -113,15 +107,15 @@ def steps(shown: Scene, size: int, repeats: int) -> None:
     def splats() -> None:
         add_splats(server, pose(next(moments), 20.0, None))
 
-    report("the whole way", milliseconds(whole, repeats))
-    report("  pose of every Gaussian", milliseconds(lambda: pose(next(moments), 20.0, None), repeats))
+    report("the whole way", times_of(whole, repeats))
+    report("  pose of every Gaussian", times_of(lambda: pose(next(moments), 20.0, None), repeats))
     still = pose(0.3, 20.0, None)
     report(
         "  rasterised",
-        milliseconds(lambda: render_image(still, camera.viewmat, camera.K, size, size), repeats),
+        times_of(lambda: render_image(still, camera.viewmat, camera.K, size, size), repeats),
     )
-    report("  JPEG, to the queue", milliseconds(lambda: send(picture, 80), repeats))
-    report("the other way: pose and splats, to the queue", milliseconds(splats, repeats))
+    report("  JPEG, to the queue", times_of(lambda: send(picture, 80), repeats))
+    report("the other way: pose and splats, to the queue", times_of(splats, repeats))
     print(f"  {32 * len(shown.gaussians) / 1e6:.1f} MB a frame")
     stop_server(server)
 
@@ -150,27 +144,23 @@ def in_browser(shown: Scene, size: int) -> None:
         app.stop()
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--gaussians", type=int, default=50_000)
-    parser.add_argument("--size", type=int, default=768)
-    parser.add_argument("--modes", type=int, default=3)
-    parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--run", type=Path)
-    parser.add_argument("--browser", action="store_true")
-    given = parser.parse_args()
+OPTIONS = {
+    "--gaussians": 50_000, "--size": 768, "--modes": 3, "--repeats": 30, "--run": Path, "--browser": False
+}  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the rates."""
     print(machine())
-    shown = (
-        open_scene(Run.open(given.run)) if given.run else synthetic(given.gaussians, given.size, given.modes)
-    )
+    if options.run:
+        shown = open_scene(Run.open(options.run))
+    else:
+        shown = synthetic(options.gaussians, options.size, options.modes)
     assert shown.motion is not None
-    print(f"{len(shown.gaussians)} Gaussians, {len(shown.motion.freqs_hz)} frequencies, {given.size}² pixels")
+    print(
+        f"{len(shown.gaussians)} Gaussians, {len(shown.motion.freqs_hz)} frequencies, {options.size}² pixels"
+    )
     with torch.no_grad():
-        steps(shown, given.size, given.repeats)
-    if given.browser:
-        in_browser(shown, given.size)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        steps(shown, options.size, options.repeats)
+    if options.browser:
+        in_browser(shown, options.size)

@@ -11,7 +11,7 @@ from .points import values
 
 AUTOMATIC = "Automatic"
 FRAME_NS = 1e9 / 24  # of a picture in playback
-# Nanoseconds a Gaussian takes: evaluated, and more for each mode (`python -m benchmarks.blender`, docs/blender.md); and
+# Nanoseconds a Gaussian takes: evaluated, and more for each mode (`python -m benchmarks blender`, docs/blender.md); and
 # drawn on a laptop, whose graphics are taken to manage 200 million triangles a second: 80 a Gaussian, of Splats each
 # counted three times, as they overlap. What takes longer is drawn as points.
 _COSTS = {names.SPLATS: (70.0 + 1200.0, 8.0), names.ELLIPSOIDS: (70.0 + 400.0, 8.0)}

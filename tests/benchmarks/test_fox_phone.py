@@ -10,7 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmarks.fox_phone import main, reduced, scored
+from benchmarks.__main__ import main
+from benchmarks.fox_phone import reduced, scored
 from benchmarks.fox_phone_scores import (
     clip_phase_figures,
     comparison,
@@ -292,6 +293,7 @@ def test_a_wrong_run_is_scored_as_wrong_as_it_is(
     write_run(tmp_path / "run", tmp_path / "set", truth, world, 0.8 * np.exp(0.5j))
     out = tmp_path / "scores.json"
     arguments = [
+        "fox_phone",
         str(tmp_path / "run"),
         "--truth",
         str(tmp_path / "truth"),
@@ -309,7 +311,7 @@ def test_a_wrong_run_is_scored_as_wrong_as_it_is(
 
 
 def test_a_run_that_is_none_ends_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(tmp_path / "nowhere"), "--truth", str(tmp_path)]) == 2
+    assert main(["fox_phone", str(tmp_path / "nowhere"), "--truth", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 

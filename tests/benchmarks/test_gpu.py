@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.gpu import FULL, main, minutes
+from benchmarks.__main__ import main
+from benchmarks.gpu import FULL, minutes
 from tests.helpers.cuda import needs_cuda
 
 
@@ -17,17 +18,17 @@ def test_without_a_gpu_it_says_so(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     out = tmp_path / "gpu.json"
-    assert main(["--out", str(out)]) == 2
+    assert main(["gpu", "--out", str(out)]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1
-    assert said.err.startswith("benchmarks/gpu.py: device is cuda, but torch finds no CUDA device here")
+    assert said.err.startswith("benchmarks gpu: device is cuda, but torch finds no CUDA device here")
     assert said.out == ""
     assert not out.exists()
 
 
 def check_smoke(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "gpu.json"
-    assert main(["--smoke", "--device", device, "--out", str(out)]) == 0
+    assert main(["gpu", "--smoke", "--device", device, "--out", str(out)]) == 0
     table = capsys.readouterr().out
     for said in ("5 min 12 s", "2 min 12 s", "all timesteps together", "these figures measure nothing"):
         assert said in table

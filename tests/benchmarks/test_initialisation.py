@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from benchmarks import initialisation
-from benchmarks.initialisation import HEADER, cells, main, means, sheet
+from benchmarks.__main__ import main
+from benchmarks.initialisation import HEADER, cells, means, sheet
 from tests.helpers.synthetic import make_synthetic_dataset
 
 STARTS = "points,random"
@@ -31,7 +32,7 @@ def out(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def arguments(data: Path, out: Path, *more: str) -> list[str]:
-    return [str(data), "--out", str(out), "--inits", STARTS, "--iterations", "40", *more]
+    return ["initialisation", str(data), "--out", str(out), "--inits", STARTS, "--iterations", "40", *more]
 
 
 def test_each_start_leaves_its_figures(out: Path) -> None:
@@ -76,8 +77,7 @@ def test_other_settings_are_refused_in_one_line(
 
 
 def test_an_unknown_start_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main([str(data), "--out", str(tmp_path), "--inits", "hull,cloud"])
+    assert main(["initialisation", str(data), "--out", str(tmp_path), "--inits", "hull,cloud"]) == 2
     assert "--inits: 'cloud' is none of auto, points, sfm, hull, random" in capsys.readouterr().err
 
 

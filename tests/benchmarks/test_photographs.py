@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.photographs import between, chosen, main, spoilt, with_best_gain
+from benchmarks.__main__ import main
+from benchmarks.photographs import between, chosen, spoilt, with_best_gain
 from tests.fit.space.scenes import intrinsics, orbit, views_of
 from tests.helpers.synthetic import make_synthetic_dataset
 
@@ -20,7 +21,9 @@ def test_it_prints_its_figures_and_leaves_pictures(
     data, out = tmp_path / "data", tmp_path / "out"
     make_synthetic_dataset(data, n_views=6, n_timesteps=1, size=64, alphas=(), n_test=0)
     settings = [f"--set=space.{s}" for s in ("iterations=60", "max_gaussians=900", "gains=true")]
-    assert main([str(data), "--shrink", "2", "--spoil", "0.1", "--out", str(out), *settings]) == 0
+    assert (
+        main(["photographs", str(data), "--shrink", "2", "--spoil", "0.1", "--out", str(out), *settings]) == 0
+    )
     text = capsys.readouterr().out
     assert "32×32, 5 pictures, 1 held out" in text
     plain, fitting = (float(f) for f in re.findall(r"([\d.]+) dB", text))
@@ -32,10 +35,10 @@ def test_it_prints_its_figures_and_leaves_pictures(
 
 
 def test_an_unknown_setting_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(tmp_path), "--set", "space.level=2"]) == 2
+    assert main(["photographs", str(tmp_path), "--set", "space.level=2"]) == 2
     error = capsys.readouterr().err
     assert error.startswith(
-        "benchmarks/photographs.py: setting 'space.level' is unknown; did you mean space.levels?"
+        "benchmarks photographs: setting 'space.level' is unknown; did you mean space.levels?"
     )
     assert error.count("\n") == 1
 

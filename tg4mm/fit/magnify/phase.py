@@ -9,8 +9,7 @@ is held at a time. With S = T · H · W cells of a video, at most
 
     4 S (video) + 4 S (half of its spectrum) + 4 S (half of the change's) + 8 S (finest sub-band)   = 20 S bytes
 
-and a working set of at most 100 MB that does not grow: 1,595 MiB at T = 300, 512², of which
-`python -m benchmarks.phase` measured 1,537.
+and a working set of at most 100 MB that does not grow: 1,595 MiB at T = 300, 512², of which 1,537 were measured.
 """
 
 from __future__ import annotations
