@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture.timing import kind_of_cameras, times_of_timesteps
-from tg4mm.core.choices import KINDS
+from tg4mm.core.choices import KINDS, Kind
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Capture:
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
     points: SurfacePoints | None = None  # points on the surfaces with colours; None: the dataset has none
     scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
-    kind: str = ""  # photos, flat, tripod, handheld, rig or clips; inferred from the cameras if not given
+    kind: Kind = None  # type: ignore[assignment]  # inferred from the cameras if not given
     clocks: str = (
         ""  # of several fixed cameras: synchronous or independent; inferred from the times if not given
     )
@@ -53,11 +53,10 @@ class Capture:
     def __post_init__(self) -> None:
         if self.times_s is None:
             object.__setattr__(self, "times_s", times_of_timesteps(self.timesteps, self.fps))
-        if not self.kind:
-            kind = kind_of_cameras(self.camera_ids, self.timesteps, self.n_timesteps)
-            object.__setattr__(self, "kind", kind)
-        if self.kind not in KINDS:
+        kind = self.kind or kind_of_cameras(self.camera_ids, self.timesteps, self.n_timesteps)
+        if kind not in KINDS:
             raise ValueError(f"kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
+        object.__setattr__(self, "kind", Kind(kind))
         c = len(self.paths)
         vectors = dict.fromkeys(("timesteps", "camera_ids", "times_s"), (c,))
         expected = {"viewmats": (c, 4, 4), "Ks": (c, 3, 3), **vectors}

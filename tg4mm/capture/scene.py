@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.capture.confine import inside
 from tg4mm.capture.timing import CLOCKS
-from tg4mm.core.choices import KINDS
+from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, read_record
 
@@ -41,7 +41,7 @@ class Scene:
     fps: float = 0.0  # Hz; 0.0 if unknown
     n_timesteps: int | None = None
     unit_scale_m: float | None = None  # metres per scene unit
-    kind: str = ""  # one of KINDS; "" if it does not say
+    kind: Kind | None = None  # None: it does not say
     clocks: str = ""  # one of CLOCKS; "" if it does not say
     values: dict[str, Any] = field(default_factory=dict)
 
@@ -104,7 +104,7 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
         fps=record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
-        kind=_one_of(record, "kind", KINDS),
+        kind=Kind(kind) if (kind := _one_of(record, "kind", KINDS)) else None,
         clocks=_one_of(record, "clocks", CLOCKS),
         values=record.values,
     )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError
 
 # Of several fixed cameras: synchronous, their times are of one clock; independent, each has a clock of its own.
@@ -21,14 +22,14 @@ def times_of_timesteps(timesteps: np.ndarray, fps: float) -> np.ndarray:
     return timesteps / fps if fps else np.zeros(len(timesteps))
 
 
-def kind_of_cameras(camera_ids: np.ndarray, timesteps: np.ndarray, n_timesteps: int) -> str:
-    """One of KINDS, from how many cameras have a picture at (nearly) every timestep. Never flat nor clips."""
+def kind_of_cameras(camera_ids: np.ndarray, timesteps: np.ndarray, n_timesteps: int) -> Kind:
+    """The kind, from how many cameras have a picture at (nearly) every timestep. Never flat nor clips."""
     if n_timesteps == 1:
-        return "photos"
+        return Kind.photos
     pairs = np.unique(np.stack([camera_ids, timesteps]), axis=1)
     counts = np.unique(pairs[0], return_counts=True)[1]
     fixed = int((counts >= max(2, NEARLY_ALL * n_timesteps)).sum())
-    return ("handheld", "tripod", "rig")[min(fixed, 2)]
+    return next(kind for kind in Kind if kind.n_fixed == min(fixed, 2))
 
 
 def check_times(

@@ -152,7 +152,7 @@ def assemble(
         unit_scale_m=scene.unit_scale_m,
         points=read_points(root) if points is None else points,
         scene=scene.values,
-        kind=scene.kind,
+        kind=scene.kind,  # type: ignore[arg-type]  # None: the cameras tell it
         clocks=scene.clocks,
         times_s=times_s,
     )

@@ -44,9 +44,7 @@ def sfm(
     kind: Annotated[
         Kind | None,
         typer.Option(
-            help="photos: a still scene. flat: one fixed camera and nothing else, in pixels. tripod: one fixed camera "
-            "and a sweep. handheld: one camera that moves. rig: several fixed cameras. clips: one camera that filmed "
-            "a steady vibration from several places, one after another. [default: found from the input]",
+            help=f"{' '.join(f'{kind}: {kind.about}.' for kind in Kind)} [default: found from the input]",
         ),
     ] = None,
     fps: Annotated[

@@ -48,9 +48,9 @@ def fit_space(
     check_device(device)
     views = rest_views(capture, images or pictures_for(capture))
     fit = (
-        fit_plane(views, config, device)
-        if capture.kind == "flat"
-        else fit_views(views, capture.points, config, device)
+        fit_views(views, capture.points, config, device)
+        if capture.kind.sees_depth
+        else fit_plane(views, config, device)
     )
     return fit.gaussians
 

@@ -100,7 +100,7 @@ def _check(configs: Mapping[str, Any]) -> None:
 
 def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) -> None:
     images = pictures_for(capture)
-    if not run.has_space and capture.kind == "flat":
+    if not run.has_space and not capture.kind.sees_depth:
         train_plane(run, rest_views(capture, images), configs["space"], device)
     elif not run.has_space:
         train_space(run, rest_views(capture, images), capture.points, configs["space"], device)

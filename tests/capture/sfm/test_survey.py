@@ -13,7 +13,7 @@ from tests.capture.sfm.scenes import save
 from tests.capture.sfm.videos import SIZE, looked, still, texture, write_video
 from tg4mm.capture.sfm import survey as module
 from tg4mm.capture.sfm.clip import Clip, Window
-from tg4mm.capture.sfm.kind import told_kind
+from tg4mm.capture.sfm.kind import kind_of
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.spoilt import check_usable, warn_clocks
 from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
@@ -189,9 +189,8 @@ class TestKind:
             clips.append(Clip(name, path))
             surveys.append(looked(path))
         sources = Sources(tmp_path, clips=tuple(clips), sweep=Clip("sweep", tmp_path) if sweep else None)
-        kind = told_kind(sources, surveys, None)
-        assert told_kind(sources, surveys, "clips").name == "clips"
-        return kind.name, kind.reason
+        assert kind_of(sources, surveys, "clips")[0] == "clips"
+        return kind_of(sources, surveys, None)
 
     def test_one_recording_is_told_by_how_its_camera_moves(self, tmp_path: Path) -> None:
         put = {"frames": still(20)}

@@ -11,6 +11,7 @@ import torch
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
+from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import Observations, PosedFrames
@@ -59,7 +60,7 @@ def clips(
         times = np.arange(n_frames) / FPS
         frames.append(PosedFrames(f"cam_{c:02d}", viewmat.astype(np.float32), K_of(SIZE), rows, times))
     stack = pictures_of(ImageStack(np.stack(pictures)))
-    return Observations(kind, "independent", frames, stack, FPS, n_frames, True)
+    return Observations(Kind(kind), "independent", frames, stack, FPS, n_frames, True)
 
 
 def walk(
@@ -78,7 +79,7 @@ def walk(
         known = (off @ viewmat).astype(np.float32)
         frames.append(PosedFrames(f"{t:03d}", known, K_of(SIZE), np.array([t]), np.array([t / FPS])))
     stack = pictures_of(ImageStack(np.stack(pictures)))
-    return Observations("handheld", "moving", frames, stack, FPS, n_frames, True)
+    return Observations(Kind.handheld, "moving", frames, stack, FPS, n_frames, True)
 
 
 def error_of(found: np.ndarray, true: np.ndarray, opacities: np.ndarray) -> float:

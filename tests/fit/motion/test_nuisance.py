@@ -16,6 +16,7 @@ from tests.fit.rasterize.oracle import Scene
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
+from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
@@ -236,7 +237,7 @@ def filmed(
             pictures.append(raw)
         frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K_of(SIZE), rows, np.arange(T) / FPS))
     stack = pictures_of(ImageStack(np.stack(pictures)))
-    return Observations("rig", "synchronous", frames, stack, FPS, T, True)
+    return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, True)
 
 
 @pytest.fixture(scope="module")

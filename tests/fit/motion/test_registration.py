@@ -14,6 +14,7 @@ from tests.fit.motion.filmed import FPS, K_of
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white, pictures_of
+from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
@@ -112,7 +113,7 @@ def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> 
     noisy = np.stack(pictures) + 0.004 * np.random.default_rng(1).normal(size=(n, *WIDE, 3))
     frames = PosedFrames("0", np.eye(4, dtype=np.float32), K_WIDE, np.arange(n), np.arange(n) / FPS)
     stack = pictures_of(ImageStack(stored(noisy)))
-    found = camera_rotations(Observations("tripod", "synchronous", [frames], stack, FPS, n, False))
+    found = camera_rotations(Observations(Kind.tripod, "synchronous", [frames], stack, FPS, n, False))
     off = 110 * np.sqrt(((found - turns)[:, :2] ** 2).sum(1).mean())
     assert off < (0.06 if moves else 0.01)
     assert np.abs(found - turns)[:, 2].max() < (2e-3 if moves else 5e-4)
@@ -160,7 +161,7 @@ def filmed(
                 picture[..., 3:] = (alpha.clip(0, 1) * 65535).round()
             pictures.append(picture)
     stack = pictures_of(ImageStack(np.stack(pictures)))
-    return Observations("rig", "synchronous", frames, stack, FPS, T, False)
+    return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, False)
 
 
 def fitted(gaussians: Gaussians, observations: Observations, nuisance: str = "auto") -> MotionFit:
@@ -262,7 +263,7 @@ def test_one_camera_that_shakes_shows_the_motion_that_it_shows_at_rest(
 ) -> None:
     gaussians, motion = moving
     steady, shaken = (
-        replace(filmed(lambda t: _at(gaussians, motion, t, 0), 1, px), kind="tripod")
+        replace(filmed(lambda t: _at(gaussians, motion, t, 0), 1, px), kind=Kind.tripod)
         for px in (0.0, SHAKE_PX)
     )
     before, after = fitted(gaussians, steady, "all"), fitted(gaussians, shaken)

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.spoilt import is_fixed
 from tg4mm.capture.sfm.survey import Survey
-from tg4mm.core.choices import KINDS
+from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A capture kind and the reason for it, one clause."""
-
-    name: str  # one of KINDS
-    reason: str
-
-
-def possible_kinds(sources: Sources) -> tuple[str, ...]:
+def possible_kinds(sources: Sources) -> tuple[Kind, ...]:
     """The kinds that what lies on disk can be, the most likely first."""
     if sources.photographs is not None:
-        return ("photos",)
-    if len(sources.clips) > 1:
-        return ("rig", "clips")
-    return ("tripod", "handheld") if sources.sweep is not None else ("flat", "handheld", "photos")
+        layout = "photographs"
+    elif len(sources.clips) > 1:
+        layout = "recordings"
+    else:
+        layout = "recording" if sources.sweep is None else "recording and sweep"
+    return tuple(sorted((k for k in Kind if layout in k.found_in), key=lambda k: k.still))
 
 
 def check_kind(sources: Sources, asked: str | None) -> None:
@@ -53,22 +46,20 @@ def held(sources: Sources) -> str:
     return f"{cameras}, and a sweep" if sources.sweep is not None else cameras
 
 
-def told_kind(sources: Sources, surveys: Sequence[Survey], asked: str | None) -> Kind:
-    """The kind of these sources; surveys are those of `sources.clips`."""
+def kind_of(sources: Sources, surveys: Sequence[Survey], asked: str | None) -> tuple[Kind, str]:
+    """The kind of these sources and the reason for it, a clause; surveys are those of `sources.clips`."""
     if asked is not None:
-        return Kind(asked, "as --kind says")
-    holds = held(sources)
-    if sources.photographs is not None:
-        return Kind("photos", f"holds {holds}")
+        return Kind(asked), "as --kind says"
+    possible = possible_kinds(sources)
     if len(surveys) > 1:
-        if _one_after_another(surveys):
-            return Kind("clips", f"holds {holds}, begun one after another's end; otherwise pass --kind rig")
-        return Kind("rig", f"holds {holds}; one camera that filmed from several places is --kind clips")
-    fixed = is_fixed(surveys[0])
-    reason = f"holds {holds}; the camera {'stays put' if fixed else 'moves'}"
-    if not fixed:
-        return Kind("handheld", reason)
-    return Kind("flat" if sources.sweep is None else "tripod", reason)
+        in_turn = _one_after_another(surveys)
+        kind = next(k for k in possible if k.in_turn == in_turn)
+    elif surveys:
+        fixed = is_fixed(surveys[0])
+        kind = next(k for k in possible if k.fixed == fixed)
+    else:
+        kind = possible[0]
+    return kind, f"holds {held(sources)}{kind.because}"
 
 
 def _one_after_another(surveys: Sequence[Survey]) -> bool:

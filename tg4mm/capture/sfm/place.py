@@ -16,6 +16,7 @@ from tg4mm.capture.sfm.sources import SWEEP, Sources
 from tg4mm.capture.sfm.staging import Shot, staged_name
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.sfm.undistort import Key, Lens, lenses, quarter_turned
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError
 
 RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timesteps
@@ -54,7 +55,7 @@ def clock_of(surveys: Sequence[Survey], fps: float | None) -> FrameTimes:
 
 
 def placed_tracks(
-    kind: str,
+    kind: Kind,
     sources: Sources,
     taken: Sequence[Shot],
     placed: dict[str, Any],
@@ -83,11 +84,12 @@ def placed_tracks(
     moved = SfmPoints(world.points(xyz).astype(np.float32), found.rgb, found.errors_px, found.n_views)
     if clock is None:
         tracks = cameras.photographs()
-    elif kind == "handheld":
+    elif kind.moving:
         tracks = [cameras.moving(sources.clips[0], clock)]
     else:
-        may_test = kind != "tripod"
-        tracks = [track for clip in sources.clips for track in cameras.fixed(clip, clock, window, may_test)]
+        tracks = [
+            track for clip in sources.clips for track in cameras.fixed(clip, clock, window, kind.holds_out)
+        ]
     return Placement(tracks + ([] if clock is None else cameras.sweep()), moved, world)
 
 

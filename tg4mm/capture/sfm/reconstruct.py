@@ -24,7 +24,7 @@ from tg4mm.capture.sfm.dataset import write_dataset
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.flat import write_flat
 from tg4mm.capture.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
-from tg4mm.capture.sfm.kind import Kind, check_kind, possible_kinds, told_kind
+from tg4mm.capture.sfm.kind import check_kind, kind_of, possible_kinds
 from tg4mm.capture.sfm.kind import held as held_in
 from tg4mm.capture.sfm.mapping import (
     check_registered,
@@ -54,12 +54,11 @@ from tg4mm.capture.sfm.staging import (
 )
 from tg4mm.capture.sfm.straight import straightened
 from tg4mm.capture.sfm.survey import Survey, survey_clip
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.files import link_or_copy
 
-FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
 FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
-FIXED = ("flat", "tripod", "rig", "clips")  # kinds whose cameras stay put
 
 
 @dataclass(frozen=True)
@@ -99,21 +98,21 @@ def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads
     surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
     kept = [clip.without(survey.repeats) for clip, survey in zip(sources.clips, surveys, strict=True)]
     sources = replace(sources, clips=type(sources.clips)(kept))
-    kind = told_kind(sources, surveys, config.kind)
-    print(f"{images}: taken for {kind.name}: {kind.reason}", file=sys.stderr, flush=True)
+    kind, reason = kind_of(sources, surveys, config.kind)
+    print(f"{images}: taken for {kind}: {reason}", file=sys.stderr, flush=True)
     warn_clocks(surveys, config.fps)
-    if kind.name != "photos":
-        check_usable(surveys, kind.name in FIXED)
-    if kind.name in FIXED:
+    if not kind.still:
+        check_usable(surveys, kind.fixed)
+    if kind.fixed:
         warn_bumps(surveys)
-    if config.test_every and kind.name not in ("photos", "rig", "clips"):
-        raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
-    if config.synchronous and kind.name != "rig":
-        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind.name}")
+    if config.test_every and not kind.holds_out:
+        raise Tg4mmError(f"--test-every is {config.test_every}, but {kind} has no camera to hold out")
+    if config.synchronous and not kind.together:
+        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind}")
     if config.synchronous:
         _check_as_long(surveys)
     job = _Job(work, sources, surveys, kind, config, threads)
-    return _flat(job) if kind.name == "flat" else _posed(job)
+    return _posed(job) if kind.sees_depth else _flat(job)
 
 
 def _check_as_long(surveys: Sequence[Survey]) -> None:
@@ -134,12 +133,12 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
     """Options that what lies on disk has no use for."""
     if sources.photographs is not None and config.fps is not None:
         raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
-    if config.synchronous and "rig" not in possible_kinds(sources):
+    if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
         raise Tg4mmError(
             f"--synchronous is for the cameras of a rig, but {sources.path} holds {held_in(sources)}"
         )
     frames = [clip.name for clip in sources.clips if not clip.is_video]
-    if frames and config.fps is None and config.kind != "photos":
+    if frames and config.fps is None and not (config.kind and Kind(config.kind).still):
         raise Tg4mmError(
             f"--fps is missing: the pictures in {', '.join(frames[:4])} need their frames per second"
         )
@@ -164,7 +163,7 @@ def _check_enough(sources: Sources) -> None:
 
 def _scene(job: _Job) -> dict[str, Any]:
     name = job.work.out.resolve().name
-    scene: dict[str, Any] = {"scene": name, "kind": job.kind.name, "background": "as photographed"}
+    scene: dict[str, Any] = {"scene": name, "kind": job.kind.value, "background": "as photographed"}
     periods = {survey.codec_period for survey in job.surveys}
     scene |= {"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {}
     return scene | (
@@ -179,7 +178,7 @@ def _flat(job: _Job) -> dict[str, Any]:
         )
     clock = clock_of(job.surveys, job.config.fps)
     survey, clip = job.surveys[0], job.sources.clips[0]
-    report = {"kind": job.kind.name, "asked": job.work.scene_only}
+    report = {"kind": job.kind.value, "asked": job.work.scene_only}
     scene = _scene(job) | {"fps": clock.fps, "sfm": report} | _video(job)
     write_flat(job.work.out, clip, survey, clock.times_s[clip.name], job.config.window, scene)
     return report
@@ -200,17 +199,17 @@ def _video(job: _Job) -> dict[str, Any]:
 def _posed(job: _Job) -> dict[str, Any]:
     colmap("tg4mm sfm")
     config, sources = job.config, job.sources
-    clock = None if job.kind.name == "photos" else clock_of(job.surveys, config.fps)
+    clock = None if job.kind.still else clock_of(job.surveys, config.fps)
     taken = _pictures(job)
     model = _model(job, taken)
     placed = registered(model)
     _check_placed(job, taken, placed)
-    placement = placed_tracks(job.kind.name, sources, taken, placed, model, clock, config.window)
+    placement = placed_tracks(job.kind, sources, taken, placed, model, clock, config.window)
     report = _report(job, model, taken, placed, placement)
     scene = _scene(job) | {"sfm": report, "unit_scale_m": config.unit_scale_m}
     if clock is not None:
         scene["fps"] = clock.fps
-    if job.kind.name == "rig":
+    if job.kind.together:
         scene["clocks"] = "synchronous" if config.synchronous else "independent"
     if config.baseline is not None:
         scene["unit_scale_m"] = baseline_scale(placement.tracks, config.baseline)
@@ -227,10 +226,10 @@ def _pictures(job: _Job) -> list[Shot]:
     if sources.photographs is not None:
         return photograph_shots(sources.photographs, config.each)
     clip, survey = sources.clips[0], job.surveys[0]
-    if job.kind.name == "photos":
+    if job.kind.still:
         rows = sharp_rows(survey.sharpness, config.frames or SWEEP_FRAMES)
         return frame_shots(clip, extract_frames(clip, frames / clip.name, config.window, rows))
-    if job.kind.name == "handheld":
+    if job.kind.moving:
         paths = extract_frames(clip, frames / clip.name, config.window, total=len(survey))
         taken = frame_shots(clip, paths)
     else:
@@ -265,9 +264,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     masks = stage(taken, work)
     database = make_database(taken, work, config.camera_model, config.focal_px)
     place = Workplace(database, work / "images", masks, config.seed, job.threads)
-    model = (
-        _moving_model(job, taken, place) if job.kind.name == "handheld" else _first_model(job, taken, place)
-    )
+    model = _moving_model(job, taken, place) if job.kind.moving else _first_model(job, taken, place)
     save_model(model, sparse)
     return model
 
@@ -285,7 +282,7 @@ def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
     """The pairs to match, None for those that are alike."""
     matching = job.config.matching
     frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
-    ordered = job.kind.name == "handheld" or (job.kind.name == "photos" and bool(job.sources.clips))
+    ordered = job.kind.moving or (job.kind.still and bool(job.sources.clips))
     many = ordered and matching == "auto" and frames > EXHAUSTIVE_MOST
     if many or matching == "sequential":
         return picture_pairs(names, frames)
@@ -315,7 +312,7 @@ def _why_moving(job: _Job) -> str:
     """What to say beside an error where the kind was told and not given."""
     if job.config.kind is not None:
         return ""
-    other = "flat" if job.sources.sweep is None else "tripod"
+    other = next(kind for kind in possible_kinds(job.sources) if kind.fixed)
     why = motion_of(job.surveys[0])
     return f"; taken for a moving camera as {why}: for one that stays put use --kind {other}"
 
@@ -323,7 +320,7 @@ def _why_moving(job: _Job) -> str:
 def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: bool = False) -> None:
     """Raise CaptureError where too little was placed, else warn of what is left out."""
     needed = [staged_name(shot) for shot in taken if shot.clip != SWEEP]
-    missing = check_registered(needed, placed, FEWEST_PLACED[job.kind.name])
+    missing = check_registered(needed, placed, job.kind.fewest_placed)
     if missing and not quiet:
         text = f"{len(missing)} pictures could not be placed and are left out: {shown_names(missing)}"
         warnings.warn(text, stacklevel=2)
@@ -341,7 +338,7 @@ def _report(
     job: _Job, model: Any, taken: list[Shot], placed: dict[str, Any], placement: Placement
 ) -> dict[str, Any]:
     return {
-        "kind": job.kind.name,
+        "kind": job.kind.value,
         "pycolmap": colmap("tg4mm sfm").__version__,
         "pictures": len(taken),
         "placed": len(placed),

@@ -14,6 +14,7 @@ from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
 from tg4mm.capture.scene import codec_period
 from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
 
@@ -45,7 +46,7 @@ class Observations:
     a clock (or a start of the vibration) of its own; `moving`, every picture with a pose of its own.
     """
 
-    kind: str  # of the capture: flat, tripod, handheld, rig, clips
+    kind: Kind
     clock: str
     frames: list[PosedFrames]  # V poses
     pictures: Pictures
@@ -71,7 +72,7 @@ class Observations:
     @property
     def is_flat(self) -> bool:
         """Whether one camera is all there is: it shows motion across its sight alone."""
-        return self.kind == "flat"
+        return not self.kind.sees_depth
 
     @property
     def duration_s(self) -> float:
@@ -119,7 +120,7 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
     """
     fixed = fixed_cameras(capture)
     if fixed:
-        own = capture.kind == "clips" or (capture.clocks == "independent" and len(fixed) > 1)
+        own = capture.kind.in_turn or (capture.clocks == "independent" and len(fixed) > 1)
         are_synchronous = not own and _are_synchronous(fixed)
         if capture.clocks == "synchronous" and len(fixed) > 1 and not own and not are_synchronous:
             counts = ", ".join(f"{f.name} {len(f.rows)}" for f in fixed)

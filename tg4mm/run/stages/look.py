@@ -22,7 +22,7 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
     """What its one camera shows, looked at once; None of other kinds of captures, or too few pictures."""
-    if capture.kind != "flat" or capture.n_timesteps < FEWEST:
+    if capture.kind.sees_depth or capture.n_timesteps < FEWEST:
         return None
     if (kept := look_of(run)) is None:
         kept = look_at_pictures(_pictures(capture, images), str(capture.root))

@@ -21,7 +21,7 @@ _LACKING = 0.05  # of the largest motion: what the answer lacks of it, from here
 def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
     """Of the capture, then of the sensors."""
     out = list(scene.notes)
-    if scene.capture.kind == "flat":
+    if not scene.capture.kind.sees_depth:
         out.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(

@@ -60,7 +60,7 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
     if scene.is_moving or len(scene.views) > 1:
         return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
     viewmat = scene.views[0].frames.viewmat.astype(np.float64)
-    if scene.capture.kind == "flat":
+    if not scene.capture.kind.sees_depth:
         return Body(weights, centre, radius, viewmat[:2, :3] * [[1.0], [-1.0]]), OF_ONE_CAMERA[:2]
     return Body(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
 

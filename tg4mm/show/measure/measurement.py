@@ -50,7 +50,7 @@ class Measurement:
     @property
     def unit_scale_m(self) -> float | None:
         """Metres per scene unit; None if unknown, and of a flat capture, whose unit is the pixel's."""
-        return None if self.prepared.capture.kind == "flat" else self.prepared.capture.unit_scale_m
+        return self.prepared.capture.unit_scale_m if self.prepared.capture.kind.sees_depth else None
 
     def __getitem__(self, name: str) -> SensorResult:
         for result in self.sensors:

@@ -13,7 +13,7 @@ from tg4mm.show.measure.sensors import Sensor
 
 def found_in(scene: Prepared) -> Found | None:
     """What the look found; None of other captures than flat ones, and of fits without a run."""
-    if scene.capture.kind != "flat" or scene.folder is None:
+    if scene.capture.kind.sees_depth or scene.folder is None:
         return None
     return look_of(Run.open(scene.folder))
 

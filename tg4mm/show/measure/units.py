@@ -20,7 +20,7 @@ class Unit:
 
 def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
     """Of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
-    if measurement.prepared.capture.kind == "flat":
+    if not measurement.prepared.capture.kind.sees_depth:
         some = result or measurement.sensors[0]
         return Unit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
     if (scale := measurement.unit_scale_m) is not None:

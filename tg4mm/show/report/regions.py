@@ -19,7 +19,7 @@ _HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x
 
 def regions_section(m: Material) -> list[Section]:
     """Of a flat capture that was looked at; else []."""
-    found = look_of(m.run) if m.train.kind == "flat" else None
+    found = None if m.train.kind.sees_depth else look_of(m.run)
     if found is None:
         return []
     words = (

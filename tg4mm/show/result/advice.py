@@ -51,5 +51,5 @@ def _cameras(capture: Capture | None) -> list[str]:
         return ["--orbit", str(_ORBIT)]
     if any(next(capture.root.glob(f"{where}transforms_{SPLITS[1]}.json"), None) for where in ("", "000*/")):
         return []
-    few = len(set(capture.camera_ids.tolist())) <= _MANY and capture.kind in ("rig", "flat", "photos")
+    few = len(set(capture.camera_ids.tolist())) <= _MANY and capture.kind.seen_by_train
     return ["--split", "train"] if few else ["--orbit", str(_ORBIT)]

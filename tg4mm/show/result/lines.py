@@ -41,7 +41,8 @@ def lines_of(result: Result) -> list[str]:
 def _head(result: Result) -> str:
     if result.n_timesteps == 1:
         return f"{result.run}: a still scene"
-    seen = f"{result.n_cameras} {'poses of one camera' if result.kind == 'handheld' else 'fixed cameras'}"
+    is_moving = result.kind is not None and result.kind.moving
+    seen = f"{result.n_cameras} {'poses of one camera' if is_moving else 'fixed cameras'}"
     seen = "one fixed camera" if result.n_cameras == 1 else seen
     seen = f"{seen}, " if result.n_cameras else ""
     return f"{result.run}: {seen}{result.n_timesteps} timesteps at {result.fps:.4g} Hz, {result.duration_s:.3g} s"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tg4mm.core.choices import Kind
+
 Band = tuple[float, float]  # low and high, Hz, both ends inside
 
 
@@ -44,7 +46,7 @@ class Result:
     """What a run found, what it could not tell, and what to do next. Vibrations are in order of falling strength."""
 
     run: Path
-    kind: str  # of the capture, "" if its dataset is gone
+    kind: Kind | None  # of the capture; None: its dataset is gone
     n_cameras: int  # poses that show motion; 0 if the dataset is gone
     n_timesteps: int
     fps: float  # Hz
@@ -66,7 +68,7 @@ class Result:
     @property
     def is_flat(self) -> bool:
         """Whether lengths are pixels of one picture and nothing else."""
-        return self.kind == "flat"
+        return self.kind is not None and not self.kind.sees_depth
 
     @property
     def band(self) -> Band | None:

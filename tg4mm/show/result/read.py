@@ -12,6 +12,7 @@ import numpy as np
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import Found
 from tg4mm.capture.scene import between_frames, video_file
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import RunError
 from tg4mm.core.lines import Line
 from tg4mm.core.phasors import peak_displacement, scale_top
@@ -102,7 +103,7 @@ class Reading:
         frames = frames_of(self.capture)[1] if self.capture is not None else []
         return Result(
             run=self.run.path,
-            kind="" if self.capture is None else self.capture.kind,
+            kind=None if self.capture is None else self.capture.kind,
             n_cameras=len(frames),
             n_timesteps=motion.n_timesteps,
             fps=motion.fps,
@@ -121,7 +122,7 @@ class Reading:
     @cached_property
     def look(self) -> Found | None:
         """What the look at a flat capture's regions found."""
-        return look_of(self.run) if self.capture is not None and self.capture.kind == "flat" else None
+        return None if self.capture is None or self.capture.kind.sees_depth else look_of(self.run)
 
     def _named(
         self, motion: ModalMotion, seen: Seen, found: list[_Found]
@@ -143,7 +144,7 @@ class Reading:
         capture = self.capture
         return Result(
             run=self.run.path,
-            kind="photos" if capture is None else capture.kind,
+            kind=Kind.photos if capture is None else capture.kind,
             n_cameras=0 if capture is None else len(capture),
             n_timesteps=1,
             fps=0.0,
@@ -235,7 +236,7 @@ class Reading:
 
     def _pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
         """Of a flat capture, where a place lies in its picture."""
-        if self.capture is None or self.capture.kind != "flat":
+        if self.capture is None or self.capture.kind.sees_depth:
             return None
         viewmat, K = self.capture.viewmats[0].astype(np.float64), self.capture.Ks[0].astype(np.float64)
         x, y, z = K @ (viewmat[:3, :3] @ np.array(place) + viewmat[:3, 3])
@@ -294,7 +295,7 @@ class Reading:
             )
         if self.capture is None:
             out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
-        elif self.capture.unit_scale_m is None and self.capture.kind != "flat":
+        elif self.capture.unit_scale_m is None and self.capture.kind.sees_depth:
             out.append(
                 "millimetres: unit_scale_m (metres per scene unit) in "
                 f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"

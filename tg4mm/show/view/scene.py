@@ -109,7 +109,7 @@ def open_scene(run: Run) -> Scene:
         unit,
         per_unit,
         tuple(notes),
-        None if capture is None or capture.kind != "flat" else look_of(run),
+        None if capture is None or capture.kind.sees_depth else look_of(run),
     )
 
 
@@ -118,7 +118,7 @@ def _unit(capture: Capture | None) -> tuple[str, float]:
     if capture is None:
         return unit_of(None)
     pixels = capture.scene.get("pixels_per_unit")
-    return ("px", float(pixels)) if capture.kind == "flat" and pixels else unit_of(capture.unit_scale_m)
+    return ("px", float(pixels)) if pixels and not capture.kind.sees_depth else unit_of(capture.unit_scale_m)
 
 
 def _few_cameras(capture: Capture) -> Capture:

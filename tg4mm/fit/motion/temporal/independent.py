@@ -206,7 +206,7 @@ def _phase_figures(observations: Observations, phases: np.ndarray, hz: np.ndarra
         for name, own in zip(names, phases, strict=True)
     }
     figures: dict[str, Any] = {"clip_phases_deg": degrees}
-    if observations.kind == "rig":
+    if observations.kind.together:
         figures["clock_offsets_s"] = {
             name: round(clock_offset(own, hz), 5) for name, own in zip(names, phases, strict=True)
         }
