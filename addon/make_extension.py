@@ -17,6 +17,7 @@ _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in the zip
 # The imports with which dataset_gen.vibration leaves its package, and how they read inside the extension.
 _LEAVING = {
     "errors.py": ("..", "from tg4mm.core.errors import Tg4mmError\n"),
+    "vibration/values.py": ("...", "from tg4mm.core.values import Number\n"),
     "vibration/files.py": ("...", "from tg4mm.core.untrusted import read_json, read_yaml\n"),
 }
 
@@ -36,7 +37,9 @@ def stage(folder: Path) -> Path:
     core = folder / "core"
     (core / "splatfile").mkdir(parents=True)
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")
-    alone = [ROOT / "tg4mm" / "core" / name for name in ("errors.py", "temporary.py", "untrusted.py")]
+    alone = [
+        ROOT / "tg4mm" / "core" / name for name in ("errors.py", "temporary.py", "untrusted.py", "values.py")
+    ]
     for source in (*alone, *sorted((ROOT / "tg4mm" / "core" / "splatfile").glob("*.py"))):
         shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm" / "core"))
     shutil.copyfile(ROOT / "tg4mm" / "core" / "colour.py", core / "colour.py")
@@ -78,7 +81,8 @@ _GENERATOR_NEEDS = (
     "core/errors.py",
     "core/events.py",
     "core/files.py",
-    "core/form.py",
+    "core/records.py",
+    "core/values.py",
     "core/lazy.py",
     "core/work_folder.py",
     "core/progress.py",

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm.core import events
-from tg4mm.core.form import read_formed
 from tg4mm.core.progress import progress
+from tg4mm.core.records import read_formed
 from tg4mm.core.temporary import remove_leftovers
 
 from . import coded, png, points, processes, tree

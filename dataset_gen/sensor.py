@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from .colour import to_display, to_integers
 from .errors import GenerateError
+from .limits import check_whole, check_within
 
 Key = tuple[int | str, ...]
 
@@ -41,18 +41,12 @@ class Sensor:
     jpeg_quality: int | None = None  # 1 … 100; None: no JPEG
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.full_well) and 1 <= self.full_well <= 1e7):
-            raise GenerateError(f"sensor: full_well {self.full_well!r} is not in 1 … 1e7 electrons")
-        if not (math.isfinite(self.read_noise) and 0 <= self.read_noise <= self.full_well):
-            raise GenerateError(f"sensor: read_noise {self.read_noise!r} is not in 0 … full_well electrons")
-        if not 0 < self.exposure <= 1:
-            raise GenerateError(f"sensor: exposure {self.exposure!r} is not in 0 … 1")
-        if self.adc_bits not in range(4, 25):
-            raise GenerateError(f"sensor: adc_bits {self.adc_bits!r} is not a whole number in 4 … 24")
-        if self.jpeg_quality is not None and self.jpeg_quality not in range(1, 101):
-            raise GenerateError(
-                f"sensor: jpeg_quality {self.jpeg_quality!r} is not a whole number in 1 … 100"
-            )
+        check_within("sensor: full_well", self.full_well, 1, 1e7, "electrons")
+        check_within("sensor: read_noise", self.read_noise, 0, self.full_well, "electrons")
+        check_within("sensor: exposure", self.exposure, 0, 1, "of the full well", above=True)
+        check_whole("sensor: adc_bits", self.adc_bits, 4, 24)
+        if self.jpeg_quality is not None:
+            check_whole("sensor: jpeg_quality", self.jpeg_quality, 1, 100)
 
     @classmethod
     def preset(cls, name: str) -> Sensor | None:

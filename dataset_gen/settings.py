@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tg4mm.core.values import Number
+
 from .cameras import CameraSetup
 from .effects import Effects
 from .errors import GenerateError
+from .limits import check_whole
 from .pictures import PictureFormat
 from .sensor import Sensor
 from .vibration import MotionDescription
@@ -52,12 +54,12 @@ class Settings:
     effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
-        _whole("--size", self.size, *_LIMIT_SIZE)
-        _whole("--samples", self.samples, 1, 65536)
-        _whole("--seed", self.seed, 0, 2**31 - 1)
-        _whole("--points", self.points, 0, 10_000_000)
+        check_whole("--size", self.size, *_LIMIT_SIZE)
+        check_whole("--samples", self.samples, 1, 65536)
+        check_whole("--seed", self.seed, 0, 2**31 - 1)
+        check_whole("--points", self.points, 0, 10_000_000)
         for alpha in self.alphas:
-            if not (math.isfinite(alpha) and 0 < alpha <= 999 and alpha == int(alpha)):
+            if not (Number(1, 999).fits(alpha) and alpha == int(alpha)):
                 raise GenerateError(
                     f"--alphas {alpha!r}: a magnification factor is a whole number in 1 … 999"
                 )
@@ -128,11 +130,6 @@ _PLAIN = ("scene", "size", "samples", "seed", "truth", "points", "engine", "devi
 def motion_file(scene: str) -> Path:
     """The description of a built-in scene's motion."""
     return Path(__file__).parent / "scenes" / f"{scene}.yaml"
-
-
-def _whole(option: str, value: int, low: int, high: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise GenerateError(f"{option} {value!r} is not a whole number in {low} … {high}")
 
 
 def _plain(value: float) -> str:

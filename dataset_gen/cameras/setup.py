@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.values import POSITIVE
+
 from ..errors import GenerateError
+from ..limits import check_whole, check_within
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
 from .framing import farther
 from .handheld import beside_path, fixed_camera, handheld_camera, sweep_cameras
@@ -57,26 +60,20 @@ class CameraSetup:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise GenerateError(f"--cameras {self.kind!r} is none of {', '.join(KINDS)}")
-        _whole("--views", self.views, 1, 1000)
-        _whole("--test-views", self.test_views, 0, 1000)
+        check_whole("--views", self.views, 1, 1000)
+        check_whole("--test-views", self.test_views, 0, 1000)
         if self.kind == "orbit" and self.views == 2:
             raise GenerateError(
                 "--views 2: on the orbit both would stand in the same place; 1, or 3 and more"
             )
-        _whole("--timesteps", self.n_timesteps, 1, 1000)  # folders are numbered with three digits
-        _whole("--seed", self.seed, 0, 2**31 - 1)
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise GenerateError(f"--fps {self.fps!r} is not a positive number")
-        if not 1e-3 <= self.fps <= _FASTEST:
-            raise GenerateError(f"--fps {self.fps!r} is not in 0.001 … {_FASTEST:g} Hz")
+        check_whole("--timesteps", self.n_timesteps, 1, 1000)  # folders are numbered with three digits
+        check_whole("--seed", self.seed, 0, 2**31 - 1)
+        check_within("--fps", self.fps, 1e-3, _FASTEST, "Hz")
         if len(self.centre) != 3 or not all(abs(x) <= _FARTHEST for x in self.centre):
             raise GenerateError(f"the cameras' centre {self.centre!r} is not three numbers of up to 1e5")
-        if not 0 < self.distance <= _FARTHEST:
-            raise GenerateError(f"the cameras' distance {self.distance!r} is not in 0 … 1e5 scene units")
-        if not 0.001 <= self.angle_x <= 2.9:
-            raise GenerateError(f"the field of view {self.angle_x!r} is not in 0.001 … 2.9 radians")
-        if not (math.isfinite(self.clock_offset_s) and 0 <= self.clock_offset_s <= 1e4):
-            raise GenerateError(f"--clock-offsets {self.clock_offset_s!r} is not in 0 … 1e4 seconds")
+        check_within("the cameras' distance", self.distance, 0, _FARTHEST, "scene units", above=True)
+        check_within("the field of view", self.angle_x, 0.001, 2.9, "radians")
+        check_within("--clock-offsets", self.clock_offset_s, 0, 1e4, "seconds")
         if self.clock_offset_s and self.kind not in _TOGETHER:
             raise GenerateError(
                 f"--clock-offsets {self.clock_offset_s:g}: with --cameras {self.kind} no two cameras film at once"
@@ -89,7 +86,7 @@ class CameraSetup:
 
         Raises GenerateError if kind is "given" and there are none, or if the sphere has no size.
         """
-        if not (math.isfinite(radius) and radius > 0):
+        if not POSITIVE.fits(radius):
             raise GenerateError(f"the scene has a radius of {radius!r}: there is nothing to look at")
         if self.kind == "given" and not cameras:
             raise GenerateError("--cameras given: the file holds no camera")
@@ -215,8 +212,3 @@ def _test(setup: CameraSetup) -> tuple[Camera, ...]:
         duration = (setup.n_timesteps - 1) / setup.fps
         return tuple(beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
     return tuple(test_cameras(setup.test_views, setup.test_stand))
-
-
-def _whole(option: str, value: int, low: int, high: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise GenerateError(f"{option} {value!r} is not a whole number in {low} … {high}")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..errors import GenerateError
+from ..limits import check_whole, check_within
 from ..pictures import PictureFormat
 
 CODECS = ("none", "h264")
@@ -33,15 +33,13 @@ class Effects:
     keep_video: bool = False
 
     def __post_init__(self) -> None:
-        _within("--shake", self.shake_px, _MOST_SHAKE, "pixels")
-        _within("--exposure-drift", self.exposure_drift, _MOST_PERCENT, "percent")
-        _within("--flicker", self.flicker, _MOST_PERCENT, "percent")
-        if not (math.isfinite(self.flicker_hz) and 0 < self.flicker_hz <= 1e6):
-            raise GenerateError(f"--flicker-hz {self.flicker_hz!r} is not in 0 … 1e6 Hz")
+        check_within("--shake", self.shake_px, 0, _MOST_SHAKE, "pixels")
+        check_within("--exposure-drift", self.exposure_drift, 0, _MOST_PERCENT, "percent")
+        check_within("--flicker", self.flicker, 0, _MOST_PERCENT, "percent")
+        check_within("--flicker-hz", self.flicker_hz, 0, 1e6, "Hz", above=True)
         if self.codec not in CODECS:
             raise GenerateError(f"--codec {self.codec!r} is none of {', '.join(CODECS)}")
-        if self.crf not in range(52):
-            raise GenerateError(f"--crf {self.crf!r} is not a whole number in 0 … 51")
+        check_whole("--crf", self.crf, 0, 51)
 
     @property
     def gain(self) -> bool:
@@ -74,8 +72,3 @@ class Effects:
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
-
-
-def _within(option: str, value: float, most: float, unit: str) -> None:
-    if not (math.isfinite(value) and 0 <= value <= most):
-        raise GenerateError(f"{option} {value!r} is not in 0 … {most:g} {unit}")

@@ -15,6 +15,7 @@ from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.untrusted import parse_json
+from tg4mm.core.values import Number, require
 
 from ..errors import GenerateError
 from ..options import parser, request_from
@@ -87,10 +88,8 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
         raise GenerateError(f"{where}: {unknown[0]!r} is none of {', '.join(_SET_KEYS)}")
     parts = own.get("parts", values["parts"])
     options = own.get("options", name)
-    if not isinstance(parts, int) or isinstance(parts, bool) or parts < 1:
-        raise GenerateError(f"{where}: parts is {parts!r}, expected a whole number of at least 1")
-    if not isinstance(options, str):
-        raise GenerateError(f"{where}: options is {options!r}, expected a string as on the command line")
+    require(f"{where}: parts", parts, Number(1, whole=True), GenerateError)
+    require(f"{where}: options", options, str, GenerateError)
     try:
         arguments = [*shlex.split(values["options"]), *shlex.split(options)]  # its own have the last word
         request = request_from(parser().parse_args([*arguments, "--out", values["out"]]))

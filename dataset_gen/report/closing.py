@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tg4mm.core.form import read_formed
 from tg4mm.core.pages.page import Block, Section, Table, Text
 from tg4mm.core.pages.svg import number
+from tg4mm.core.records import read_formed
 
 from ..tree import TIMING
 from .noise_floor import FloorRow

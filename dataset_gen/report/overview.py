@@ -10,7 +10,6 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from tg4mm import __version__
-from tg4mm.core.form import Just, Maybe, read_formed
 from tg4mm.core.pages.page import (
     Figure,
     Page,
@@ -24,6 +23,8 @@ from tg4mm.core.pages.page import (
     render_page,
 )
 from tg4mm.core.pages.svg import number
+from tg4mm.core.records import read_formed
+from tg4mm.core.values import Just, Maybe
 
 from ..errors import GenerateError
 from .closing import size_text

@@ -9,10 +9,10 @@ from typing import Any
 from PIL import Image
 
 from tg4mm import __version__
-from tg4mm.core.form import write_sealed
 from tg4mm.core.pages.page import Page, Stat, render_page
 from tg4mm.core.pages.svg import number
 from tg4mm.core.progress import progress
+from tg4mm.core.records import write_sealed
 
 from ..tree import whole
 from .closing import floor_section, making_section, size_text

@@ -9,6 +9,8 @@ from __future__ import annotations
 import reprlib
 from typing import Annotated, Any
 
+from tg4mm.core.values import Number
+
 Triple = tuple[float, float, float]
 _LARGEST, _SMALLEST = 1e9, 1e-9  # what a length, time or frequency can sensibly be; float32 holds all of it
 
@@ -78,7 +80,7 @@ def pair_of_positive(value: Any) -> tuple[float, float]:
 
 
 def whole(value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+    if not Number(low, high, whole=True).fits(value):
         raise ValueError(f"{shown(value)} is not a whole number in {low} … {high}")
     return value
 
@@ -97,7 +99,7 @@ def _is_numeral(value: str) -> bool:
     return True
 
 
-Number = Annotated[float, number]
+Real = Annotated[float, number]
 Positive = Annotated[float, positive]
 MaybePositive = Annotated[float | None, positive]
 Point = Annotated[Triple, vector]

@@ -9,7 +9,7 @@ import numpy as np
 
 from .fields import Field
 from .geometry import fade, unit
-from .values import Direction, MaybePositive, Number, Positive, Triple, direction, positive, shown, vector
+from .values import Direction, MaybePositive, Positive, Real, Triple, direction, positive, shown, vector
 
 # Rayleigh wave in a solid of Poisson's ratio 1/4: (c/c_shear)² is a root of ξ³ − 8ξ² + 56/3 ξ − 32/3.
 _XI = 2.0 - 2.0 / np.sqrt(3.0)
@@ -56,7 +56,7 @@ class Wave(Field):
     wavelength: Positive
     polarisation: Annotated[Triple | str, _polarisation]
     decay_length: MaybePositive = None
-    level: Number = 0.0
+    level: Real = 0.0
     region: Annotated[Region | None, _region] = None
 
     def __post_init__(self) -> None:

@@ -191,7 +191,7 @@ def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
         ({"views": True}, r"--views True"),
         ({"test_views": 1001}, r"--test-views 1001"),
         ({"n_timesteps": 0}, r"--timesteps 0"),
-        ({"fps": float("nan")}, r"--fps nan is not a positive number"),
+        ({"fps": float("nan")}, r"--fps nan is not in 0.001"),
         ({"fps": 0.0}, r"--fps 0.0"),
         ({"seed": -1}, r"--seed -1"),
         ({"distance": 0.0}, r"distance 0.0 is not in"),

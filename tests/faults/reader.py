@@ -36,7 +36,7 @@ def sealed(name: str, values: dict[str, Any], *folders: str) -> Callable[[Path],
     """Writes a JSON file with a digest."""
 
     def make(root: Path) -> Path:
-        from tg4mm.core.form import write_sealed
+        from tg4mm.core.records import write_sealed
 
         file = root.joinpath(*folders, name)
         file.parent.mkdir(parents=True, exist_ok=True)

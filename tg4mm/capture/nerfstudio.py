@@ -10,7 +10,8 @@ from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import assemble, timed, views_of_frames
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.records import Record, read_record, shown
+from tg4mm.core.records import Record, read_record
+from tg4mm.core.values import shown
 
 LAYOUT = "a nerfstudio folder (transforms.json)"
 FILE = "transforms.json"

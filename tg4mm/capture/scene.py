@@ -14,23 +14,20 @@ from tg4mm.capture.timing import CLOCKS
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, read_record
+from tg4mm.core.values import Maybe, check_form
 
 FORMAT_VERSION = 1
 KINDS_OF_PICTURES = "IPB"  # coded by themselves, predicted forward, predicted from both sides
 LONGEST_CODEC_PERIOD = 8  # frames; of a longer one, as between key frames, every frequency is near a multiple
 _FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
-_NUMBERS = ("frequency_hz", "amplitude", "pixels_per_unit")
 _COUNTS = ("width", "height", "n_train", "n_test", "codec_period")
-_TYPES: dict[str, tuple[type, str]] = {
-    "scene": (str, "a string"),
-    "background": (str, "a string"),
-    "sfm": (dict, "an object {…}"),
-    "video": (dict, "an object {…}"),
-    "engine": (dict, "an object {…}"),
-    "modes": (list, "a list of objects"),
-    "picture_kinds": (str, "a string"),
-    "alphas": (list, "a list of numbers"),
+_FORM = {
+    **dict.fromkeys(("frequency_hz?", "amplitude?", "pixels_per_unit?"), Maybe(float)),
+    **dict.fromkeys(("scene?", "background?", "picture_kinds?"), Maybe(str)),
+    **dict.fromkeys(("sfm?", "video?", "engine?"), Maybe(dict)),
+    "modes?": Maybe([dict]),
+    "alphas?": Maybe([float]),
 }
 
 
@@ -121,16 +118,10 @@ def _one_of(record: Record, key: str, values: Sequence[str]) -> str:
 def _check_types(record: Record) -> None:
     if record.has("format_version") and record.whole("format_version", 0) != FORMAT_VERSION:
         raise record.error("format_version", f"{FORMAT_VERSION}, the version this reader knows")
-    for key in _NUMBERS:
-        if record.has(key):
-            record.number(key)
     for key in _COUNTS:
         if record.has(key):
             record.whole(key, 0)
-    for key, (kind, expected) in _TYPES.items():
-        if record.has(key) and not isinstance(record.values[key], kind):
-            raise record.error(key, expected)
-    if record.has("modes") and not all(isinstance(mode, dict) for mode in record.values["modes"]):
-        raise record.error("modes", "a list of objects")
-    for i, alpha in enumerate(record.values.get("alphas") or []):
-        Record(f"{record.where}: alphas", {f"[{i}]": alpha}).number(f"[{i}]")
+    try:
+        check_form(record.values, _FORM)
+    except ValueError as error:
+        raise CaptureError(f"{record.where}: {error}") from None

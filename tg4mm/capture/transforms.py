@@ -20,7 +20,8 @@ from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.pictures.decode import THREADS, image_header
-from tg4mm.core.records import Record, read_record, shown
+from tg4mm.core.records import Record, read_record
+from tg4mm.core.values import shown
 
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep

@@ -1,37 +1,53 @@
-"""JSON objects whose values are checked where they are read, so that an error names file, key and value."""
+"""JSON objects in files, read back: values checked where they are read, so that an error names file, key and value.
+
+What tg4mm wrote may carry a digest of its other entries (`write_sealed`); it then is what was written, or is refused.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import json_digest, write_json
 from tg4mm.core.untrusted import read_json
+from tg4mm.core.values import Number, check_form, shown
+
+DIGEST = "digest"
 
 
-def shown(value: Any, limit: int = 60) -> str:
-    """The value as one short line for a message."""
-    text = repr(value)
-    return text if len(text) <= limit else text[: limit - 1] + "…"
+def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
+    """Write an object of JSON values with a digest of it, atomically."""
+    write_json(path, {**values, DIGEST: json_digest(dict(values))})
+
+
+def read_formed(path: Path, form: Mapping[Any, Any]) -> dict[str, Any]:
+    """A JSON file of that form (`values`), without its digest.
+
+    Raises ValueError of one line, without the file's name, for what is no JSON, not what was written, or of another
+    form; and OSError.
+    """
+    values = read_json(path, finite=True)
+    digest = values.pop(DIGEST, None) if isinstance(values, dict) else None
+    if digest is not None and digest != json_digest(values):
+        raise ValueError("is damaged or edited: its content is not what was written")
+    check_form(values, form)
+    return dict(values)
 
 
 def as_number(value: Any) -> float:
     """A JSON number as float, NaN for anything else (booleans and numbers past float's range too)."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return math.nan
-    try:
-        return float(value)
-    except OverflowError:
-        return math.nan
+    return float(value) if Number().fits(value) else math.nan
 
 
 @dataclass(frozen=True)
 class Record:
     """A JSON object and where it came from; its getters raise CaptureError with both."""
 
-    where: str  # file, and the place in it
+    where: str  # file, and the part of it
     values: dict[str, Any]
 
     def error(self, key: str, expected: str) -> CaptureError:
@@ -46,16 +62,15 @@ class Record:
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
         """A finite number with low < number < high."""
-        value = as_number(self.values.get(key))
-        if not (math.isfinite(value) and low < value < high):
-            bounds = [f"above {low:g}"] * (low > -math.inf) + [f"below {high:g}"] * (high < math.inf)
-            raise self.error(key, " ".join(["a finite number", " and ".join(bounds)]).strip())
-        return value
+        rule = Number(low, high, above=True, below=True)
+        if not rule.fits(self.values.get(key)):
+            raise self.error(key, str(rule))
+        return float(self.values[key])
 
     def whole(self, key: str, at_least: int) -> int:
         """A whole number of at least `at_least` (30.0 counts as whole)."""
         value = as_number(self.values.get(key))
-        if not (math.isfinite(value) and value.is_integer() and value >= at_least):
+        if not (value.is_integer() and value >= at_least):
             raise self.error(key, f"a whole number of at least {at_least}")
         return int(value)
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.core.errors import RunError
+from tg4mm.core.values import Number, require
 from tg4mm.fit.gaussians import Gaussians
 
 GAUSSIANS = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), torch.float32)
@@ -79,9 +80,7 @@ def gaussians_of(file: Path, tensors: Mapping[str, Tensor]) -> Gaussians:
 def clock_of(file: Path, header: Mapping[str, Any]) -> tuple[float, int]:
     """fps and n_timesteps of a motion's header."""
     for name, most in (("fps", _FASTEST), ("n_timesteps", _LONGEST)):
-        value = header.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
-            raise RunError(f"{file}: {name} is {value!r}, expected a positive number, at most {most:,.0f}")
+        require(f"{file}: {name}", header.get(name), Number(0, most, above=True), RunError)
     if header["n_timesteps"] != int(header["n_timesteps"]):
         raise RunError(f"{file}: n_timesteps is {header['n_timesteps']!r}, expected a whole number")
     return float(header["fps"]), int(header["n_timesteps"])

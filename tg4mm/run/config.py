@@ -12,11 +12,12 @@ from typing import Any
 from tg4mm import __version__
 from tg4mm.core import untrusted
 from tg4mm.core.errors import RunError
+from tg4mm.core.values import require
 from tg4mm.core.work_folder import WorkFolder
 
 FORMAT = "tg4mm"
 VERSION = 1
-_KINDS = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
+_FORM = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
 
 
 def work_folder(path: Path | str) -> WorkFolder:
@@ -57,9 +58,8 @@ def read_config(path: Path) -> dict[str, Any]:
         raise RunError(f"{file} is not a tg4mm run: format {found[0]!r}, kind {found[1]!r}")
     if config.get("version") != VERSION:
         raise RunError(f"{file} has version {config.get('version')!r}; this program reads {VERSION}")
-    for key, kind in _KINDS.items():
-        if not isinstance(config.get(key), kind):
-            raise RunError(f"{file}: {key} is {config.get(key)!r}, expected {kind.__name__}")
+    for key, rule in _FORM.items():
+        require(f"{file}: {key}", config.get(key), rule, RunError)
     return config
 
 

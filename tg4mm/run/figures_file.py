@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.form import Just, Maybe, read_formed
+from tg4mm.core.records import read_formed
+from tg4mm.core.values import Just, Maybe
 
 FORMAT = "tg4mm-metrics"
 _SEEN = {"rms_error": float, "rms_true": float, "static_share": float, "static_leak": Maybe(float)}

@@ -9,19 +9,17 @@ import numpy as np
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json
+from tg4mm.core.values import NOT_NEGATIVE, check_form
 
-_ADDED_UP = ("seconds", "peak_memory_mib")
+_LOG = {str: {"seconds?": NOT_NEGATIVE, "peak_memory_mib?": NOT_NEGATIVE}}
 
 
 def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:
     """`log`. Raises RunError naming `where` unless it is {stage: figures} with numbers for what is added up."""
-    for stage, figures in log.items():
-        if not isinstance(figures, dict):
-            raise RunError(f"{where}: {stage} is {figures!r:.60}, expected an object of figures")
-        for key in _ADDED_UP:
-            value = figures.get(key, 0.0)
-            if isinstance(value, bool) or not isinstance(value, int | float) or value < 0:
-                raise RunError(f"{where}: {stage}.{key} is {value!r:.60}, expected a number of at least 0")
+    try:
+        check_form(log, _LOG)
+    except ValueError as error:
+        raise RunError(f"{where}: {error}") from None
     return dict(log)
 
 

@@ -27,7 +27,7 @@ def test_a_flat_dataset_keeps_its_video(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("video", "said"),
     [
-        ("a.mp4", "video is 'a.mp4'; expected an object"),
+        ("a.mp4", "video is 'a.mp4', expected an object"),
         ({"file": 3, "from_s": 0}, "file is 3; expected the name of a video"),
         ({"file": "../a.mp4", "from_s": 0}, "leads outside the dataset's folder"),
         ({"file": "a.mp4", "from_s": 0, "repeats": ["x"]}, "expected a list of frames"),

@@ -168,19 +168,19 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
     ("config", "match"),
     [
         (SfmConfig(camera_model="FISH"), "--camera-model is FISH, expected SIMPLE_PINHOLE, "),
-        (SfmConfig(focal_px=-3.0), "--focal-px is -3.0, expected above 0"),
+        (SfmConfig(focal_px=-3.0), "--focal-px is -3.0, expected a finite number above 0"),
         (SfmConfig(fps=30.0), "--fps is 30, but photographs have no frame rate"),
         (SfmConfig(kind="drone"), "--kind is drone, expected photos, flat, tripod"),
         (SfmConfig(kind="rig"), "--kind is rig, but .* holds 12 photographs, which can be photos"),
-        (SfmConfig(start_s=-1.0), "--from is -1.0, expected 0 s or more"),
-        (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected more than --from, 2 s"),
+        (SfmConfig(start_s=-1.0), "--from is -1.0, expected a finite number of at least 0"),
+        (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected a finite number above 2"),
         (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
         (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
         (
             SfmConfig(synchronous=True),
             "--synchronous is for the cameras of a rig, but .* holds 12 photographs",
         ),
-        (SfmConfig(test_every=1), "--test-every is 1, expected 0 or >= 2"),
+        (SfmConfig(test_every=1), "--test-every is 1, expected 0, or a whole number of at least 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),
     ],
 )

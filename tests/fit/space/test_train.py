@@ -185,7 +185,7 @@ def test_nothing_given_is_changed(
         ({"levels": 3}, "space.levels is 3: pictures of 48×48 would be 12×12 .* at least 16 pixels"),
         ({"sh_degree": 4}, "space.sh_degree is 4, expected 0 to 3"),
         ({"sh_degree": -1}, "space.sh_degree is -1, expected 0 to 3"),
-        ({"l2": -0.1}, "space.l2 is -0.1, expected >= 0"),
+        ({"l2": -0.1}, "space.l2 is -0.1, expected a finite number of at least 0"),
         ({"l2": float("nan")}, "space.l2 is nan"),
         ({"l2": float("inf")}, "space.l2 is inf"),
         ({"dssim": 1.01}, "space.dssim is 1.01, expected 0 to 1"),

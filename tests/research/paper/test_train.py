@@ -75,7 +75,11 @@ class TestSettings:
                 "60",
                 r"setting paper.iterations is 60, expected more than paper.warm_up \(60\)",
             ),
-            ("paper.learning_rate", "0", "setting paper.learning_rate is 0.0, expected > 0"),
+            (
+                "paper.learning_rate",
+                "0",
+                "setting paper.learning_rate is 0.0, expected a finite number above 0",
+            ),
             (
                 "space.iterations",
                 "9",

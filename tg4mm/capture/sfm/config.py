@@ -9,6 +9,7 @@ from tg4mm.capture.sfm.clip import Window
 from tg4mm.capture.sfm.scale import Length, checked_length
 from tg4mm.capture.sfm.sources import FEWEST
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, Choice, Either, Just, Maybe, Number, require
 
 CAMERA_MODELS = (
     "SIMPLE_PINHOLE",
@@ -58,27 +59,22 @@ DEFAULTS = SfmConfig()
 def checked(config: SfmConfig) -> SfmConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
 
-    def positive(x: float | None) -> bool:
-        return x is None or (math.isfinite(x) and x > 0)
-
-    length = config.baseline[2] if config.baseline else None
-    window = config.window
-    checks: dict[str, tuple[bool, object, str]] = {
-        "camera-model": (config.camera_model in CAMERA_MODELS, config.camera_model, ", ".join(CAMERA_MODELS)),
-        "focal-px": (positive(config.focal_px), config.focal_px, "above 0"),
-        "matching": (config.matching in MATCHING, config.matching, ", ".join(MATCHING)),
-        "frames": (config.frames is None or config.frames >= FEWEST, config.frames, f">= {FEWEST}"),
-        "fps": (positive(config.fps), config.fps, "above 0"),
-        "from": (math.isfinite(window.start_s) and window.start_s >= 0, config.start_s, "0 s or more"),
-        "until": (window.stop_s > window.start_s, config.stop_s, f"more than --from, {config.start_s:g} s"),
-        "unit-scale-m": (positive(config.unit_scale_m), config.unit_scale_m, "above 0"),
-        "baseline": (positive(length), length, "a length above 0 m"),
-        "test-every": (config.test_every == 0 or config.test_every >= 2, config.test_every, "0 or >= 2"),
-        "seed": (0 <= config.seed < 1 << 31, config.seed, "0 to 2³¹ − 1"),
+    seconds = Number(config.start_s, above=True)
+    checks: dict[str, tuple[object, object]] = {
+        "camera-model": (config.camera_model, Choice(*CAMERA_MODELS)),
+        "focal-px": (config.focal_px, Maybe(POSITIVE)),
+        "matching": (config.matching, Choice(*MATCHING)),
+        "frames": (config.frames, Maybe(Number(FEWEST, whole=True))),
+        "fps": (config.fps, Maybe(POSITIVE)),
+        "from": (config.start_s, NOT_NEGATIVE),
+        "until": (config.stop_s, Maybe(seconds)),
+        "unit-scale-m": (config.unit_scale_m, Maybe(POSITIVE)),
+        "baseline": (config.baseline[2] if config.baseline else None, Maybe(POSITIVE)),
+        "test-every": (config.test_every, Either(Just(0), Number(2, whole=True))),
+        "seed": (config.seed, Number(0, 2**31 - 1, whole=True)),
     }
-    for name, (good, value, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"--{name} is {value}, expected {expected}")
+    for name, (value, rule) in checks.items():
+        require(f"--{name}", value, rule, Tg4mmError)
     scales = {
         "--unit-scale-m": config.unit_scale_m,
         "--baseline": config.baseline,

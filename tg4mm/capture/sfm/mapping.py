@@ -13,8 +13,8 @@ from urllib.parse import unquote
 from tg4mm.capture.sfm.engine import colmap, extract, match
 from tg4mm.capture.sfm.pairs import Pair, left_pairs, likely_pairs
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.form import read_formed, write_sealed
 from tg4mm.core.progress import progress
+from tg4mm.core.records import read_formed, write_sealed
 
 FEWEST_FEATURES = 20  # in a picture, for it to be placed at all
 _DIGESTS = "digests.json"  # beside COLMAP's files

@@ -13,9 +13,11 @@ import numpy as np
 
 from ..errors import SplatFileError
 from ..untrusted import parse_json
+from ..values import Number
 
 MAGIC = b"glTF"
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_SIZE = Number(0, whole=True)  # bytes
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -65,7 +67,7 @@ class Document:
 
     def index(self, values: list[Any], number: Any, name: str) -> int:
         """`number`, if it is one of the places in `values`."""
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(values):
+        if not Number(0, len(values), below=True, whole=True).fits(number):
             raise SplatFileError(f"names {name} {str(number)[:40]!r}; there are {len(values)}")
         return number
 
@@ -74,7 +76,7 @@ class Document:
         accessors = self.objects("accessors")
         found = accessors[self.index(accessors, number, "accessor")]
         count = found.get("count")
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        if not Number(1, whole=True).fits(count):
             raise SplatFileError(
                 f"an accessor has the count {str(count)[:40]!r}; expected a whole number above 0"
             )
@@ -95,7 +97,7 @@ class Document:
         view = self.view(found.get("bufferView"))
         step = self.json["bufferViews"][found["bufferView"]].get("byteStride", width * dtype.itemsize)
         size = width * dtype.itemsize
-        if not all(isinstance(v, int) and v >= 0 for v in (start, step)) or step < size:
+        if not all(map(_SIZE.fits, (start, step))) or step < size:
             raise SplatFileError(
                 f"an accessor starts at {str(start)[:40]} with a stride of {str(step)[:40]} bytes"
             )
@@ -114,7 +116,7 @@ class Document:
         found = views[self.index(views, number, "bufferView")]
         start, size = found.get("byteOffset", 0), found.get("byteLength")
         data = self._buffer(found.get("buffer"))
-        if not all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in (start, size)):
+        if not all(map(_SIZE.fits, (start, size))):
             raise SplatFileError(f"a bufferView spans {str(size)[:40]} bytes from {str(start)[:40]}")
         if start + size > len(data):
             raise SplatFileError(f"is truncated: a bufferView ends at byte {start + size} of {len(data)}")

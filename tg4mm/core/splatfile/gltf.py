@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SplatFileError
+from ..values import Number
 from .accessors import Document
 from .axes import TURN, transformed
 from .drawable import drawable
@@ -168,7 +169,7 @@ def _ours(document: Document) -> dict[str, Any] | None:
         return None
     about = told[0]
     good = isinstance(about, dict) and all(
-        isinstance(about.get(key), list) and all(_is_number(v) for v in about[key])
+        isinstance(about.get(key), list) and all(Number().fits(v) for v in about[key])
         for key in ("frequencies_hz", "alphas")
     )
     if not good or len(about["alphas"]) != len(about["frequencies_hz"]):
@@ -176,7 +177,7 @@ def _ours(document: Document) -> dict[str, Any] | None:
             f"extras.tg4mm holds {str(about)[:60]}; expected frequencies_hz and alphas alike"
         )
     for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps"):
-        if about.get(key) is not None and not _is_number(about[key]):
+        if about.get(key) is not None and not Number().fits(about[key]):
             raise SplatFileError(f"extras.tg4mm: {key} is {str(about[key])[:60]}; expected a finite number")
     if about.get("unit_scale_m") is not None and not about["unit_scale_m"] > 0:
         raise SplatFileError(f"extras.tg4mm: unit_scale_m is {about['unit_scale_m']}; expected more than 0")
@@ -212,7 +213,3 @@ def _joined(parts: list[SplatFile]) -> SplatFile:
         for name in ("means", "quats", "scales", "opacities")
     }
     return drawable(fields | {"sh": np.concatenate(sh)}, [note for part in parts for note in part.notes])
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from ..errors import SplatFileError
 from ..untrusted import parse_json
+from ..values import Number
 from . import layout
 
 MAX_HEADER_BYTES = 1 << 20
@@ -133,18 +133,11 @@ def _about(text: str) -> dict[str, Any]:
     if version != layout.FORMAT_VERSION or isinstance(version, bool):
         raise SplatFileError(f"format_version is {version!r}; this reader knows {layout.FORMAT_VERSION}")
     frequencies = about.get("frequencies_hz")
-    if not isinstance(frequencies, list) or not all(_is_number(f) for f in frequencies):
+    if not isinstance(frequencies, list) or not all(Number().fits(f) for f in frequencies):
         raise SplatFileError(f"frequencies_hz is {str(frequencies)[:60]}; expected a list of finite numbers")
     for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps", "low_pass_px2"):
-        if about.get(key) is not None and not _is_number(about[key]):
+        if about.get(key) is not None and not Number().fits(about[key]):
             raise SplatFileError(f"{key} is {str(about[key])[:60]}; expected a finite number")
     if about.get("n_timesteps") is not None and about["n_timesteps"] != int(about["n_timesteps"]):
         raise SplatFileError(f"n_timesteps is {about['n_timesteps']}; expected a whole number")
     return about
-
-
-def _is_number(value: Any) -> bool:
-    try:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:
-        return False

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE, parse_json
+from ..values import Number
 from . import layout
 from .accessors import beside
 from .drawable import drawable
@@ -138,14 +139,15 @@ def _version(meta: dict[str, Any]) -> int:
 
 
 def _count(meta: dict[str, Any]) -> int:
+    count: Any
     if _version(meta) == 2:
         count = meta.get("count")
     else:
         shape = _part(meta, "means").get("shape")
         count = shape[0] if isinstance(shape, list) and shape else None
-    if not isinstance(count, int) or isinstance(count, bool) or not 0 < count < 1 << 32:
+    if not Number(1, 2**32 - 1, whole=True).fits(count):
         raise SplatFileError(f"{META}: the count is {str(count)[:40]}; expected a whole number above 0")
-    return count
+    return int(count)
 
 
 def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
@@ -159,7 +161,7 @@ def _numbers(part: dict[str, Any], name: str, width: int) -> np.ndarray:
     """[width] of a list of numbers, or of one number for all."""
     value = part.get(name)
     values = value if isinstance(value, list) else [value] * width
-    if len(values) != width or not all(type(v) in (int, float) for v in values):
+    if len(values) != width or not all(map(Number().fits, values)):
         raise SplatFileError(f"{META}: {name} is {json.dumps(value)[:60]}; expected {width} finite numbers")
     return np.array(values, np.float64)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.settings import setting
+from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, SEED, Choice, Number, require
 
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
@@ -50,24 +50,22 @@ class MotionConfig:
     seed: int = setting(0, "seed of the random generator")
 
 
+_RULES = {
+    "components": Number(1, 100_000),
+    "smoothness_weight": NOT_NEGATIVE,
+    "ridge": POSITIVE,
+    "iterations": Number(1, 1_000_000),
+    "tolerance": Number(1e-6, 1, below=True),  # 1e-6: what float32 holds
+    "gauss_newton": Number(0, 1_000),
+    "nuisance": Choice(*NUISANCE),
+    "seed": SEED,
+}
+
+
 def checked(config: MotionConfig) -> MotionConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
-    checks = {
-        "components": (1 <= config.components <= 100_000, "1 to 100,000"),
-        "smoothness_weight": (
-            math.isfinite(config.smoothness_weight) and config.smoothness_weight >= 0,
-            ">= 0",
-        ),
-        "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
-        "iterations": (1 <= config.iterations <= 1_000_000, "1 to 1,000,000"),
-        "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
-        "gauss_newton": (0 <= config.gauss_newton <= 1_000, "0 to 1,000"),
-        "nuisance": (config.nuisance in NUISANCE, ", ".join(NUISANCE)),
-        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
-    }
-    for name, (good, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
+    for name, rule in _RULES.items():
+        require(f"setting motion.{name}", getattr(config, name), rule, Tg4mmError)
     return config
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,6 +18,7 @@ from torch import Tensor
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.progress import progress
+from tg4mm.core.values import POSITIVE, Number
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.targets import RestViews
 
@@ -51,22 +51,17 @@ def check_checkpoint(
 
 def _check_state(state: Mapping[str, Any], n_views: int, config: SpaceConfig) -> None:
     order, psnr, extent = (state.get(name) for name in ("order", "psnr", "extent"))
+    view = Number(0, n_views - 1, whole=True)
     good = {
-        "iteration": _whole(state.get("iteration")) and 0 <= state["iteration"] <= config.iterations,
-        "order": isinstance(order, list)
-        and all(_whole(v) and 0 <= v < n_views for v in order)
-        and len(set(order)) == len(order),
-        "psnr": isinstance(psnr, float) and math.isfinite(psnr),
-        "extent": isinstance(extent, float) and math.isfinite(extent) and extent > 0,
+        "iteration": Number(0, config.iterations, whole=True).fits(state.get("iteration")),
+        "order": isinstance(order, list) and all(map(view.fits, order)) and len(set(order)) == len(order),
+        "psnr": Number().fits(psnr),
+        "extent": POSITIVE.fits(extent),
     }
     for name, is_good in good.items():
         if not is_good:
             text = json.dumps(state.get(name))
             raise RunError(f"{name} is {text}: no state of {config.iterations} iterations on {n_views} views")
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, config: SpaceConfig) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.settings import setting
+from tg4mm.core.values import NOT_NEGATIVE, SEED, Choice, Either, Just, Number, require
 
 MOST_ITERATIONS = 100_000_000  # a year of them
 MOST_GAUSSIANS = 100_000_000  # what a run of 20 GB holds
@@ -50,23 +50,21 @@ class SpaceConfig:
     seed: int = setting(0, "of random draws")
 
 
+_RULES = {
+    "iterations": Number(0, MOST_ITERATIONS),
+    "max_gaussians": Either(Just(0), Number(4, MOST_GAUSSIANS)),
+    "levels": Number(0, MOST_LEVELS),
+    "sh_degree": Number(0, 3),
+    "l2": NOT_NEGATIVE,
+    "dssim": Number(0, 1),
+    "init": Choice(*INITS),
+    "init_points": Number(4, MOST_GAUSSIANS),
+    "seed": SEED,
+}
+
+
 def checked(config: SpaceConfig) -> SpaceConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
-    checks = {
-        "iterations": (0 <= config.iterations <= MOST_ITERATIONS, f"0 to {MOST_ITERATIONS:,}"),
-        "max_gaussians": (
-            config.max_gaussians == 0 or 4 <= config.max_gaussians <= MOST_GAUSSIANS,
-            f"0, or 4 to {MOST_GAUSSIANS:,}",
-        ),
-        "levels": (0 <= config.levels <= MOST_LEVELS, f"0 to {MOST_LEVELS}"),
-        "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
-        "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
-        "dssim": (0 <= config.dssim <= 1, "0 to 1"),
-        "init": (config.init in INITS, ", ".join(INITS)),
-        "init_points": (4 <= config.init_points <= MOST_GAUSSIANS, f"4 to {MOST_GAUSSIANS:,}"),
-        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
-    }
-    for name, (good, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"setting space.{name} is {getattr(config, name)}, expected {expected}")
+    for name, rule in _RULES.items():
+        require(f"setting space.{name}", getattr(config, name), rule, Tg4mmError)
     return config

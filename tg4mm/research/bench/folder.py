@@ -15,7 +15,7 @@ from typing import Any
 from tg4mm import __version__
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic, write_json
-from tg4mm.core.form import Maybe
+from tg4mm.core.values import Maybe
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.research.bench.errors import BenchError
 from tg4mm.run.config import read_json

@@ -15,9 +15,10 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.core.pictures.frames import to_bytes, write_png
 from tg4mm.core.progress import progress
+from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.errors import BenchError
 from tg4mm.research.bench.folder import claim_set
 from tg4mm.research.bench.measure import Plan, alphas_of

@@ -16,8 +16,9 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.core.magnification import Magnification
+from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances
 from tg4mm.research.bench.observed import observed_figures
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state

@@ -5,11 +5,11 @@ What each departure brings is measured in docs/paper.md.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.settings import setting
+from tg4mm.core.values import POSITIVE, SEED, Number, require
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.config import MOST_ITERATIONS
 
@@ -58,30 +58,34 @@ PAPER_TUNED = PaperConfig(
 )  # fmt: skip
 
 
+_RULES = {
+    "channels": Number(1, 1024),
+    "resolution": Number(16, 4096),
+    "mlp_layers": Number(0, 64),
+    "mlp_width": Number(1, 4096),
+    "warm_up": Number(1, MOST_ITERATIONS),
+    "motion_iterations": Number(1, MOST_ITERATIONS),
+    "learning_rate": POSITIVE,
+    "motion_learning_rate": POSITIVE,
+    "motion_rate_falls_to": Number(0, 1, above=True),
+    "deviation": POSITIVE,
+    "seed": SEED,
+}
+
+
 def checked(config: PaperConfig) -> PaperConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
-    c = config
-    power = c.resolution > 0 and c.resolution & (c.resolution - 1) == 0
-    checks = {
-        "channels": (1 <= c.channels <= 1024, "1 to 1024"),
-        "resolution": (power and 16 <= c.resolution <= 4096, "a power of two, 16 to 4096"),
-        "mlp_layers": (0 <= c.mlp_layers <= 64, "0 to 64"),
-        "mlp_width": (1 <= c.mlp_width <= 4096, "1 to 4096"),
-        "warm_up": (1 <= c.warm_up <= MOST_ITERATIONS, f"1 to {MOST_ITERATIONS:,}"),
-        "iterations": (
-            c.warm_up < c.iterations <= MOST_ITERATIONS,
-            f"more than paper.warm_up ({c.warm_up}), at most {MOST_ITERATIONS:,}",
-        ),
-        "motion_iterations": (1 <= c.motion_iterations <= MOST_ITERATIONS, f"1 to {MOST_ITERATIONS:,}"),
-        "learning_rate": (math.isfinite(c.learning_rate) and c.learning_rate > 0, "> 0"),
-        "motion_learning_rate": (math.isfinite(c.motion_learning_rate) and c.motion_learning_rate > 0, "> 0"),
-        "motion_rate_falls_to": (0 < c.motion_rate_falls_to <= 1, "above 0, up to 1"),
-        "deviation": (math.isfinite(c.deviation) and c.deviation > 0, "> 0"),
-        "seed": (0 <= c.seed < 1 << 63, "0 to 2⁶³ − 1"),
-    }
-    for name, (good, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"setting paper.{name} is {getattr(c, name)}, expected {expected}")
+    for name, rule in _RULES.items():
+        require(f"setting paper.{name}", getattr(config, name), rule, Tg4mmError)
+    if config.resolution & (config.resolution - 1):
+        raise Tg4mmError(
+            f"setting paper.resolution is {config.resolution}, expected a power of two, 16 to 4096"
+        )
+    if not config.warm_up < config.iterations <= MOST_ITERATIONS:
+        raise Tg4mmError(
+            f"setting paper.iterations is {config.iterations}, expected more than paper.warm_up ({config.warm_up}), at "
+            f"most {MOST_ITERATIONS:,}"
+        )
     return config
 
 

@@ -25,9 +25,9 @@ from filelock import FileLock, Timeout
 
 from tg4mm.core.files import give_back, write_json
 from tg4mm.core.filters import bins
-from tg4mm.core.form import read_formed
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.progress import progress
+from tg4mm.core.records import read_formed
 from tg4mm.core.room import reserve
 from tg4mm.core.temporary import rename
 from tg4mm.fit.gaussians import Gaussians

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import DTypeLike
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.form import check_form
+from tg4mm.core.values import check_form
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 from tg4mm.show.measure.sides import Sides, check_arrays

@@ -15,7 +15,8 @@ from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.pictures.decode import image_header
-from tg4mm.core.records import Record, read_record, shown
+from tg4mm.core.records import Record, read_record
+from tg4mm.core.values import shown
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LARGEST = 16_384  # pixels a side

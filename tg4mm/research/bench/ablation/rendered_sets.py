@@ -8,7 +8,7 @@ from typing import Any
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_json
-from tg4mm.core.form import check_form
+from tg4mm.core.values import check_form
 from tg4mm.research.bench.errors import BenchError, StepError
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.generator import run_generator

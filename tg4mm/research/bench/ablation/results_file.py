@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tg4mm.core.form import Just, Maybe, read_formed
+from tg4mm.core.records import read_formed
+from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.ablation.page import COLUMNS, SSIM
 from tg4mm.research.bench.errors import BenchError
 from tg4mm.research.bench.folder import CIRCUMSTANCES, FORMAT, VERSION

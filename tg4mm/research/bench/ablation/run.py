@@ -11,8 +11,8 @@ from typing import Any
 
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.form import write_sealed
 from tg4mm.core.progress import progress
+from tg4mm.core.records import write_sealed
 from tg4mm.research.bench.ablation.catalogue import Ablation, Row, chosen_preset, find_ablation, rows_of
 from tg4mm.research.bench.ablation.copied_sets import with_noise, with_timesteps, with_views
 from tg4mm.research.bench.ablation.page import ablation_cells, ablation_page, picture

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from tg4mm.core.form import Just, Maybe, check_form, read_formed, write_sealed
+from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.values import Just, Maybe, check_form
 
 FORM = {
     "kind": Just("a"),

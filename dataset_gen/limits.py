@@ -1,0 +1,19 @@
+"""Options within their limits."""
+
+from __future__ import annotations
+
+from tg4mm.core.values import Number
+
+from .errors import GenerateError
+
+
+def check_whole(option: str, value: object, low: int, high: int) -> None:
+    """Raises GenerateError unless the value is a whole number in low … high."""
+    if not Number(low, high, whole=True).fits(value):
+        raise GenerateError(f"{option} {value!r} is not a whole number in {low} … {high}")
+
+
+def check_within(option: str, value: float, low: float, high: float, unit: str, above: bool = False) -> None:
+    """Raises GenerateError unless the value is in low … high, where `above` leaves low out."""
+    if not Number(low, high, above=above).fits(value):
+        raise GenerateError(f"{option} {value!r} is not in {low:g} … {high:g} {unit}")
