@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tg4mm.research.bench.ablation.rendered_sets import KINDS
+from tg4mm.research.bench.ablation.sets import KINDS
 from tg4mm.research.bench.measure import strongest_hz
 from tg4mm.run import Run
 

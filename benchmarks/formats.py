@@ -26,9 +26,9 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.show.export.formats import export_gltf, export_spz_sequence, export_usd, one_period
 from tg4mm.show.export.splat import export_ply, frames_of, splat_of
-from tg4mm.show.render import RenderRequest
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.render.image import render_image
+from tg4mm.show.render.sequence import RenderRequest
 
 At = Callable[[int], SplatFile]  # timestep → Gaussians
 

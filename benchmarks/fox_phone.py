@@ -31,10 +31,9 @@ from tg4mm.core.metrics import ssim
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
-from tg4mm.show.render import RenderRequest, render_image
 from tg4mm.show.render.cameras import Camera
-from tg4mm.show.render.image import render_features
-from tg4mm.show.render.sequence import pose_of
+from tg4mm.show.render.image import render_features, render_image
+from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.weights import blending_weights
 
 ALPHA = 20

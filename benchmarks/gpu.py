@@ -39,12 +39,13 @@ from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
-from tg4mm.research.paper.config import base_config
+from tg4mm.research.paper.config import PAPER, PaperConfig, base_config
+from tg4mm.research.paper.motion import train_timesteps
+from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_space
-from tg4mm.show.render import orbit
+from tg4mm.show.render.cameras import orbit
 from tg4mm.show.weights import blending_weights
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "mic_5Hz_000"

@@ -14,8 +14,8 @@ from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion
 from tg4mm.fit.motion.animate import animator
-from tg4mm.show.render import render_image
 from tg4mm.show.render.cameras import look_at
+from tg4mm.show.render.image import render_image
 
 FPS, FREQUENCY, AMPLITUDE = 30.0, 5.0, 0.005  # Hz, Hz, share of the scene's extent
 

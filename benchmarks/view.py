@@ -30,12 +30,11 @@ from tg4mm.run import Run
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.app import App
-from tg4mm.show.view.clock import Clock
 from tg4mm.show.view.local_server import LocalServer, start_server, stop_server
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.scene import Scene, open_scene
 from tg4mm.show.view.screen import Canvas
-from tg4mm.show.view.session import Session
+from tg4mm.show.view.session import Clock, Session
 
 CHROMIUM = "/usr/bin/chromium"
 PLAYED = 10.0  # seconds in the browser

@@ -24,14 +24,17 @@ from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig, density, rest_views
 from tg4mm.fit.space import train as stage
 from tg4mm.research.bench.methods.tracking import TrackingConfig, track
-from tg4mm.research.evaluate import evaluate_run
-from tg4mm.research.paper import PaperConfig, first_views, train_timesteps, train_triplane
+from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.research.paper import motion as paper_motion
 from tg4mm.research.paper import space as paper_space
+from tg4mm.research.paper.config import PaperConfig
+from tg4mm.research.paper.motion import train_timesteps
+from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_space
-from tg4mm.show.render import RenderRequest, capture_cameras, render_sequence
+from tg4mm.show.render.cameras import capture_cameras
+from tg4mm.show.render.sequence import RenderRequest, render_sequence
 
 SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
 # Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.

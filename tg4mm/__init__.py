@@ -51,10 +51,10 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.show.measure import parse_sensor as parse_sensor
     from tg4mm.show.measure import prepare as prepare
     from tg4mm.show.measure import prepare_fit as prepare_fit
-    from tg4mm.show.render import Camera as Camera
-    from tg4mm.show.render import capture_cameras as capture_cameras
-    from tg4mm.show.render import orbit as orbit
-    from tg4mm.show.render import render as render
+    from tg4mm.show.render.cameras import Camera as Camera
+    from tg4mm.show.render.cameras import capture_cameras as capture_cameras
+    from tg4mm.show.render.cameras import orbit as orbit
+    from tg4mm.show.render.image import render as render
 
 __version__ = "0.1.0"
 
@@ -65,7 +65,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # The public names and the modules they lie in, the same as above.
 _PUBLIC = {
     "BandGain": "core.magnification",
-    "Camera": "show.render",
+    "Camera": "show.render.cameras",
     "Capture": "capture",
     "CaptureError": "core.errors",
     "Gaussians": "fit.gaussians",
@@ -85,19 +85,19 @@ _PUBLIC = {
     "SplatFileError": "core.errors",
     "Tg4mmError": "core.errors",
     "animate": "run.api",
-    "capture_cameras": "show.render",
+    "capture_cameras": "show.render.cameras",
     "fit_motion": "run.api",
     "fit_space": "run.api",
     "load_capture": "capture",
     "load_images": "capture",
     "measure": "show.measure",
-    "orbit": "show.render",
+    "orbit": "show.render.cameras",
     "parse_sensor": "show.measure",
     "prepare": "show.measure",
     "prepare_fit": "show.measure",
     "rasterization": "fit.rasterize",
     "read_splat": "core.splatfile",
-    "render": "show.render",
+    "render": "show.render.image",
     "to_splat": "show.export.splat",
     "write_splat": "core.splatfile",
 }

@@ -18,9 +18,10 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.device import check_device, full_precision, gpu_figures
 from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import Run
-from tg4mm.show.render import RenderRequest, capture_cameras, render_sequence
+from tg4mm.show.render.cameras import capture_cameras
+from tg4mm.show.render.sequence import RenderRequest, render_sequence
 
 
 @pytest.fixture(scope="module")

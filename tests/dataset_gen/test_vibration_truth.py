@@ -66,8 +66,9 @@ def test_the_same_motion_gives_the_same_bytes(tmp_path, motion):
 def test_the_evaluation_reads_the_exact_motion_back(tmp_path, motion, alpha):
     pytest.importorskip("scipy")
     pytest.importorskip("torch")
+    from tg4mm.capture.truth_file import load_truth
     from tg4mm.fit.motion.animate import displacement_at
-    from tg4mm.research.evaluate.truth import exact_motion, load_truth
+    from tg4mm.research.evaluate.truth import exact_motion
 
     truth.write_motion(tmp_path / "truth" / "motion.npz", bodies(), motion, T)
     corners = np.concatenate([b.vertices for b in bodies()])

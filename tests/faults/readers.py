@@ -83,7 +83,7 @@ def _truth(root: Path) -> Path:
 
 
 def _read_truth(root: Path) -> None:
-    from tg4mm.research.evaluate.truth import load_truth
+    from tg4mm.capture.truth_file import load_truth
 
     load_truth(root, 30.0, T)
 
@@ -323,7 +323,7 @@ SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "clos
 
 
 def _partial(root: Path) -> Path:
-    from tg4mm.research.evaluate.resume import Resume
+    from tg4mm.research.evaluate.run import Resume
 
     Resume(root / "metrics.json").put("key", SCORES)
     return root / ".metrics.json.partial.tmp"
@@ -331,7 +331,7 @@ def _partial(root: Path) -> Path:
 
 def _read_partial(root: Path) -> None:
     """What is not as it was put there is not given: no mutation may change a score."""
-    from tg4mm.research.evaluate.resume import Resume
+    from tg4mm.research.evaluate.run import Resume
 
     assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 

@@ -144,8 +144,8 @@ def _rendered(root: Path) -> Path:
 
 
 def _read_ablation(root: Path) -> None:
-    from tg4mm.research.bench.ablation.results_file import read_ablation
-    from tg4mm.research.bench.pages.html import _ablation
+    from tg4mm.research.bench.ablation.page import read_ablation
+    from tg4mm.research.bench.pages.write import _ablation
 
     _ablation(root, read_ablation(root))
 
@@ -157,7 +157,7 @@ def _read_bench(root: Path) -> None:
 
 
 def _read_complete(root: Path) -> None:
-    from tg4mm.research.bench.ablation.rendered_sets import _is_done
+    from tg4mm.research.bench.ablation.sets import _is_done
 
     _is_done(root, ["mic", "--out", "a"])
 
@@ -184,7 +184,7 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.research.bench.ablation.rendered_sets import generator_arguments, kind_options
+    from tg4mm.research.bench.ablation.sets import generator_arguments, kind_options
     from tg4mm.research.bench.sets import open_set
 
     data = open_set(root / "set", "a")

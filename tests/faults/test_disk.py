@@ -89,7 +89,7 @@ def test_with_room_the_same_video_is_written(disk: Callable[[int], Path]) -> Non
 
 
 def test_nor_does_a_report_hold_one(disk: Callable[[int], Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tg4mm.show.report.video import clip
+    from tg4mm.show.report.videos import clip
 
     monkeypatch.setattr(tempfile, "tempdir", str(disk(16)))
     with pytest.raises(RunError, match="no video could be written"):

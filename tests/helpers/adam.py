@@ -18,7 +18,7 @@ from torch import Tensor
 from tests.fit.rasterize.oracle import assert_close
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import train as space_stage
-from tg4mm.research.paper.fit import Fit
+from tg4mm.research.paper.space import Fit
 
 FIRST = 1e-4  # of the largest gradient, at the first step
 LATER = 1e-3  # the same at later steps, whose parameters have gone apart already

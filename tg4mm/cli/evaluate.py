@@ -51,7 +51,8 @@ def evaluate(
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm.core.magnification import BandGain, Magnification
     from tg4mm.fit.device import check_device
-    from tg4mm.research.evaluate import evaluate_run, format_table
+    from tg4mm.research.evaluate.run import evaluate_run
+    from tg4mm.research.evaluate.table import format_table
     from tg4mm.research.evaluate.wanted import check_alphas, target_file
     from tg4mm.run import Run
 

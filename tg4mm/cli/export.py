@@ -114,7 +114,7 @@ def export(
     from tg4mm.run import Run
     from tg4mm.show.export import splat as plain
     from tg4mm.show.export.formats import export_gltf, export_spz, export_spz_sequence, export_usd
-    from tg4mm.show.render import RenderRequest
+    from tg4mm.show.render.sequence import RenderRequest
 
     opened, baked = Run.open(run), low_pass is LowPass.baked
     if format is Format.ply:

@@ -26,7 +26,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.run import Run
-    from tg4mm.show.render import Camera
+    from tg4mm.show.render.cameras import Camera
 
 
 class Split(StrEnum):
@@ -97,7 +97,7 @@ def render(
     from tg4mm.core.splatfile.source import parsed_frequencies
     from tg4mm.fit.device import check_device
     from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
-    from tg4mm.show.render import RenderRequest, render_orbit, render_sequence
+    from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 
     check_device(device.value)
     opened = open_run(run, parsed_frequencies(frequencies or ""), fps)
@@ -122,7 +122,7 @@ def render(
 def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
     """The cameras of one split of the run's dataset; None is the test split, with an error that names the others."""
     from tg4mm.capture import load_capture
-    from tg4mm.show.render import capture_cameras
+    from tg4mm.show.render.cameras import capture_cameras
 
     try:
         return capture_cameras(load_capture(run.dataset, split=(split or Split.test).value))
@@ -137,8 +137,7 @@ def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
     """The cameras of a file; where it does not say, pictures are as large as the dataset's, or as its own first one."""
     from tg4mm.capture import load_capture
     from tg4mm.run.splat_run import SplatRun
-    from tg4mm.show.render import cameras_from_file
-    from tg4mm.show.render.cameras import size_of_first_picture
+    from tg4mm.show.render.cameras import cameras_from_file, size_of_first_picture
 
     if isinstance(run, SplatRun):
         return cameras_from_file(path, size_of_first_picture(path))
@@ -149,7 +148,7 @@ def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
 def orbit_cameras(run: Run, n: int) -> tuple[Camera, ...]:
     """`n` cameras on a circle around what the dataset's cameras look at, or else the Gaussians' middle."""
     from tg4mm.capture import load_capture
-    from tg4mm.show.render import orbit
+    from tg4mm.show.render.cameras import orbit
 
     centre = run.load_space().means.median(dim=0).values.numpy()
     return orbit(load_capture(run.dataset), n, centre)

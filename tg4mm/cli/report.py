@@ -43,7 +43,7 @@ def report(
             f"--band is given {len(asked)} times: a report magnifies one band, or every frequency"
         )
     from tg4mm.core.magnification import BandGain, Magnification
-    from tg4mm.research.evaluate import evaluate_run
+    from tg4mm.research.evaluate.run import evaluate_run
     from tg4mm.run import Run
     from tg4mm.show.measure import parse_sensor
     from tg4mm.show.measure.locate import check_sensors

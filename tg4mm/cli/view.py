@@ -67,10 +67,9 @@ def view(
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
     from tg4mm.core.band import check_band
     from tg4mm.run import Run
-    from tg4mm.show.view.clock import Clock, slow_enough
     from tg4mm.show.view.painter import Look
     from tg4mm.show.view.scene import open_scene
-    from tg4mm.show.view.session import Session
+    from tg4mm.show.view.session import Clock, Session, slow_enough
 
     scene = open_scene(Run.open(run))
     if band is not None and scene.motion is not None:

@@ -157,7 +157,7 @@ def _train(places: Places) -> None:
 
 
 def _request() -> Any:
-    from tg4mm.show.render import RenderRequest
+    from tg4mm.show.render.sequence import RenderRequest
 
     return RenderRequest(alpha=ALPHA)
 
@@ -165,7 +165,8 @@ def _request() -> Any:
 def _render(places: Places) -> None:
     from tg4mm.capture import load_capture
     from tg4mm.run import Run
-    from tg4mm.show.render import capture_cameras, render_sequence
+    from tg4mm.show.render.cameras import capture_cameras
+    from tg4mm.show.render.sequence import render_sequence
 
     cameras = capture_cameras(load_capture(places.dataset, split="test"))
     render_sequence(Run.open(places.run), cameras, _request(), _fresh(places.magnified, places.run))
@@ -174,7 +175,8 @@ def _render(places: Places) -> None:
 def _orbit(places: Places) -> None:
     from tg4mm.capture import load_capture
     from tg4mm.run import Run
-    from tg4mm.show.render import orbit, render_orbit
+    from tg4mm.show.render.cameras import orbit
+    from tg4mm.show.render.sequence import render_orbit
 
     cameras = orbit(load_capture(places.dataset), ORBIT_FRAMES)
     render_orbit(Run.open(places.run), cameras, _request(), _fresh(places.orbit, places.run))
@@ -201,7 +203,8 @@ def _fresh(folder: Path, run: Path) -> Path:
 
 
 def _evaluate(places: Places) -> None:
-    from tg4mm.research.evaluate import evaluate_run, format_table
+    from tg4mm.research.evaluate.run import evaluate_run
+    from tg4mm.research.evaluate.table import format_table
     from tg4mm.run import Run
 
     print(format_table(evaluate_run(Run.open(places.run), out=places.metrics)), end="")

@@ -33,7 +33,7 @@ from tg4mm.fit.motion.spectrum import modes_of
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
-from tg4mm.research.evaluate.resume import fingerprint
+from tg4mm.research.evaluate.run import fingerprint
 from tg4mm.research.evaluate.scores import Method, Scorer
 
 

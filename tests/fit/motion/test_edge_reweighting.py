@@ -9,11 +9,12 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
+from tg4mm.capture.truth_file import load_truth
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.prior import graph as edge_reweighting
 from tg4mm.fit.motion.prior.graph import Graph, build_graph, edge_residual, reweight_edges
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import exact_motion, load_truth
+from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.show.weights import blending_weights

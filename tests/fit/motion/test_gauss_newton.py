@@ -16,6 +16,7 @@ from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
+from tg4mm.capture.truth_file import load_truth
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.fit.motion import knots as module
@@ -34,7 +35,7 @@ from tg4mm.fit.motion.states import Errors, StateObservations, states_of
 from tg4mm.fit.motion.temporal.synchronous import Synchronous, principal_components
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import exact_motion, load_truth
+from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_space

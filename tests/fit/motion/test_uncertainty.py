@@ -20,7 +20,7 @@ from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.fit.motion.prior.graph import nearest
 from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
 from tg4mm.research.evaluate.displacement import mean_squares
-from tg4mm.research.evaluate.uncertainty import uncertainty_figures
+from tg4mm.research.evaluate.subject import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.show.weights import blending_weights

@@ -14,7 +14,7 @@ from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space.gains import MOST, RATE, fitting_gain, moved
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
-from tg4mm.show.render import render_image
+from tg4mm.show.render.image import render_image
 
 
 def picture(seed: int = 0) -> np.ndarray:

@@ -19,16 +19,15 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.pages.page import Figure
 from tg4mm.research.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
-from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture
-from tg4mm.research.bench.ablation.rendered_sets import KINDS, alphas_for
-from tg4mm.research.bench.ablation.results_file import read_ablation
+from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture, read_ablation
 from tg4mm.research.bench.ablation.run import run_ablation
+from tg4mm.research.bench.ablation.sets import KINDS, alphas_for
 from tg4mm.research.bench.folder import circumstances
 from tg4mm.research.bench.measure import Plan
-from tg4mm.research.bench.pages.html import _ablation
-from tg4mm.research.bench.pages.latex import escaped
 from tg4mm.research.bench.pages.markdown import trained_otherwise
 from tg4mm.research.bench.pages.tables import _SAYS, PIVOTS
+from tg4mm.research.bench.pages.text import escaped
+from tg4mm.research.bench.pages.write import _ablation
 from tg4mm.research.bench.request import check_settings, setting_names
 from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.bench.sets import open_set
@@ -241,7 +240,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
         (root / "scene.json").write_text(json.dumps(scene | {"cameras": {"kind": made["--cameras"]}}))
         return 0
 
-    monkeypatch.setattr("tg4mm.research.bench.ablation.rendered_sets.run_generator", generator)
+    monkeypatch.setattr("tg4mm.research.bench.ablation.sets.run_generator", generator)
     out = tmp_path / "out"
     results = run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
     assert [line["row"] for line in results["lines"]] == list(KINDS)

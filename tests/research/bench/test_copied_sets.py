@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import load_capture, load_images
+from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.catalogue import ABLATIONS
-from tg4mm.research.bench.ablation.copied_sets import with_noise, with_timesteps
 from tg4mm.research.bench.ablation.run import _job
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.ablation.sets import with_noise, with_timesteps
 from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.sets import open_set
 

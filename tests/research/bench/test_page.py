@@ -14,10 +14,10 @@ from PIL import Image
 
 from tests.show.view.browser import browser
 from tg4mm.research.bench.methods.external import External
-from tg4mm.research.bench.pages.html import write_page
-from tg4mm.research.bench.pages.latex import escaped, latex_table
 from tg4mm.research.bench.pages.markdown import how
-from tg4mm.research.bench.pages.tables import Table, full_table, groups_of, tables_of
+from tg4mm.research.bench.pages.tables import full_table, groups_of, tables_of
+from tg4mm.research.bench.pages.text import Table, escaped, latex_table
+from tg4mm.research.bench.pages.write import write_page
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
 
 

@@ -11,9 +11,9 @@ from PIL import Image
 
 from tests.helpers.curves import points_of
 from tg4mm.research.bench.ablation.page import picture
-from tg4mm.research.bench.pages.cells import shown, table
 from tg4mm.research.bench.pages.plots import curves
-from tg4mm.research.bench.pages.sheet import write_sheet
+from tg4mm.research.bench.pages.shown import write_sheet
+from tg4mm.research.bench.pages.text import shown, table
 
 
 def test_table_columns_line_up_and_keep_their_cells() -> None:

@@ -18,8 +18,7 @@ from dataset_gen.options import parser, request_from
 from tests.helpers.snakemake_program import FARM, check_plugins, snakemake
 from tg4mm.cli import main
 from tg4mm.cli.program import app
-from tg4mm.research.bench import presets
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError, presets
 from tg4mm.research.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
 
 ROOT = Path(__file__).parents[3]

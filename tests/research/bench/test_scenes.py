@@ -24,7 +24,7 @@ from tg4mm.research.bench.methods.known import ABOUT, NAMES
 from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.research.bench.sets import open_set, open_sets, truth_at
-from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.research.evaluate.subject import subject_of
 from tg4mm.run import Run
 from tg4mm.run.train import parse_settings

@@ -14,9 +14,8 @@ from PIL import Image
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.metrics import ssim_map
 from tg4mm.core.pictures.frames import write_png
-from tg4mm.research.bench.errors import BenchError
-from tg4mm.research.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.research.bench.scored import moving_pixels, score_pictures, with_closure
+from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.scored import cameras_of, moving_pixels, score_pictures, video_of, with_closure
 
 
 @pytest.fixture(scope="module")

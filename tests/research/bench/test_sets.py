@@ -12,9 +12,9 @@ import pytest
 
 from dataset_gen.arguments import parser
 from tg4mm.capture import load_capture
-from tg4mm.research.bench.ablation.copied_sets import with_views
-from tg4mm.research.bench.ablation.rendered_sets import generator_arguments
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.capture.truth_file import load_truth
+from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.ablation.sets import generator_arguments, with_views
 from tg4mm.research.bench.sets import (
     amplitude_name,
     band_around,
@@ -24,7 +24,6 @@ from tg4mm.research.bench.sets import (
     open_set,
     open_sets,
 )
-from tg4mm.research.evaluate.truth import load_truth
 
 
 def one_line(match: str) -> pytest.RaisesExc:

@@ -10,8 +10,7 @@ import torch
 from tests.research.bench.conftest import MODAL
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.measure import Plan
-from tg4mm.research.bench.methods.hexplane import HexPlane
-from tg4mm.research.bench.methods.tracking import checked_settings, tracking
+from tg4mm.research.bench.methods.tracking import HexPlane, checked_settings, tracking
 from tg4mm.research.bench.sets import open_set
 from tg4mm.run import Run
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.vqa import PROGRAMS, Checkout, checkouts
 
 VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)

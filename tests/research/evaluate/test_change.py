@@ -11,8 +11,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.change import change_figures, closure
-from tg4mm.research.evaluate.scores import Method
+from tg4mm.research.evaluate.scores import Method, change_figures, closure
 
 Scene = tuple[Capture, Gaussians, ModalMotion]
 

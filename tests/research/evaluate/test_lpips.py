@@ -9,7 +9,7 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 from safetensors.torch import save_file
 
-from tg4mm.research.evaluate.errors import EvaluationError
+from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.lpips import load_lpips
 
 LAYERS = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}

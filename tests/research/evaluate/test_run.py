@@ -15,7 +15,9 @@ from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.metrics import psnr
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate import EvaluationError, evaluate_run, format_table
+from tg4mm.research.evaluate import EvaluationError
+from tg4mm.research.evaluate.run import evaluate_run
+from tg4mm.research.evaluate.table import format_table
 from tg4mm.run import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"

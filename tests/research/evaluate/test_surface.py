@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.research.evaluate.surface import closest_on_triangles, sample_surface
+from tg4mm.research.evaluate.truth import closest_on_triangles, sample_surface
 
 SQUARE = np.array([[0.0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0]])
 TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tg4mm.capture.truth_file import Truth, TruthObject, load_truth
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import Truth, TruthObject, exact_motion, load_truth
+from tg4mm.research.evaluate.truth import exact_motion
 
 FPS, T = 30.0, 30
 LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section

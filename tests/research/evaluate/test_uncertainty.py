@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.uncertainty import uncertainty_figures
+from tg4mm.research.evaluate.subject import uncertainty_figures
 
 N = 400
 

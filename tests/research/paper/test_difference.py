@@ -12,10 +12,9 @@ from tests.research.paper.conftest import SETTINGS
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import CaptureError
 from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.fit import view_loss
 from tg4mm.research.paper.model import load_model
-from tg4mm.research.paper.rest import at_rest
-from tg4mm.research.paper.space import cameras_on, first_views, views_at
+from tg4mm.research.paper.motion import at_rest
+from tg4mm.research.paper.space import cameras_on, first_views, view_loss, views_at
 from tg4mm.run import Run
 from tg4mm.run.train import train
 

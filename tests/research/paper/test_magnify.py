@@ -17,7 +17,7 @@ from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.core.splatfile import read_splat
 from tg4mm.research.paper.embeddings import FOLDER, at_points, interpolation, series_of
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
-from tg4mm.research.paper.series import rotation_between
+from tg4mm.research.paper.motion import rotation_between
 from tg4mm.run.poses import poses_of
 from tg4mm.show.export.splat import smoothing_of
 

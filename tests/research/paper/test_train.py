@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.animate import animate
-from tg4mm.research.paper import PAPER, PAPER_TUNED
+from tg4mm.research.paper.config import PAPER, PAPER_TUNED
 from tg4mm.research.paper.model import load_model, load_planes, planes_name
 from tg4mm.run import Run
 from tg4mm.run.train import parse_settings, train

@@ -13,7 +13,7 @@ from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
-from tg4mm.show.result.deviations import mode_deviations
+from tg4mm.show.result.line import mode_deviations
 
 
 @pytest.fixture

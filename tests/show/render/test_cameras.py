@@ -11,8 +11,14 @@ import pytest
 from tests.helpers.synthetic import CENTRE, RADIUS
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import CaptureError, RunError
-from tg4mm.show.render import cameras_from_file, capture_cameras, look_at_point, orbit
-from tg4mm.show.render.cameras import look_at, transforms_json
+from tg4mm.show.render.cameras import (
+    cameras_from_file,
+    capture_cameras,
+    look_at,
+    look_at_point,
+    orbit,
+    transforms_json,
+)
 
 
 @pytest.fixture

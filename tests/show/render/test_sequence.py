@@ -11,15 +11,9 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.temporary import _HOST
-from tg4mm.show.render import (
-    RenderRequest,
-    capture_cameras,
-    orbit,
-    render_image,
-    render_orbit,
-    render_sequence,
-)
-from tg4mm.show.render.sequence import pose_of, work_folder
+from tg4mm.show.render.cameras import capture_cameras, orbit
+from tg4mm.show.render.image import render_image
+from tg4mm.show.render.sequence import RenderRequest, pose_of, render_orbit, render_sequence, work_folder
 
 
 @pytest.fixture

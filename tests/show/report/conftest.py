@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import UNCERTAINTY, Run
 
 

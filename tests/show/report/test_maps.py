@@ -7,8 +7,8 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.show.render import capture_cameras
-from tg4mm.show.report.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
+from tg4mm.show.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
+from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.weights import blending_weights
 
 

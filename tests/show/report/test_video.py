@@ -6,8 +6,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tg4mm.show.report import video
-from tg4mm.show.report.video import clip, playing_rate
+from tg4mm.show.report import videos as video
+from tg4mm.show.report.videos import clip, playing_rate
 
 
 @pytest.mark.parametrize(("fps", "shown"), [(5, 5), (30, 30), (60, 60), (61, 30), (960, 30)])

@@ -22,10 +22,9 @@ from tg4mm.run import Run
 from tg4mm.show.measure import MeasureError, Sensor, measure, parse_sensor
 from tg4mm.show.measure.table import rows_of
 from tg4mm.show.report import ReportOptions, write_report
-from tg4mm.show.report.sources import load_model
-from tg4mm.show.report.views import gather_view
+from tg4mm.show.report.sources import gather_view, load_model
 from tg4mm.show.result import Length, result_of
-from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.model import with_deviation
 from tg4mm.show.result.read import reading_of
 
 
@@ -196,7 +195,7 @@ def test_a_dataset_without_truth_has_a_page_without_a_word_of_it(bare_run, tmp_p
 
 
 def test_metrics_with_everything_absent_are_shown_as_such(bare_run, tmp_path):
-    from tg4mm.research.evaluate import evaluate_run
+    from tg4mm.research.evaluate.run import evaluate_run
 
     said = words(report(bare_run, tmp_path, metrics=evaluate_run(bare_run)))
     assert "Not measured." in said

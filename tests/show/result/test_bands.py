@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tg4mm.core.band import check_band
-from tg4mm.show.result.bands import suggested_bands
+from tg4mm.show.result.advice import suggested_bands
 
 
 def test_one_step_of_resolution_to_either_side() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.fit.motion.scenes import of_amplitudes
-from tg4mm.show.result.deviations import mode_deviations
+from tg4mm.show.result.line import mode_deviations
 
 
 def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:

@@ -19,9 +19,9 @@ from tg4mm.core.errors import RunError
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.result import Length, Result, lines_of, result_of
-from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.model import with_deviation
+from tg4mm.show.result.reach import pixel_rows
 from tg4mm.show.result.read import series_of
-from tg4mm.show.result.seen import pixel_rows
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.show.view.bands import band_around, band_of_slider, band_words, main_peaks, peak_labels
+from tg4mm.show.view.colours import band_around, band_of_slider, band_words, main_peaks, peak_labels
 
 FREQUENCIES = np.array([3.4, 3.6, 7.0, 12.0])
 

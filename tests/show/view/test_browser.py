@@ -15,10 +15,9 @@ from PIL import Image
 
 from tests.show.view.browser import browser
 from tg4mm.show.view.app import App, canvas_of
-from tg4mm.show.view.clock import Clock
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.scene import Scene
-from tg4mm.show.view.session import Session
+from tg4mm.show.view.session import Clock, Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tg4mm.show.view.clock import Clock, slow_enough
+from tg4mm.show.view.session import Clock, slow_enough
 
 
 def test_it_plays_at_its_speed_and_starts_anew_at_the_end():

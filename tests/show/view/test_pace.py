@@ -2,7 +2,7 @@
 
 import pytest
 
-from tg4mm.show.view.pace import RATE, Pace, full_size
+from tg4mm.show.view.screen import RATE, Pace, full_size
 
 
 def settled(seconds_per_pixel: float, canvas: tuple[int, int], rounds: int = 60) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import pytest
 from tests.show.view.conftest import DEVIATION
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.pixel import Measurer, modal_waveform, seen_at
+from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
 from tg4mm.show.view.scene import open_scene
 
 

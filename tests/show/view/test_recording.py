@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.show.view.clock import Clock
 from tg4mm.show.view.painter import Look
-from tg4mm.show.view.recording import LONGEST, clip_moments, next_name, save_clip, save_snapshot
+from tg4mm.show.view.saving import LONGEST, clip_moments, next_name, save_clip, save_snapshot
 from tg4mm.show.view.screen import Canvas
-from tg4mm.show.view.session import Session
+from tg4mm.show.view.session import Clock, Session
 
 
 @pytest.fixture

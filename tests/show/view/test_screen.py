@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from tg4mm.run import Run
-from tg4mm.show.view.clock import Clock
-from tg4mm.show.view.pace import Pace
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.scene import open_scene
-from tg4mm.show.view.screen import Canvas, Screen
-from tg4mm.show.view.session import Session
+from tg4mm.show.view.screen import Canvas, Pace, Screen
+from tg4mm.show.view.session import Clock, Session
 
 CANVAS = Canvas((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.show.web.factor import MotionFields, motion_fields
+from tg4mm.show.web.pack import MotionFields, motion_fields
 
 
 def modal(displacement: np.ndarray, rotation: np.ndarray) -> ModalMotion:

@@ -8,8 +8,7 @@ import torch
 
 from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.show.web.factor import MotionFields, motion_fields
-from tg4mm.show.web.pack import SH_STEP, Packed, pack, unpack
+from tg4mm.show.web.pack import SH_STEP, MotionFields, Packed, motion_fields, pack, unpack
 
 
 @pytest.fixture(scope="module")

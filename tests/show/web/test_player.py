@@ -22,8 +22,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.render.image import render_image
-from tg4mm.show.web.scene import camera_json
-from tg4mm.show.web.write import export_html
+from tg4mm.show.web.write import camera_json, export_html
 
 pytestmark = pytest.mark.slow
 LEAST_DB = 35.0

@@ -1,3 +1,13 @@
 """The benchmark: presets against ground truth on many datasets, and the paper's ablations, as tables and pictures."""
 
 from __future__ import annotations
+
+from tg4mm.core.errors import Tg4mmError
+
+
+class BenchError(Tg4mmError):
+    """A dataset without ground truth, an ablation that is none, or a folder that holds something else."""
+
+
+class StepError(BenchError):
+    """A program that a part of a benchmark needs has failed."""

@@ -8,16 +8,17 @@ import shlex
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from tg4mm import __version__
-from tg4mm.core.errors import RunError
+from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.values import Maybe
 from tg4mm.core.work_folder import WorkFolder
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError
 from tg4mm.run.config import read_json
 
 RECORD = "bench.json"
@@ -107,3 +108,15 @@ def _processor() -> str:
     lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return named[0] if named else platform.processor() or "unknown processor"
+
+
+def why_failed(error: Exception, place: Path) -> str:
+    """One line. Of an error that is no message to a user the traceback is written to `place`/traceback.txt."""
+    why = str(error) or type(error).__name__
+    if isinstance(error, Tg4mmError | OSError | MemoryError):
+        return why
+    log = place / "traceback.txt"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    text = "".join(traceback.format_exception(error))
+    write_atomic(log, lambda file: file.write_text(text, encoding="utf-8"))
+    return f"{type(error).__name__}: {why.splitlines()[0]} ({log})"

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tg4mm.research.bench.pages.cells import table
 from tg4mm.research.bench.pages.markdown import origin
+from tg4mm.research.bench.pages.text import table
 from tg4mm.research.bench.sets import goal_amplitude
 
 JUDGED = "modal"  # the preset that the goals are for

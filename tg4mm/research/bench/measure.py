@@ -22,9 +22,8 @@ from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances
 from tg4mm.research.bench.observed import observed_figures
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
-from tg4mm.research.evaluate import evaluate_run
 from tg4mm.research.evaluate.lpips import load_lpips
-from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
+from tg4mm.research.evaluate.run import CEILING, OURS, STATIC, evaluate_run
 from tg4mm.research.evaluate.scores import Key
 from tg4mm.research.evaluate.subject import subject_of
 from tg4mm.run import Run

@@ -10,10 +10,9 @@ from typing import Any
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import to_json
 from tg4mm.core.progress import progress
-from tg4mm.research.bench.ablation.results_file import read_ablation
-from tg4mm.research.bench.errors import BenchError
-from tg4mm.research.bench.failures import why_failed
-from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder
+from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.ablation.page import read_ablation
+from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
 from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import Plan, Training, alphas_of, check_plan, is_measured, warm_up
@@ -21,8 +20,7 @@ from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.methods.known import DEFAULT, methods_of
 from tg4mm.research.bench.methods.trained import Trained
-from tg4mm.research.bench.pages.html import write_page
-from tg4mm.research.bench.pages.write import write_results
+from tg4mm.research.bench.pages.write import write_page, write_results
 from tg4mm.research.bench.request import check_settings
 from tg4mm.research.bench.scored import with_closure
 from tg4mm.research.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth

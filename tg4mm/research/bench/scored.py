@@ -1,4 +1,4 @@
-"""Scores of rendered test pictures against ground truth: the same for every method, from 8-bit files on disk."""
+"""A benchmark's test pictures: one video for each camera, and scores against ground truth from 8-bit files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture
+from tg4mm.capture import Capture, ImageStack
 from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
+from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
-from tg4mm.research.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.research.evaluate.scores import Metric
+from tg4mm.research.bench import BenchError
+from tg4mm.research.evaluate.scores import BACKGROUND, Metric
 
 MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
 _THREADS = 2
@@ -146,9 +147,53 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
     """Add `closure` to every row's scores of one set and α: SSIM between the rows `still` (0) and `ceiling` (1)."""
-    from tg4mm.research.evaluate.change import closure
+    from tg4mm.research.evaluate.scores import closure
 
     ends = [rows.get(name, {}).get("ssim") for name in (still, ceiling)]
     for scores in rows.values():
         known = [scores.get("ssim"), *ends]
         scores["closure"] = None if None in known else closure(*known)  # type: ignore[arg-type]
+
+
+def cameras_of(capture: Capture) -> list[np.ndarray]:
+    """For each camera the indices of its images in order of time."""
+    found = []
+    for camera in np.unique(capture.camera_ids):
+        rows = np.flatnonzero(capture.camera_ids == camera)
+        found.append(rows[np.argsort(capture.timesteps[rows], kind="stable")])
+    return found
+
+
+def most_changing(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
+    """(indices of its images in order of time, their video) of the camera whose pictures vary most over time."""
+    videos = ((rows, video_of(capture, rows)) for rows in cameras_of(capture))
+    return max(videos, key=lambda found: float(found[1].var(0).mean()))
+
+
+def picture_name(capture: Capture, image: int) -> Path:
+    """Where a method's picture of an image lies in its folder: as the image in the dataset, but always a PNG."""
+    return capture.paths[image].relative_to(capture.root).with_suffix(".png")
+
+
+def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np.ndarray:
+    """[T, H, W, 3] float32 in 0..1 over white: the images `rows`, or a method's pictures of them under
+    `root`.
+
+    Raises BenchError for a file that is not there, leads out of `root` or has another size, CaptureError for a torn
+    one.
+    """
+    frames = []
+    for i in rows.tolist():
+        path = capture.paths[i]
+        if root is not None:
+            path = root / picture_name(capture, i)
+            if not path.is_file():
+                raise BenchError(f"{path} does not exist: every picture of the test split is needed")
+            if not path.resolve().is_relative_to(root.resolve()):
+                raise BenchError(f"{path} leads out of its folder, to {path.resolve()}")
+        image = decode(path)
+        if image.shape[:2] != (capture.height, capture.width):
+            size = f"{image.shape[1]}×{image.shape[0]}"
+            raise BenchError(f"{path}: is {size} pixels, expected {capture.width}×{capture.height}")
+        frames.append(ImageStack(image[None]).rgb(0, background=BACKGROUND))
+    return np.stack(frames)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.files import to_json
-from tg4mm.research.bench.errors import BenchError
-from tg4mm.research.evaluate.truth import TRUTH_FILE, Truth, load_truth
+from tg4mm.research.bench import BenchError
 from tg4mm.research.evaluate.wanted import alphas_with_truth
 from tg4mm.run.config import read_json
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError
 from tg4mm.show.render.video import loops_to_last, write_mp4
 
 _SECONDS = 4.0  # that a video lasts, by repetition

@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from tg4mm.core.metrics import check_images
-from tg4mm.research.evaluate.errors import EvaluationError
+from tg4mm.research.evaluate import EvaluationError
 
 MIN_SIZE = 31  # pixels: below it the second pooling has no window left
 _SUFFIXES = (".safetensors", ".pth", ".pt")

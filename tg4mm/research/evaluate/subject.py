@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture
+from tg4mm.capture.truth_file import TRUTH_FILE, load_truth
 from tg4mm.core.magnification import BandGain, Magnification, check_bands
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.displacement import displacement_figures, mean_squares
 from tg4mm.research.evaluate.scores import Method, Posing, in_bands
-from tg4mm.research.evaluate.truth import TRUTH_FILE, exact_motion, load_truth
-from tg4mm.research.evaluate.uncertainty import uncertainty_figures
+from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
 from tg4mm.run.model_hash import model_hash
@@ -148,3 +148,26 @@ def notes_of(subject: Subject) -> list[str]:
 
 def _hertz(frequencies: np.ndarray) -> str:
     return ", ".join(f"{f:g}" for f in frequencies) + " Hz"
+
+
+_TIMES = 2.0  # of the standard deviation that is said: beyond it an error was not foreseen
+
+
+def uncertainty_figures(
+    estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, said: np.ndarray
+) -> dict[str, float]:
+    """Figures of `said` [N], the standard deviation of each Gaussian's displacement (rms over time, scene units).
+
+    `said`, `error`: rms over Gaussians, weighted by `weights` [N], scene units. `within_two`: the part of the weight
+    whose true error, rms over time, is at most twice what is said. Raises ValueError where `said` is for another
+    number of Gaussians.
+    """
+    if said.shape != weights.shape:
+        raise ValueError(f"the uncertainty is of {len(said)} Gaussians, the weights of {len(weights)}")
+    error2, said2 = mean_squares(estimated, true)[0], said.astype(np.float64) ** 2
+    total = weights.sum()
+    return {
+        "said": float(np.sqrt((said2 * weights).sum() / total)),
+        "error": float(np.sqrt((error2 * weights).sum() / total)),
+        "within_two": float(weights[error2 <= _TIMES**2 * said2].sum() / total),
+    }

@@ -11,7 +11,7 @@ from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.core.untrusted import read_json
-from tg4mm.research.evaluate.errors import EvaluationError
+from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.research.evaluate.scores import Metric
 from tg4mm.run import Run

@@ -34,8 +34,9 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.magnify.linear import magnified_series
 from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.fit.magnify.pyramid import PyramidConfig
+from tg4mm.research.paper.decoder import Decoder
 from tg4mm.research.paper.model import PaperModel, load_model, plane_video
-from tg4mm.research.paper.triplane import Cells, Decoder
+from tg4mm.research.paper.triplane import Cells
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 

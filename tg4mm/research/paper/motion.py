@@ -7,24 +7,27 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.phasors import series_modes
 from tg4mm.core.progress import Update, progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import RestViews
+from tg4mm.fit.space.view import render_view
 from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.fit import Fit, view_loss
+from tg4mm.research.paper.decoder import Decoder
 from tg4mm.research.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes
-from tg4mm.research.paper.rest import AtRest, at_rest
-from tg4mm.research.paper.series import modal_of_series
-from tg4mm.research.paper.space import cameras_on, views_at
-from tg4mm.research.paper.triplane import Decoder, sample
+from tg4mm.research.paper.space import Fit, cameras_on, view_loss, views_at
+from tg4mm.research.paper.triplane import sample
 from tg4mm.run import Run
 
 CHECKPOINT_EVERY_S = 20.0
@@ -135,3 +138,60 @@ def train_timesteps(
     run.record(_STAGE, {"mib_on_disk": disk_mib(run)})
     run.drop_checkpoint(_STAGE)
     return motion
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """The cameras of timestep 0 and, of each, rendered less picture."""
+
+    viewmats: np.ndarray  # [V, 4, 4] float32
+    Ks: np.ndarray  # [V, 3, 3] float32
+    missing: np.ndarray  # [V, H, W, 3] float32: rendered at rest − picture of timestep 0
+
+    def row_of(self, views: RestViews, v: int) -> int:
+        """Which of these cameras took picture v of `views`. Raises CaptureError if it had moved since timestep 0."""
+        same = (self.viewmats == views.viewmats[v]).all((1, 2)) & (self.Ks == views.Ks[v]).all((1, 2))
+        if not same.any():
+            raise CaptureError(
+                "setting paper.difference is true, which needs fixed cameras, but a camera moved"
+            )
+        return int(same.argmax())
+
+
+@torch.no_grad()
+def at_rest(model: PaperModel, views: RestViews) -> AtRest:
+    """Render the model at rest from the cameras of timestep 0, over white."""
+    gaussians = model.rest()
+    size = views.rgb.shape[2], views.rgb.shape[1]
+    rendered = [
+        render_view(
+            gaussians, torch.from_numpy(viewmat), torch.from_numpy(K), size, gaussians.sh_degree
+        ).rgb.numpy()
+        for viewmat, K in zip(views.viewmats, views.Ks, strict=True)
+    ]
+    return AtRest(views.viewmats, views.Ks, np.stack(rendered) - views.rgb)
+
+
+def rotation_between(start: Tensor, end: Tensor) -> Tensor:
+    """[N, 3] rotation vectors, radians, world axes, of the turn that takes quaternions [N, 4] `start` to `end`."""
+    a, b = (torch.nn.functional.normalize(q.double(), dim=1) for q in (start, end))
+    # b ā, of the two signs of a quaternion that with the smaller turn
+    w = (a * b).sum(1)
+    v = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - torch.linalg.cross(b[:, 1:], a[:, 1:])
+    v = torch.where((w < 0)[:, None], -v, v)
+    length = torch.linalg.vector_norm(v, dim=1, keepdim=True)
+    angle = 2 * torch.atan2(length, w.abs()[:, None])
+    return torch.where(length > 1e-12, v / length.clamp_min(1e-12) * angle, 2 * v)
+
+
+@torch.no_grad()
+def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> ModalMotion:
+    """The motion from timestep 0 of what the motion planes (values [A, C] of timesteps 1, 2, …) decode to."""
+    rest = model.rest()
+    changes = [torch.zeros(len(rest), 6, dtype=torch.float64)]
+    for values in planes:
+        now = model.decode(model.embedding(values))
+        shift = now.means.double() - rest.means.double()
+        changes.append(torch.cat([shift, rotation_between(rest.quats, now.quats)], 1))
+    freqs, phasors = series_modes(torch.stack(changes).numpy(), fps)
+    return ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], fps, len(changes))

@@ -21,7 +21,7 @@ from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_variance, widened
-from tg4mm.show.result.deviations import mode_deviations
+from tg4mm.show.result.line import mode_deviations
 
 if TYPE_CHECKING:
     from tg4mm.show.render.sequence import RenderRequest

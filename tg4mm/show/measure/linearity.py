@@ -13,7 +13,7 @@ from scipy.ndimage import shift
 from tg4mm.capture.pictures import over_white
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.result.seen import pixel_rows
+from tg4mm.show.result.reach import pixel_rows
 
 _FRAMES = 6  # of the largest motion
 _LOOKED_AT_PX = 0.3  # less is in proportion in every picture that a camera takes

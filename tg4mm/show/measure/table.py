@@ -12,8 +12,7 @@ from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
 from tg4mm.show.measure.units import unit_of
-from tg4mm.show.result.lines import with_deviation
-from tg4mm.show.result.model import Length
+from tg4mm.show.result.model import Length, with_deviation
 
 _WHOLE = 0.9  # of an amplitude that compression let through: less is said
 _NO_NOISE_PX = 1e-5  # of a floor: no sensor is so free of noise

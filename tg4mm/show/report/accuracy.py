@@ -11,7 +11,8 @@ from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, picture
 from tg4mm.core.pages.svg import number
 from tg4mm.show.report.figures import map_picture
-from tg4mm.show.report.summary import Material, both_lengths, unit_of
+from tg4mm.show.report.summary import Material, both_lengths
+from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import difference_maps
 
 _METHODS = (("nothing moves", "still"), ("ours", "ours"), ("ceiling", "ceiling"))  # name, CSS class

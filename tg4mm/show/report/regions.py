@@ -11,8 +11,7 @@ from tg4mm.run.stages.look import look_of
 from tg4mm.show.regions import composite, region_picture
 from tg4mm.show.report.sources import contact_images
 from tg4mm.show.report.summary import Material
-from tg4mm.show.result.lines import with_deviation
-from tg4mm.show.result.model import Length
+from tg4mm.show.result.model import Length, with_deviation
 
 _HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x, y)", "change", "remark"]
 

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from tg4mm.core.pages import svg
-from tg4mm.core.pages.page import Block, Figure, Section, Text, film, picture
+from tg4mm.core.pages.charts import CEILING, MUTED, OURS, STILL, chart
+from tg4mm.core.pages.page import Block, Figure, Section, Text, drawing, film, picture
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction, scale_top
 from tg4mm.core.pictures.frames import read_png
-from tg4mm.show.report.camera_map import camera_map
-from tg4mm.show.report.figures import contact_sheet, map_picture, phase_picture
-from tg4mm.show.report.found import vibrations_table
-from tg4mm.show.report.maps import in_band, leading_modes, motion_maps, uncertainty_map
-from tg4mm.show.report.slices import slices
+from tg4mm.show.maps import in_band, leading_modes, motion_maps, uncertainty_map
+from tg4mm.show.report.figures import (
+    Line,
+    contact_sheet,
+    line_that_moves,
+    map_picture,
+    marked,
+    phase_picture,
+    slice_picture,
+)
 from tg4mm.show.report.sources import contact_images
 from tg4mm.show.report.spectra import model_spectrum
-from tg4mm.show.report.summary import Material, unit_of, vector
+from tg4mm.show.report.summary import Material, vector, vibrations_table
+from tg4mm.show.result.model import unit_of
+from tg4mm.show.slices import Axis
 
 
 def capture_section(m: Material) -> Section:
@@ -114,3 +125,117 @@ def _orbit(folder: Path) -> Block:
     panel = film((folder / "orbit.mp4").read_bytes(), first, alt="the scene from a moving camera")
     caption = "The magnified motion from a camera that no image was taken from, moving around the scene."
     return Figure([panel], caption, width="small", controls=True)
+
+
+_LEAST = 24  # pictures that a slice shows, by repeating a shorter record
+
+
+def slices(m: Material) -> Block:
+    """One figure; of a moving camera, slices of the model from one pose."""
+    named = _named(m)
+    shown = next(video for label, video in reversed(named) if video is not None)
+    line = line_that_moves(shown / np.float32(255), _axis_of_motion(m))
+    periods = max(1, math.ceil(_LEAST / len(shown))) if len(shown) == m.train.n_timesteps else 1
+    shape = f"{m.train.width} / {m.train.height}"  # as tall as the reference beside them
+    panels = [picture(marked(shown[0], line), "Where the slices are cut", photo=True)]
+    panels += [
+        picture(slice_picture(video, line, periods), label, f"space-time slice: {label}", True, shape)
+        for label, video in named
+    ]
+    return Figure(panels, _caption(m, line, periods * len(shown) / m.train.fps))
+
+
+def _axis_of_motion(m: Material) -> Axis | None:
+    """Rows where the strongest vibration moves more to the sides than up and down in the picture; columns else."""
+    motion = m.model.motion
+    if motion is None or m.main is None:
+        return None
+    k = int(np.argmin(np.abs(motion.freqs_hz - m.main.hz)))
+    right, down, _ = m.view.camera.viewmat[:3, :3] @ main_direction(motion.displacement[k], m.model.weights)
+    return "row" if abs(right) >= abs(down) else "column"
+
+
+def _named(m: Material) -> list[tuple[str, np.ndarray]]:
+    magnified = f"α = {m.view.alpha:g}"
+    if m.view.fixed is not None:
+        still, ours = m.view.fixed
+        return [("The model from one pose, α = 0", still), (f"The same, {magnified}", ours)]
+    found = [("Input", m.view.input), (f"Ours, {magnified}", m.view.ours)]
+    found.append((f"Ground truth, {magnified}", m.view.truth))
+    return [(label, video) for label, video in found if video is not None]
+
+
+def _caption(m: Material, line: Line, seconds: float) -> Markup:
+    time = "Time runs to the right" if line.axis == "column" else "Time runs down"
+    words = Markup(
+        "Space-time slices: the pixels of {} {} (marked; {} to {}) over {} s. {}. "
+        "What stands still draws straight lines; vibration draws waves, {} times as high after magnification."
+    ).format(line.axis, line.index, line.start, line.stop - 1, number(seconds), time, f"{1 + m.view.alpha:g}")
+    if m.view.fixed is not None:
+        words += " The camera moved, so both slices are of the model, rendered from the pose that sees most motion."
+    if m.view.truth is not None:
+        words += (
+            " Waves should agree with the truth in height and phase; fringes and blur beside them are errors."
+        )
+    return words
+
+
+_POINTS = 250  # Gaussians that are drawn
+_ARROWS = 60  # cameras with a line of sight
+_VIEWS = (("From above", 0, 1), ("From the side", 0, 2))  # title and the two world axes
+
+
+def camera_map(m: Material) -> Block:
+    """Two charts side by side, lengths in metres where the scale is known."""
+    scale = m.train.unit_scale_m
+    factor, unit = (1.0, "scene units") if scale is None else (scale, "m")
+    eyes, ahead = _poses(m)
+    points = _points(m) * factor
+    low, high = np.percentile(points, [1, 99], axis=0)
+    reach = 0.25 * float(np.median(np.linalg.norm(eyes * factor - (low + high) / 2, axis=1)))
+
+    def draw(axes: Any, a: int, b: int) -> None:
+        axes.plot(points[:, a], points[:, b], ".", ms=1.6, color=STILL, zorder=1)
+        box = np.array(
+            [[low[a], low[b]], [high[a], low[b]], [high[a], high[b]], [low[a], high[b]], [low[a], low[b]]]
+        )
+        axes.plot(box[:, 0], box[:, 1], color=CEILING, lw=1.1, label="Gaussians, 98 % on each axis")
+        own = eyes * factor
+        for i in np.unique(np.linspace(0, len(own) - 1, min(len(own), _ARROWS)).round().astype(int)):
+            tip = own[i] + reach * ahead[i]
+            axes.plot([own[i, a], tip[a]], [own[i, b], tip[b]], color=MUTED, lw=0.7)
+        axes.plot(own[:, a], own[:, b], "s", ms=3.2, color=MUTED, label="training cameras")
+        shown = m.view.camera.position * factor
+        tip = shown + reach * m.view.camera.forward
+        axes.plot([shown[a], tip[a]], [shown[b], tip[b]], color=OURS, lw=1.4)
+        axes.plot(shown[a], shown[b], "o", ms=6, color=OURS, label="the camera shown here")
+        axes.set(xlabel=f"{'xyz'[a]}, {unit}", ylabel=f"{'xyz'[b]}, {unit}")
+        axes.set_aspect("equal", adjustable="datalim")
+
+    charts = []
+    for title, a, b in _VIEWS:
+        label = f"cameras and Gaussians {title.lower()}"
+        charts.append(drawing(chart(partial(draw, a=a, b=b), label, (5.0, 4.2)), title))
+    caption = (
+        "Camera map in the world's axes, z up: squares are training cameras with their lines of sight, the large dot "
+        "is the camera of the videos and maps, the box holds 98 % of what is seen of the Gaussians on each axis, small "
+        "dots some of them."
+    )
+    return Figure(charts, caption)
+
+
+def _poses(m: Material) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and viewing directions [C, 3] of the different training cameras, scene units."""
+    first = np.unique(m.train.camera_ids, return_index=True)[1]
+    viewmats = m.train.viewmats[first]
+    return -np.einsum("cij,ci->cj", viewmats[:, :3, :3], viewmats[:, :3, 3]), viewmats[:, 2, :3]
+
+
+def _points(m: Material) -> np.ndarray:
+    """[n, 3] some Gaussians, drawn by their blending weight."""
+    means = m.model.gaussians.means.numpy().astype(np.float64)
+    weights = np.maximum(m.model.weights, 0).astype(np.float64)
+    if not weights.sum() > 0:
+        weights = np.ones(len(means))
+    chosen = np.random.default_rng(0).choice(len(means), _POINTS, p=weights / weights.sum())
+    return means[chosen]

@@ -1,21 +1,27 @@
-"""What a report is made of: the model, its scores, what sensors measured, and by how much motion is magnified."""
+"""What a report is made of: the model, its scores, and what one camera sees as videos."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture, load_images
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
 from tg4mm.run.figures_file import read_figures
-from tg4mm.show.report.maps import in_band, strongest
+from tg4mm.show.maps import image_motion, in_band, strongest
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_image
+from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.result.advice import suggested_alpha
 from tg4mm.show.result.read import Reading
 from tg4mm.show.weights import blending_weights
@@ -102,3 +108,135 @@ def contact_images(train: Capture, most: int = 30) -> list[np.ndarray]:
     ]
     images = load_images(train.selected(np.array(picked)))
     return [to_bytes(images.rgb(i)) for i in range(len(picked))]
+
+
+MOST_FRAMES = 180  # of a video: what a page can hold
+_MANY = 40  # poses of a moving camera that are looked at for where most is seen
+_BYTES = 1 << 29  # of uncompressed pictures of one video
+
+Band = tuple[float, float]
+Pose = Callable[[float], Gaussians]
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera's videos, uint8 [T, H, W, 3]; what a dataset lacks is None. Of a moving camera each picture has its
+    own pose."""
+
+    camera: Camera  # of a moving camera: where most motion is seen
+    split: str  # the split that the camera is of
+    alpha: float
+    ours: np.ndarray
+    input: np.ndarray | None
+    truth: np.ndarray | None
+    why_no_truth: str = ""
+    clock: str = "synchronous"  # `Observations.clock`
+    n_frames: int = 0  # that the camera took; more than the video holds where the record is long
+    fixed: tuple[np.ndarray, np.ndarray] | None = (
+        None  # of a moving camera: α = 0 and α, rendered from `camera`
+    )
+
+    @property
+    def widest_time(self) -> int:
+        """The timestep whose magnified picture differs most from the first: shown where nothing can play."""
+        shown = self.ours if self.fixed is None else self.fixed[1]
+        return int(np.argmax([np.abs(one.astype(np.int16) - shown[0]).mean() for one in shown]))
+
+
+def gather_view(run: Run, train: Capture, model: Model, alpha: float, band: Band | None) -> View:
+    """Render the camera that sees most motion, and read its pictures and ground truth."""
+    split, clock, shots = _shots(run.dataset, train)
+    best = _most_telling(train, model, shots)
+    request = RenderRequest(alpha=alpha, band=band)
+    pose, n_timesteps, fps = pose_of(run, request)
+    camera = _camera(train, shots[best])
+    if n_timesteps == 1:
+        ours = _rendered(pose, [(0.0, camera)], "report")
+        return View(
+            camera, split.split, alpha, ours, _pictures(split, shots[best].rows[:1]), None, n_frames=1
+        )
+    own = list(shots) if clock == "moving" else [shots[best]] * len(shots[best].rows)
+    rows = [f.rows[0] for f in own] if clock == "moving" else shots[best].rows.tolist()
+    kept = _kept(len(rows), train)
+    jobs = [(float(split.times_s[rows[i]]) * fps, _camera(train, own[i])) for i in range(kept)]
+    jobs = [(t - jobs[0][0] if clock == "independent" else t, c) for t, c in jobs]
+    ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}")
+    fixed = None
+    if clock == "moving":
+        still, _, _ = pose_of(run, RenderRequest(alpha=0.0))
+        there = [(t, camera) for t, _ in jobs]
+        fixed = _rendered(still, there, "one pose, α = 0"), _rendered(pose, there, f"one pose, α = {alpha:g}")
+    recorded = _pictures(split, np.array(rows[:kept]))
+    truth, why = _truth(run.dataset, split, rows[0], alpha, kept)
+    return View(camera, split.split, alpha, ours, recorded, truth, why, clock, len(rows), fixed)
+
+
+def _shots(dataset: Path, train: Capture) -> tuple[Capture, str, Sequence[PosedFrames]]:
+    """The test cameras that stay put over time, else what shows motion of the training pictures, with its clock."""
+    if train.n_timesteps == 1:
+        rows = np.arange(min(1, len(train)))
+        return train, "synchronous", [_posed(train, rows)]
+    try:
+        test = load_capture(dataset, split="test")
+        clock, frames = frames_of(test)
+        if clock != "moving":
+            return test, clock, frames
+    except CaptureError:
+        pass
+    return train, *frames_of(train)
+
+
+def _posed(capture: Capture, rows: np.ndarray) -> PosedFrames:
+    i = int(rows[0])
+    return PosedFrames(capture.paths[i].stem, capture.viewmats[i], capture.Ks[i], rows, capture.times_s[rows])
+
+
+def _camera(capture: Capture, shot: PosedFrames) -> Camera:
+    viewmat, K = shot.viewmat.astype(np.float64), shot.K.astype(np.float64)
+    return Camera(shot.name, viewmat, K, capture.width, capture.height)
+
+
+def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) -> int:
+    if model.motion is None:
+        return 0
+    phasors = model.motion.displacement[model.main]
+    some = np.unique(np.linspace(0, len(shots) - 1, min(len(shots), _MANY)).round().astype(int))
+    seen = [image_motion(model.gaussians, phasors, model.weights, _camera(train, shots[i])) for i in some]
+    return int(some[int(np.argmax(seen))])
+
+
+def _kept(n: int, capture: Capture) -> int:
+    return max(1, min(n, MOST_FRAMES, _BYTES // (capture.width * capture.height * 3)))
+
+
+def _rendered(pose: Pose, jobs: Sequence[tuple[float, Camera]], label: str) -> np.ndarray:
+    frames = []
+    with progress(label, len(jobs), unit="pictures") as update:
+        for i, (t, camera) in enumerate(jobs):
+            size = (camera.width, camera.height)
+            frames.append(to_bytes(render_image(pose(t), camera.viewmat, camera.K, *size)))
+            update(i + 1)
+    return np.stack(frames)
+
+
+def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
+    images = load_images(capture.selected(np.asarray(rows)))
+    return np.stack([to_bytes(images.rgb(i)) for i in range(len(rows))])
+
+
+def _truth(dataset: Path, split: Capture, row: int, alpha: float, kept: int) -> tuple[np.ndarray | None, str]:
+    """The ground truth from the camera of picture `row`, or why there is none; "" where none can be expected."""
+    known = alphas_with_truth(dataset)
+    if not known or split.split != "test":
+        return None, ""
+    if alpha != int(alpha) or int(alpha) not in known:
+        there = ", ".join(str(a) for a in known)
+        return None, f"The dataset has no ground truth at α = {alpha:g}; there is some at {there}."
+    magnified = load_capture(dataset, split="test", magnification=int(alpha))
+    # The same camera: magnified/ has the test split's file names and poses.
+    distance = np.abs(magnified.viewmats - split.viewmats[row]).max(axis=(1, 2))
+    rows = np.flatnonzero(distance <= 1e-6)
+    rows = rows[np.argsort(magnified.timesteps[rows], kind="stable")][:kept]
+    if len(rows) < kept:
+        return None, f"The ground truth at α = {alpha:g} was not rendered from this camera."
+    return _pictures(magnified, rows), ""

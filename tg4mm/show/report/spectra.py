@@ -11,12 +11,13 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.run import Run
+from tg4mm.show.maps import in_band
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform
 from tg4mm.show.measure.table import table_of
 from tg4mm.show.measure.units import unit_of as unit_of_sensor
-from tg4mm.show.report.maps import in_band
-from tg4mm.show.report.summary import Material, unit_of
+from tg4mm.show.report.summary import Material
+from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import amplitude_spectrum
 
 

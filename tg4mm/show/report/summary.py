@@ -1,4 +1,4 @@
-"""The head of a report: title, summary and headline figures, from the run's `Result`."""
+"""The head of a report, what was found as a table, and what cannot be told, from the run's `Result`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from tg4mm.capture import Capture
-from tg4mm.core.pages.page import Stat
+from tg4mm.core.pages.page import Block, Section, Stat, Table, Text
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement
-from tg4mm.show.report.sources import Model
-from tg4mm.show.report.views import View
-from tg4mm.show.result import Length, Result, Vibration
-from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.report.sources import Model, View
+from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
 
 
 @dataclass(frozen=True)
@@ -74,11 +73,6 @@ def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[s
     return number(millimetres, digits), "mm"
 
 
-def unit_of(unit_scale_m: float | None) -> tuple[str, float]:
-    """(unit, factor) that lengths in scene units are shown in: mm where the scale is known."""
-    return ("scene units", 1.0) if unit_scale_m is None else ("mm", unit_scale_m * 1000.0)
-
-
 def both_lengths(value: float, unit_scale_m: float | None) -> str:
     """A length in scene units and, where the scale is known, in millimetres."""
     text = f"{number(value)} scene units"
@@ -103,11 +97,6 @@ def total_seconds(log: Mapping[str, Any]) -> float | None:
         if isinstance(v, dict) and isinstance(v.get("seconds"), int | float)
     ]
     return float(sum(found)) if found else None
-
-
-def title_of(train: Capture) -> str:
-    """The scene's own name, else the dataset folder's."""
-    return str(train.scene.get("scene") or train.root.resolve().name)
 
 
 def row_of(metrics: dict[str, Any], alpha: float) -> dict[str, Any] | None:
@@ -220,3 +209,53 @@ def _error_stat(m: Material) -> list[Stat]:
         return []
     absolute = both_lengths(figures["rms_error"], m.train.unit_scale_m)
     return [Stat("Displacement error", f"{100 * figures['relative_error']:.1f}", "%", f"rms {absolute}")]
+
+
+def vibrations_table(m: Material) -> list[Block]:
+    """Every vibration that was found; nothing where there is none."""
+    if not m.result.vibrations:
+        return []
+    header = [
+        "frequency (Hz)",
+        "amplitude",
+        "in pictures",
+        "damping ratio",
+        "largest at pixel" if m.result.is_flat else "largest at (x, y, z)",
+        "band (Hz)",
+    ]
+    caption = (
+        "Vibrations that the run found, the strongest first: peak displacement where it is largest (1 % of what is "
+        "seen moves further), ± one standard deviation. The band is what --band takes to magnify one alone."
+    )
+    rows = [_row(m, v) for v in m.result.vibrations]
+    return [Table(header, rows, caption)]
+
+
+def _row(m: Material, v: Vibration) -> list[str]:
+    value, unit = size_of(v, m.result)
+    pixels = "–" if v.pixels is None else f"{with_deviation(v.pixels)} px"
+    damping = "–"
+    if v.damping is not None:
+        percent = None if v.damping_deviation is None else 100 * v.damping_deviation
+        damping = f"{with_deviation(Length(100 * v.damping, percent))} %"
+    place = ", ".join(f"{c:.3g}" for c in v.place)
+    if v.place_px is not None:
+        place = f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
+    hz = with_deviation(Length(v.hz, v.deviation_hz))
+    return [hz, f"{value} {unit}", pixels, damping, place, f"{v.band[0]:g} to {v.band[1]:g}"]
+
+
+def limits_section(m: Material) -> Section:
+    """What could not be told, of the run and of the sensors."""
+    measured = () if m.measurement is None else m.measurement.notes
+    lines = list(
+        dict.fromkeys([*m.result.cannot, *measured, *([m.why_no_sensors] if m.why_no_sensors else [])])
+    )
+    damping = sorted({v.why_no_damping for v in m.result.vibrations if v.why_no_damping})
+    lines += [f"damping: {why}" for why in damping if not any(why in line for line in lines)]
+    if not lines:
+        return Section("What could not be told", [Text("Nothing that this run knows of.")])
+    items = Markup("").join(Markup("<li>{}</li>").format(line[:1].upper() + line[1:]) for line in lines)
+    return Section(
+        "What could not be told", [Text(Markup('<ul class="points">{}</ul>').format(items), plain=True)]
+    )

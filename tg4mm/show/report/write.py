@@ -22,14 +22,13 @@ from tg4mm.run.model_hash import model_hash
 from tg4mm.show.measure import Sensor
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
-from tg4mm.show.report.found import limits_section
 from tg4mm.show.report.regions import regions_section
 from tg4mm.show.report.sections import capture_section, motion_section
-from tg4mm.show.report.sources import Evaluate, choose_alpha, load_model, metrics_of
+from tg4mm.show.report.sources import Evaluate, choose_alpha, gather_view, load_model, metrics_of
 from tg4mm.show.report.spectra import measured, sensors_section
-from tg4mm.show.report.summary import Material, stats, summary, title_of
+from tg4mm.show.report.summary import Material, limits_section, stats, summary
 from tg4mm.show.report.videos import videos
-from tg4mm.show.report.views import gather_view
+from tg4mm.show.result.model import title_of
 from tg4mm.show.result.read import reading_of
 from tg4mm.show.result.requested import too_far
 

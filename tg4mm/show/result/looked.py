@@ -6,7 +6,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
-from tg4mm.show.result.bands import suggested_bands
+from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
 
 _MOST = 4  # things that move by themselves, said one by one

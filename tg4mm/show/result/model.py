@@ -1,10 +1,12 @@
-"""What a run found, as numbers."""
+"""What a run found, as numbers and as a dozen lines of text."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tg4mm.capture import Capture
 from tg4mm.core.choices import Kind
 
 Band = tuple[float, float]  # low and high, Hz, both ends inside
@@ -79,3 +81,126 @@ class Result:
     def duration_s(self) -> float:
         """What the record covers."""
         return self.n_timesteps / self.fps
+
+
+_MOST = 4  # vibrations
+_INDENT = "  "
+_WIDTH = 20
+
+
+def lines_of(result: Result) -> list[str]:
+    """What was found, how sure it is, what cannot be told, and what to do next."""
+    lines = [_head(result)]
+    for vibration in result.vibrations[:_MOST]:
+        lines += _vibration(vibration, result)
+    if more := result.vibrations[_MOST:]:
+        lines.append(_INDENT + f"and {', '.join(f'{v.hz:.4g}' for v in more)} Hz")
+    for vibration in result.beside[:_MOST]:
+        first, *rest = _vibration(vibration, result)
+        lines += [
+            first,
+            *rest,
+            _row("", "(only its own region shows it: the model of the whole picture does not)"),
+        ]
+    if result.n_timesteps > 1 and not result.vibrations and not result.beside:
+        lines.append(_INDENT + _nothing(result))
+    if result.vibrations:
+        lines.append(_row("", "(where they are largest: 1 % of what is seen moves further)"))
+    lines += _noise(result)
+    lines += [_row("cannot tell" if i == 0 else "", line) for i, line in enumerate(result.cannot)]
+    if result.band is not None:
+        others = ", ".join(_band(v) for v in result.vibrations[1:_MOST])
+        more_bands = f"; the others: {others}" if others else ""
+        lines.append(_row("band", f"{_band(result.vibrations[0])}, which --band auto takes{more_bands}"))
+    return [*lines, _row("next", result.next_command)]
+
+
+def _head(result: Result) -> str:
+    if result.n_timesteps == 1:
+        return f"{result.run}: a still scene"
+    is_moving = result.kind is not None and result.kind.moving
+    seen = f"{result.n_cameras} {'poses of one camera' if is_moving else 'fixed cameras'}"
+    seen = "one fixed camera" if result.n_cameras == 1 else seen
+    seen = f"{seen}, " if result.n_cameras else ""
+    return f"{result.run}: {seen}{result.n_timesteps} timesteps at {result.fps:.4g} Hz, {result.duration_s:.3g} s"
+
+
+def _nothing(result: Result) -> str:
+    if not result.untold_hz:
+        return (
+            "no vibration was found: no frequency stands out of those around it; --band LO HI looks at a band all the "
+            "same"
+        )
+    named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
+    return f"something changes at {named} Hz; how far and which way it moves cannot be told"
+
+
+def _vibration(v: Vibration, result: Result) -> list[str]:
+    lengths = (
+        [] if result.is_flat and v.pixels is not None else [f"{with_deviation(v.amplitude)} scene units"]
+    )
+    if v.pixels is not None:
+        lengths.insert(0, f"{with_deviation(v.pixels)} px")
+    if result.unit_scale_m is not None:
+        millimetres = v.amplitude.times(1000 * result.unit_scale_m)
+        fine = millimetres.value < 0.1
+        lengths.append(f"{with_deviation(millimetres.times(1000 if fine else 1))} {'µm' if fine else 'mm'}")
+    where = ", ".join(f"{c:.3g}" for c in v.place)
+    near = f"({where})" if v.place_px is None else f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
+    damping = f"not to be told: {v.why_no_damping}"
+    if v.damping is not None:
+        percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
+        damping = f"ratio {with_deviation(percent)} %"
+    if v.begins_s is not None:
+        damping += f"; begins {v.begins_s:.3g} s into the record"
+    return [
+        _row(
+            f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",
+            f"{', '.join(lengths)} near {near}",
+        ),
+        _row("", f"damping {damping}"),
+    ]
+
+
+def _noise(result: Result) -> list[str]:
+    lines = []
+    if result.noise is not None:
+        sizes = [] if result.noise_px is None else [f"{result.noise_px:.2g} px"]
+        sizes += [] if result.is_flat and sizes else [f"{result.noise:.2g} scene units"]
+        lines.append(_row("noise floor", f"{', '.join(sizes)}: a motion as large as its noise"))
+    if result.agreement:
+        shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
+        more = " …" if len(result.agreement) > _MOST else ""
+        lines.append(_row("reliability", f"{shown}{more}: what two halves of the data agree on, of 1"))
+    return lines
+
+
+def _band(v: Vibration) -> str:
+    return f"--band {v.band[0]:g} {v.band[1]:g}"
+
+
+def _row(name: str, text: str) -> str:
+    return f"{_INDENT}{name:<{_WIDTH}}{'' if len(name) < _WIDTH else ' '}{text}"
+
+
+def with_deviation(length: Length) -> str:
+    """`0.223 ± 0.008`: as many digits as the standard deviation has two of; four where there is none."""
+    value, deviation = length.value, length.deviation
+    if deviation is None or not math.isfinite(deviation) or deviation <= 0:
+        return f"{value:.4g}"
+    exponent = math.floor(math.log10(max(abs(value), deviation)))
+    power = exponent if exponent < -4 or exponent > 5 else 0
+    value, deviation = value / 10.0**power, deviation / 10.0**power
+    digits = max(0, 1 - math.floor(math.log10(deviation)))
+    text = f"{value:.{digits}f} ± {deviation:.{digits}f}"
+    return text if power == 0 else f"({text})e{power}"
+
+
+def unit_of(unit_scale_m: float | None) -> tuple[str, float]:
+    """(unit, factor) that lengths in scene units are shown in: mm where the scale is known."""
+    return ("scene units", 1.0) if unit_scale_m is None else ("mm", unit_scale_m * 1000.0)
+
+
+def title_of(train: Capture) -> str:
+    """The scene's own name, else the dataset folder's."""
+    return str(train.scene.get("scene") or train.root.resolve().name)

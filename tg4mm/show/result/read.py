@@ -23,15 +23,11 @@ from tg4mm.fit.motion.observations import PERIODS, TOLD_PERIODS, frames_of
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
 from tg4mm.run.stages.look import look_of
-from tg4mm.show.result.advice import next_command, suggested_alpha
-from tg4mm.show.result.bands import suggested_bands
-from tg4mm.show.result.deviations import mode_deviations
-from tg4mm.show.result.line import line_near, phasors_at, why_no_damping
-from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
+from tg4mm.show.result.line import line_near, mode_deviations, phasors_at, why_no_damping
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
-from tg4mm.show.result.model import Length, Result, Vibration
-from tg4mm.show.result.reach import Reach, reach_of
-from tg4mm.show.result.seen import Seen, seen_by
+from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
+from tg4mm.show.result.reach import Reach, Seen, reach_of, seen_by
 
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels

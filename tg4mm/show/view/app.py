@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import viser
 
-from tg4mm.show.view.camera_panel import CameraPanel
 from tg4mm.show.view.charts import ACCENT_RGB
 from tg4mm.show.view.local_server import address, start_server, stop_server
-from tg4mm.show.view.pace import RATE
-from tg4mm.show.view.panel import Panel
+from tg4mm.show.view.panel import CameraPanel, Panel
 from tg4mm.show.view.pixel_panel import PixelPanel
-from tg4mm.show.view.save_panel import SavePanel
-from tg4mm.show.view.screen import Canvas, Screen
+from tg4mm.show.view.saving import SavePanel
+from tg4mm.show.view.screen import RATE, Canvas, Screen
 from tg4mm.show.view.session import Session
 
 _IDLE = 0.1  # seconds between looks at cameras that say nothing

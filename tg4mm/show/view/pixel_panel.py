@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -12,11 +13,15 @@ from markupsafe import Markup
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pages.svg import number
+from tg4mm.core.phasors import main_direction, peak_displacement
 from tg4mm.core.progress import listened_to
+from tg4mm.run import Run
+from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure_one, prepare
+from tg4mm.show.measure.sensors import PIXEL_RADIUS
+from tg4mm.show.measure.spectrum import strength_of
 from tg4mm.show.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
-from tg4mm.show.view.pace import full_size
-from tg4mm.show.view.pixel import Measurer, Waveform, modal_waveform, seen_at, vector
-from tg4mm.show.view.screen import Canvas
+from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.screen import Canvas, full_size
 from tg4mm.show.view.session import Session
 
 _ASK = "Click a pixel of the picture."
@@ -125,3 +130,138 @@ def _headline(found: Waveform, unit: str, per: float) -> str:
         return f"{amplitude} {unit} at {hz} Hz, along {found.along}"
     unsure = [number(d, 2) for d in (found.peak_deviation[0], found.peak_deviation[1] * per)]
     return f"{amplitude} ± {unsure[1]} {unit} at {hz} ± {unsure[0]} Hz, along {found.along}"
+
+
+_FAINTEST = 0.05  # opacity of a pixel that counts as hit
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """How the surface under a pixel moves, as captured (α = 0), in scene units."""
+
+    along: str  # the direction, in words
+    times: np.ndarray  # [F] seconds
+    displacement: np.ndarray  # [F] about its mean
+    deviation: np.ndarray | None  # [F] standard deviation of that
+    frequencies: np.ndarray  # [B] Hz
+    amplitudes: np.ndarray  # [B] zero to peak
+    peak: tuple[float, float] | None  # Hz and zero to peak; None where nothing stands out
+    floor: np.ndarray | None = (
+        None  # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
+    )
+    peak_deviation: tuple[float, float] | None = None  # standard deviations of the peak's two numbers
+    of_clip: str = ""  # what the displacement is, where that is another direction: of clips
+
+
+def seen_at(scene: Scene, weights: np.ndarray) -> np.ndarray | None:
+    """[3] the mean place of the Gaussians with these blending weights [N]; None for background (opacity below 0.05)."""
+    total = float(weights.sum())
+    return None if total < _FAINTEST else weights @ scene.gaussians.means.numpy().astype(float) / total
+
+
+def modal_waveform(scene: Scene, weights: np.ndarray) -> Waveform | None:
+    """The fitted motion of the Gaussians blended in a pixel, with their blending weights [N] there.
+
+    None where nothing moves. Displacements are blended as colours are; the standard deviation is that of a single
+    Gaussian, as if all erred alike.
+    """
+    if scene.motion is None or not len(scene.frequencies):
+        return None
+    rows = np.flatnonzero(weights > 1e-4 * weights.sum())
+    share = weights[rows] / weights[rows].sum()
+    kept = np.flatnonzero(scene.motion.is_magnified())
+    kept = kept[np.argsort(scene.motion.freqs_hz[kept], kind="stable")]
+    frequencies = scene.motion.freqs_hz[kept]
+    phasors = np.einsum("n,knc->kc", share, scene.motion.displacement[np.ix_(kept, rows)])  # [K, 3]
+    direction = main_direction(phasors, np.ones(len(phasors)))
+    amplitudes = peak_displacement(phasors)
+    k = int(amplitudes.argmax())
+    times = _times(scene.duration, frequencies, float(frequencies[k]))
+    turns = np.exp(2j * np.pi * np.outer(times, frequencies))
+    deviation = None
+    if scene.deviation is not None:
+        deviation = np.full(len(times), float(np.sqrt(share @ scene.deviation[rows].astype(float) ** 2)))
+    return Waveform(
+        f"({vector(direction)})",
+        times,
+        (turns @ (phasors @ direction)).real,
+        deviation,
+        frequencies,
+        amplitudes,
+        (float(frequencies[k]), float(amplitudes[k])),
+    )
+
+
+def _times(duration: float, frequencies: np.ndarray, main: float) -> np.ndarray:
+    """Seconds at which a waveform is drawn: the capture, or the first 12 cycles of its main frequency."""
+    end = min(duration, 12.0 / main)
+    steps = int(np.clip(16 * end * float(frequencies.max()), 100, 1200))
+    return np.linspace(0.0, end, steps + 1)
+
+
+def vector(v: np.ndarray) -> str:
+    """x, y, z to two decimals."""
+    return ", ".join(f"{x:.2f}".replace("-", "−") for x in np.round(v, 2) + 0.0)
+
+
+class Measurer:
+    """Measures points of the scene in the capture's own pictures, which it reads once, when first asked."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._prepared: Prepared | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the pictures are read."""
+        return self._prepared is not None
+
+    def radius(self, point: np.ndarray) -> float:
+        """Four pixels of the capture's nearest camera, at that point; scene units."""
+        per_pixel = [
+            float(np.linalg.norm(point - camera.position)) / camera.K[0, 0] for camera in self._scene.cameras
+        ]
+        return PIXEL_RADIUS * min(per_pixel)
+
+    def at(self, point: np.ndarray) -> Waveform:
+        """The displacement of what lies within `radius` of `point` [3]. Raises Tg4mmError as `measure` does."""
+        if self._prepared is None:
+            self._prepared = prepare(Run.open(self._scene.path))
+        sensor = Sensor("pixel", "sphere", (*map(float, point), self.radius(point)))
+        return measured_waveform(measure_one(self._prepared, sensor))
+
+
+def measured_waveform(result: SensorResult) -> Waveform:
+    """A sensor's series along the one of its axes on which its strongest peak is largest; else the surest axis.
+
+    Of clips the one in which that peak is surest; the spectrum and the peak are of all of them together.
+    """
+    spectrum = result.spectrum
+    peak = spectrum.peaks[0] if spectrum.peaks else None
+    record = max(result.records, key=lambda r: strength_of(r.peaks[0]) if peak else 0.0)
+    series, own = record.series, record.peaks[0] if peak else None
+    along = _best_axis(None if own is None else own.amplitude, series.deviation)
+    axis = along if not result.clips else _best_axis(None if peak is None else peak.amplitude, spectrum.floor)
+    found = sure = None
+    if peak is not None and bool(peak.is_above[axis]):
+        found = peak.frequency_hz, float(peak.amplitude[axis])
+        sure = peak.frequency_deviation_hz, float(peak.deviation[axis])
+    return Waveform(
+        result.labels[axis],
+        series.times_s - series.times_s[0],
+        series.displacement[:, along],
+        series.deviation[:, along],
+        spectrum.freqs_hz,
+        spectrum.amplitude[:, axis],
+        found,
+        spectrum.floor[:, axis],
+        sure,
+        f"{series.labels[along]} of {series.clock}" if result.clips else "",
+    )
+
+
+def _best_axis(amplitude: np.ndarray | None, deviation: np.ndarray) -> int:
+    """The observed axis with the largest amplitude [3], or without one the surest by deviation [T, 3]."""
+    if amplitude is None:
+        return int(np.argmax(1.0 / np.square(deviation).mean(axis=0)))
+    return int(np.argmax(amplitude * np.isfinite(deviation).all(axis=0)))

@@ -15,10 +15,10 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
+from tg4mm.show.maps import leading_modes
 from tg4mm.show.render.cameras import Camera, capture_cameras
-from tg4mm.show.report.maps import leading_modes
-from tg4mm.show.report.summary import unit_of
 from tg4mm.show.result import result_of
+from tg4mm.show.result.model import unit_of
 from tg4mm.show.view.cameras import overview
 from tg4mm.show.weights import blending_weights
 

@@ -1,13 +1,12 @@
-"""What all open pages share: what is shown, and when in the capture. Changes from any thread."""
+"""What all pages share: the scene, what is shown of it, and where in the capture the picture is."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from tg4mm.show.view.clock import Clock
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import Scene
 
@@ -46,3 +45,49 @@ class Session:
         with self._lock:
             self._clock = change(self._clock, time.monotonic())
         self.changed.set()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Seconds of the capture as they play; moments `now` are of one monotonic clock, in seconds.
+
+    Every change returns a new clock that goes on from where this one was.
+    """
+
+    duration: float  # seconds of the capture, T / fps; 0 for a scene that does not move
+    offset: float = 0.0  # seconds of the capture at `since`
+    since: float = 0.0
+    speed: float = 1.0  # seconds of the capture for each second
+    playing: bool = False
+    loop: bool = True
+
+    def at(self, now: float) -> float:
+        """Seconds of the capture: 0 … duration; with `loop` it starts anew at the end, else it stays there."""
+        if not self.playing or self.duration <= 0:
+            return self.offset
+        position = self.offset + self.speed * (now - self.since)
+        return position % self.duration if self.loop else min(position, self.duration)
+
+    def running(self, now: float) -> bool:
+        """Whether time goes on: playing, and not at the end."""
+        return self.playing and self.duration > 0 and (self.loop or self.at(now) < self.duration)
+
+    def changed(self, now: float, **changes: object) -> Clock:
+        """With other `speed`, `playing` or `loop` from now on; playing from the end starts at 0."""
+        offset = self.at(now)
+        if changes.get("playing") and not self.running(now) and offset >= self.duration:
+            offset = 0.0
+        return replace(self, offset=offset, since=now, **changes)  # type: ignore[arg-type]
+
+    def sought(self, now: float, seconds: float) -> Clock:
+        """Moved to `seconds`, held within the capture; plays on from there if it played."""
+        return replace(self, offset=min(max(seconds, 0.0), self.duration), since=now)
+
+
+def slow_enough(frequency_hz: float, cycles_per_second: float = 3.0) -> float:
+    """A round speed, at most 1, at which `frequency_hz` shows at most so many cycles a second.
+
+    At 24 pictures a second that leaves eight for a cycle.
+    """
+    speeds = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
+    return next((s for s in speeds if s * frequency_hz <= cycles_per_second), speeds[-1])

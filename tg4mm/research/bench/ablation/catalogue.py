@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tg4mm.research.bench.ablation.rendered_sets import KINDS
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.ablation.sets import KINDS
 from tg4mm.research.bench.measure import Scoring
 from tg4mm.run.preset import preset_named
 

@@ -13,20 +13,27 @@ from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
+from tg4mm.research.bench import BenchError, StepError
 from tg4mm.research.bench.ablation.catalogue import Ablation, Row, chosen_preset, find_ablation, rows_of
-from tg4mm.research.bench.ablation.copied_sets import with_noise, with_timesteps, with_views
-from tg4mm.research.bench.ablation.page import ablation_cells, ablation_page, picture
-from tg4mm.research.bench.ablation.rendered_sets import (
+from tg4mm.research.bench.ablation.page import FILE, ablation_cells, ablation_page, picture
+from tg4mm.research.bench.ablation.sets import (
     TARGETS_PX,
     generator_arguments,
     with_amplitude,
     with_kind,
+    with_noise,
+    with_timesteps,
+    with_views,
 )
-from tg4mm.research.bench.ablation.results_file import FILE
-from tg4mm.research.bench.ablation.slices import Magnified, slices_picture
-from tg4mm.research.bench.errors import BenchError, StepError
-from tg4mm.research.bench.failures import why_failed
-from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
+from tg4mm.research.bench.folder import (
+    FORMAT,
+    VERSION,
+    circumstances,
+    claim_set,
+    open_folder,
+    why_failed,
+    write_text,
+)
 from tg4mm.research.bench.means import scalars
 from tg4mm.research.bench.measure import (
     OF_RUN,
@@ -39,7 +46,8 @@ from tg4mm.research.bench.measure import (
     measure,
     warm_up,
 )
-from tg4mm.research.bench.pages.latex import latex_table
+from tg4mm.research.bench.pages.shown import Magnified, slices_picture
+from tg4mm.research.bench.pages.text import latex_table
 from tg4mm.research.bench.request import check_settings, settings_by_preset
 from tg4mm.research.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import SET
 from tg4mm.research.bench.measure import SCORINGS, Training
 from tg4mm.research.bench.methods import Method

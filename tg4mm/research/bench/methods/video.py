@@ -22,7 +22,7 @@ from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.fit.magnify.pyramid import SMALLEST
 from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.methods import Pictures
-from tg4mm.research.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.research.bench.scored import cameras_of, video_of
 from tg4mm.research.bench.sets import BenchSet, files_state, truth_at
 
 # NTSC's luma and two chroma signals from RGB.

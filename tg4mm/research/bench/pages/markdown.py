@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tg4mm.research.bench.methods.known import ABOUT
-from tg4mm.research.bench.pages.cells import table
-from tg4mm.research.bench.pages.tables import Table, groups_of, kinds_tables, tables_of
+from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
+from tg4mm.research.bench.pages.text import Table, table
 from tg4mm.research.evaluate.run import STATIC
 
 

@@ -1,26 +1,33 @@
-"""Pictures of the benchmark's page: every method in one test view, side by side, over time, and as differences."""
+"""Pictures of the benchmark's pages: methods side by side, over time, as differences and space-time slices."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from PIL import Image, ImageDraw, ImageFont
 
+from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_atomic
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.core.pages.page import Block, Figure, Section, Text, film, photo_uri, picture
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
-from tg4mm.research.bench.methods.camera_videos import most_changing, video_of
-from tg4mm.research.bench.pages.sheet import write_sheet
+from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
+from tg4mm.research.evaluate.scores import render_views
+from tg4mm.run import Run
+from tg4mm.run.poses import poses_of
 from tg4mm.show.report.figures import Line, line_that_moves, map_picture, marked, slice_picture
-from tg4mm.show.report.video import clip, playing_rate
-from tg4mm.show.slices import difference_maps
+from tg4mm.show.report.videos import clip, playing_rate
+from tg4mm.show.slices import difference_maps, most_moving_line, space_time_slice
 
 TRUTH = "ground truth"
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
@@ -149,3 +156,82 @@ def _slider(s: View) -> Markup:
         '<label>right <select data-pick="right">{right}</select></label></div>'
         "<figcaption>Test view {view}, timestep {t}. Move the edge to compare.</figcaption></figure>"
     ).format(w=width, h=height, a=sources[TRUTH], b=sources[second], view=s.view, t=t, **options)
+
+
+_WIDTH = 720  # of every picture, pixels
+_LABEL = 22
+
+
+def write_sheet(out: Path, rows: Mapping[str, np.ndarray], height: int = 0) -> None:
+    """Write {label: uint8 [H, W, 3 | 4]}, each as wide as the sheet and `height` pixels high; 0: as its shape asks."""
+    pictures = {
+        label: Image.fromarray(pixels)
+        .convert("RGB")
+        .resize(
+            (_WIDTH, height or round(_WIDTH * pixels.shape[0] / pixels.shape[1])), Image.Resampling.NEAREST
+        )
+        for label, pixels in rows.items()
+    }
+    sheet = Image.new("RGB", (_WIDTH, sum(p.height + _LABEL for p in pictures.values()) + 4), "white")
+    draw, font, top = ImageDraw.Draw(sheet), _font(), 0
+    for label, one in pictures.items():
+        draw.text((2, top + 3), label, fill=(27, 29, 33), font=font)
+        sheet.paste(one, (0, top + _LABEL))
+        top += one.height + _LABEL
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(out, lambda temporary: sheet.save(temporary, "PNG"))
+
+
+def _font() -> ImageFont.FreeTypeFont:
+    """matplotlib's own, which has Greek letters; Pillow's has none."""
+    import matplotlib
+
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 13)
+
+
+_HEIGHT = 96  # pixels of a slice in the picture
+
+
+@dataclass(frozen=True)
+class Magnified:
+    """A run and how it is magnified."""
+
+    label: str
+    run: Path
+    method: str
+    filter: str | None
+
+
+def slices_picture(
+    root: Path, alphas: Sequence[int], band_hz: Sequence[float] | None, shown: Sequence[Magnified], out: Path
+) -> str:
+    """Write the picture to `out`; returns a sentence that says what it shows.
+
+    The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
+    """
+    alpha = alpha_to_show(alphas)
+    capture = load_capture(root, split="test", magnification=alpha)
+    images, truth = most_changing(capture)
+    axis, index = most_moving_line(truth)
+    rows = {"ground truth": space_time_slice(truth, axis, index)}
+    for one in shown:
+        video = _rendered(one, capture, images, alpha, band_hz)
+        rows[one.label] = space_time_slice(video, axis, index)
+    if axis == "column":  # [H, T, 3]: time is brought down here too
+        rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
+    write_sheet(out, {label: to_bytes(piece) for label, piece in rows.items()}, _HEIGHT)
+    name = capture.paths[images[0]].name
+    return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
+
+
+def _rendered(
+    one: Magnified, capture: Capture, images: np.ndarray, alpha: int, band_hz: Sequence[float] | None
+) -> np.ndarray:
+    bands = () if band_hz is None else (BandGain(band_hz[0], band_hz[1], alpha),)
+    chosen = None if one.filter is None else TemporalFilter(one.filter)
+    everywhere = float(alpha) if band_hz is None else 0.0
+    plan = Magnification(bands=bands, everywhere=everywhere, method=one.method, filter=chosen)
+    poses = poses_of(Run.open(one.run), plan)
+    times = capture.timesteps[images].tolist()
+    views = [render_views(poses.at(t), capture, images[j : j + 1])[0] for j, t in enumerate(times)]
+    return np.stack(views)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from tg4mm.research.bench.means import mean, scalars
-from tg4mm.research.bench.pages.cells import NOTHING, shown
+from tg4mm.research.bench.pages.text import NOTHING, Table, shown
 from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
@@ -72,18 +71,6 @@ _MODES = (
     ("mac", "MAC", "{:.3f}"),
 )
 _SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"))
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells as text; the first `text_columns` are words, the others numbers."""
-
-    key: str  # a file's name
-    title: str
-    note: str
-    header: list[str]
-    rows: list[list[str]]
-    text_columns: int = 1
 
 
 def groups_of(results: Results) -> list[str]:

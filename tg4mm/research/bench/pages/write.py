@@ -1,17 +1,43 @@
-"""What a benchmark writes: results.json, results.md, plots, tables for LaTeX; and at the end results.html."""
+"""What a benchmark writes: results.json, results.md, plots, tables for LaTeX, and at the end one HTML page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from tg4mm.core.files import write_json
+from tg4mm.core.pages.page import (
+    Block,
+    Commands,
+    Figure,
+    Page,
+    Panel,
+    Section,
+    Stat,
+    Text,
+    data_uri,
+    render_page,
+)
+from tg4mm.core.pages.page import Table as PageTable
 from tg4mm.research.bench.folder import write_text
-from tg4mm.research.bench.pages.latex import latex_table
-from tg4mm.research.bench.pages.markdown import scenes_page
+from tg4mm.research.bench.pages.markdown import (
+    about_methods,
+    failures,
+    how,
+    machine,
+    remarks,
+    scenes_page,
+    sets_line,
+)
 from tg4mm.research.bench.pages.plots import over_alpha, size_and_speed
-from tg4mm.research.bench.pages.tables import full_table, groups_of, kinds_tables, tables_of
+from tg4mm.research.bench.pages.shown import shown_sections
+from tg4mm.research.bench.pages.tables import full_table, groups_of, kinds_tables, sets_in, tables_of
+from tg4mm.research.bench.pages.text import Table, latex_table
+from tg4mm.research.evaluate.run import CEILING, STATIC
 
 
 def write_results(out: Path, results: Mapping[str, Any]) -> None:
@@ -42,3 +68,129 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
     for old in before:
         old.unlink()  # of methods or groups that are in the results no more
     write_text(out / "results.md", scenes_page(results, pictures))
+
+
+_HERE = Path(__file__).parent
+
+
+def write_page(
+    out: Path, results: Mapping[str, Any], ablations: Sequence[tuple[Path, Mapping[str, Any]]] = ()
+) -> Path:
+    """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file.
+
+    ablations: (folder, content of its results.json). `shown_sections` also writes figures.
+    """
+    sections: list[Section] = []
+    for group in groups_of(results):
+        sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
+        sections += shown_sections(out, results, group)
+    sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
+    sections += [_ablation(folder, found) for folder, found in ablations]
+    made = Commands([(machine(results["made"]), results["made"]["command"])])
+    page = Page(
+        title="3D motion magnification, measured",
+        kicker="tg4mm benchmark",
+        summary=_summary(results),
+        stats=_stats(results),
+        lead=[
+            Text(how(results)),
+            Text(_list(about_methods(results)), plain=True),
+            *([Text(_failed(results), plain=True)] if failures(results) else []),
+        ],
+        sections=[
+            *sections,
+            *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in remarks(results)),
+            Section("How it was made", [made]),
+        ],
+        footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, slices and difference maps in figures/, "
+        "all figures in results.json.",
+    )
+    style, script = ((_HERE / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    target = Path(out) / "results.html"
+    write_text(target, render_page(page, style, script))
+    return target
+
+
+def _summary(results: Mapping[str, Any]) -> str:
+    rows = list(dict.fromkeys(line["row"] for line in results["lines"]))
+    n_sets = len({line["set"] for line in results["lines"]})
+    alphas = sorted({a for line in results["lines"] for a in line["alphas"] if float(a) > 0}, key=float)
+    counts = f"{len(rows)} row{'s' * (len(rows) != 1)} on {n_sets} dataset{'s' * (n_sets != 1)}"
+    return f"{counts}, magnified by α = {', '.join(alphas)}: every row's pictures of test views against ground truth."
+
+
+def _stats(results: Mapping[str, Any]) -> list[Stat]:
+    """The best SSIM where it moves at each of three α, and whose it is, over the first group's means."""
+    groups = groups_of(results)
+    means = [m for m in results["line_means"] if m["group"] == groups[0]]
+    every = sets_in(means)
+    means = [m for m in means if set(m["sets"]) == every]  # means over other sets cannot be compared
+    where = f"; {groups[0]}" if len(groups) > 1 else ""
+    alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
+    found = []
+    for alpha in dict.fromkeys([*alphas[:1], *alphas[len(alphas) // 2 :][:1], *alphas[-1:]]):
+        known = [(m["alphas"][alpha].get("ssim_moving"), m["row"]) for m in means if alpha in m["alphas"]]
+        scored = [(v, row) for v, row in known if v is not None and row not in {STATIC, CEILING}]
+        still = next((v for v, row in known if row == STATIC and v is not None), None)
+        if scored:
+            best = max(scored)
+            beside = "" if still is None else f"; nothing moves {still:.4f}"
+            found.append(
+                Stat(
+                    f"Best SSIM where it moves, α = {alpha}",
+                    f"{best[0]:.4f}",
+                    "",
+                    f"{best[1]}{beside}{where}",
+                )
+            )
+    return found
+
+
+def _failed(results: Mapping[str, Any]) -> Markup:
+    lines = [line.removeprefix("- ") for line in failures(results).splitlines() if line.startswith("- ")]
+    return Markup('<p class="note">Left out:</p>{}').format(_list(lines))
+
+
+def _list(lines: Sequence[str]) -> Markup:
+    code = [re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(line))) for line in lines]
+    items = Markup("").join(Markup(f"<li>{line}</li>") for line in code)
+    return Markup("<ul>{}</ul>").format(items)
+
+
+def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
+    yield Text(sets_line(results, group))
+    for svg, caption, width in (
+        (over_alpha(results, group), "Means over the sets. Grey: what frames the methods.", "wide"),
+        (
+            size_and_speed(results, group),
+            "Size of the trained model, and speed of posing and rendering.",
+            "narrow",
+        ),
+    ):
+        if svg is not None:
+            source = data_uri("image/svg+xml", svg.encode())
+            yield Figure([Panel("img", source=source, alt=caption)], caption, width=width)
+    for made in (*tables_of(results, group), full_table(results, group)):
+        yield _block(made)
+
+
+def _block(made: Table) -> PageTable:
+    return PageTable(made.header, made.rows, f"{made.title}. {made.note}", left=made.text_columns)
+
+
+def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
+    """A section of an ablation's own results.json and slices.png."""
+    from tg4mm.research.bench.ablation.page import ablation_cells, not_there, picture
+
+    made = ablation_cells(results)
+    blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]
+    blocks += [Text(line.removeprefix("- "), "note") for line in not_there(results).splitlines()]
+    if (svg := picture(results)) is not None:
+        source = data_uri("image/svg+xml", svg.encode())
+        blocks.append(Figure([Panel("img", source=source, alt=results["title"])], results["title"]))
+    if results.get("slices") and (folder / "slices.png").is_file():
+        source = data_uri("image/png", (folder / "slices.png").read_bytes())
+        blocks.append(Figure([Panel("img", source=source, alt="space-time slices")], results["slices"]))
+    blocks.append(_block(made))
+    blocks.append(Commands([(machine(results["made"]), results["made"]["command"])]))
+    return Section(results["title"], blocks)

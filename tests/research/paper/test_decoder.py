@@ -7,7 +7,7 @@ import torch
 from torch.nn.functional import gelu
 
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.research.paper.triplane.decoder import BASE, base_below, base_of, new_decoder
+from tg4mm.research.paper.decoder import BASE, base_below, base_of, new_decoder
 
 
 @pytest.fixture

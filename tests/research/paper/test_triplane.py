@@ -7,9 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import grid_sample
 
-from tg4mm.research.paper.triplane import cells_of, sample
-from tg4mm.research.paper.triplane.cells import PLANES, scene_box
-from tg4mm.research.paper.triplane.sample import sample_torch
+from tg4mm.research.paper.triplane import PLANES, cells_of, sample, sample_torch, scene_box
 
 R, C, N = 16, 8, 60
 

@@ -1,0 +1,157 @@
+"""Feature planes sampled at fixed points, values and gradients by numba kernels: [TG4MM] Eq. (4) and (5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class _Sample(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, cells: Cells) -> Tensor:
+        out = torch.empty(cells.index.shape[1], 3 * values.shape[1])
+        gather(values.detach().contiguous().numpy(), cells.index, cells.weight, out.numpy())
+        ctx.cells, ctx.channels = cells, values.shape[1]
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        c = ctx.cells
+        v_values = torch.empty(len(c), ctx.channels)
+        v_out = grads[0].contiguous().numpy()
+        gather_back(v_out, c.first, c.point, c.plane, c.share, v_values.numpy())
+        return v_values, None
+
+
+def sample(values: Tensor, cells: Cells) -> Tensor:
+    """Embedding [N, 3 C] of the points from values [A, C] float32 of the active cells; concatenated xy, xz, yz.
+
+    CPU tensors go to numba kernels, others through torch (whose sums of gradients run by atomics on CUDA).
+    Raises ValueError for values of another shape.
+    """
+    if values.ndim != 2 or len(values) != len(cells):
+        raise ValueError(f"values have shape {tuple(values.shape)}, expected ({len(cells)}, channels)")
+    if values.device.type == "cpu" and values.dtype == torch.float32:
+        return _Sample.apply(values, cells)
+    return sample_torch(values, cells)
+
+
+def sample_torch(values: Tensor, cells: Cells) -> Tensor:
+    """The same by torch's own operations, on any device and in any precision."""
+    index, weight = _on(cells, values.device)
+    parts = (values[index] * weight.to(values.dtype)[..., None]).sum(2)  # [3, N, C]
+    return torch.cat(list(parts), 1)
+
+
+@lru_cache(maxsize=2)
+def _on(cells: Cells, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Index and weight, brought to a device once."""
+    return torch.from_numpy(cells.index.astype(np.int64)).to(device), torch.from_numpy(cells.weight).to(
+        device
+    )
+
+
+@numba.njit(parallel=True, cache=True, fastmath={"contract"})
+def gather(values: np.ndarray, index: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
+    """out [N, 3 C] = Σ_j weight · values[index]: values [A, C], index and weight [3, N, 4]."""
+    channels = values.shape[1]
+    for n in numba.prange(index.shape[1]):
+        for k in range(3):
+            a, b, c, d = index[k, n, 0], index[k, n, 1], index[k, n, 2], index[k, n, 3]
+            wa, wb, wc, wd = weight[k, n, 0], weight[k, n, 1], weight[k, n, 2], weight[k, n, 3]
+            for i in range(channels):
+                out[n, k * channels + i] = (
+                    wa * values[a, i] + wb * values[b, i] + wc * values[c, i] + wd * values[d, i]
+                )
+
+
+@numba.njit(parallel=True, cache=True, fastmath={"contract"})
+def gather_back(
+    v_out: np.ndarray,
+    first: np.ndarray,
+    point: np.ndarray,
+    plane: np.ndarray,
+    share: np.ndarray,
+    v_values: np.ndarray,
+) -> None:
+    """The transpose: v_values [A, C] from v_out [N, 3 C]; entries of every cell as in `Cells`."""
+    channels = v_values.shape[1]
+    for a in numba.prange(len(first) - 1):
+        for i in range(channels):
+            v_values[a, i] = 0.0
+        for e in range(first[a], first[a + 1]):
+            n, at, w = point[e], plane[e] * channels, share[e]
+            for i in range(channels):
+                v_values[a, i] += w * v_out[n, at + i]
+
+
+PLANES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz: the coordinates along columns and rows
+_OUTER = (0.5, 99.5)  # percentiles of the points that the box spans; points beyond lie on its border
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """A cells of three R×R planes, touched by N points; all indices are into the A compact cells.
+
+    A point's value on plane k is Σ_j weight[k, n, j] · values[index[k, n, j]].
+    """
+
+    resolution: int  # R
+    dense: np.ndarray  # [A] int64, k · R² + row · R + column, ascending
+    index: np.ndarray  # [3, N, 4] int32
+    weight: np.ndarray  # [3, N, 4] float32, each four sum to 1
+    first: np.ndarray  # [A + 1] int32: entries first[a] … first[a + 1] − 1 of the next three belong to cell a
+    point: np.ndarray  # [12 N] int32
+    plane: np.ndarray  # [12 N] int8
+    share: np.ndarray  # [12 N] float32, the weights again
+
+    def __len__(self) -> int:
+        return len(self.dense)
+
+    def of_plane(self, k: int) -> slice:
+        """The compact cells of plane k."""
+        size = self.resolution**2
+        return slice(*(int(np.searchsorted(self.dense, size * i)) for i in (k, k + 1)))
+
+
+def scene_box(points: np.ndarray) -> np.ndarray:
+    """[2, 3] low and high corner of the points [N, 3], but for the outermost half percent on each side."""
+    low, high = np.percentile(points, _OUTER, axis=0)
+    return np.stack([low, np.maximum(high, low + 1e-6)])
+
+
+def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> Cells:
+    """The cells that points [N, 3] touch; `box` [2, 3] is normalised to 0..1, cell centres on its border included.
+
+    As `grid_sample` with `align_corners=True, padding_mode="border"` on planes whose rows are the second coordinate.
+    """
+    unit = np.clip((points.astype(np.float64) - box[0]) / (box[1] - box[0]), 0, 1)
+    position = unit * (resolution - 1)
+    corner = np.minimum(position.astype(np.int64), resolution - 2)
+    fraction = position - corner
+    index = np.empty((3, len(points), 4), np.int64)
+    weight = np.empty((3, len(points), 4), np.float32)
+    for k, (u, v) in enumerate(PLANES):
+        for j, (du, dv) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
+            index[k, :, j] = (k * resolution + corner[:, v] + dv) * resolution + corner[:, u] + du
+            wu = fraction[:, u] if du else 1 - fraction[:, u]
+            weight[k, :, j] = wu * (fraction[:, v] if dv else 1 - fraction[:, v])
+    dense, compact = np.unique(index.ravel(), return_inverse=True)
+    order = np.argsort(compact, kind="stable")
+    n = len(points)
+    return Cells(
+        resolution=resolution,
+        dense=dense,
+        index=compact.reshape(index.shape).astype(np.int32),
+        weight=weight,
+        first=np.concatenate([[0], np.cumsum(np.bincount(compact, minlength=len(dense)))]).astype(np.int32),
+        point=((order // 4) % n).astype(np.int32),
+        plane=(order // (4 * n)).astype(np.int8),
+        share=weight.ravel()[order],
+    )
