@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import importlib
 import inspect
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -74,37 +72,6 @@ def test_each_is_there_and_says_what_it_is(name: str) -> None:
     assert not inspect.getdoc(value).startswith(f"{name}(")  # type: ignore[union-attr]
 
 
-def documented(page: ModuleType) -> list[str]:
-    """Public names, fields and members that lack a meaning, and functions that do not say what they take and give."""
-    missing = []
-    for name in NAMES:
-        value = getattr(tg4mm, name)
-        if inspect.isfunction(value):
-            text = inspect.getdoc(value) or ""
-            parts = ["Args:", *(["Returns:"] if value.__annotations__["return"] != "None" else [])]
-            missing += [f"{name}: {part}" for part in parts if part not in text]
-            takes = [a for a in inspect.signature(value).parameters if f"\n    {a}: " not in text]
-            missing += [f"{name}({argument})" for argument in takes]
-        if dataclasses.is_dataclass(value):
-            missing += [f"{name}.{field}" for field, _, about in page.fields_of(value) if not about]
-            members = [inspect.getattr_static(value, one) for one in page.members_of(value)]
-            missing += [f"{name}.{one}" for one in members if not getattr(one, "__func__", one).__doc__]
-    return missing
-
-
-def test_everything_public_says_what_it_is(repo_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the page of the site is made: arguments and results of functions, fields and members of classes."""
-    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
-    monkeypatch.syspath_prepend(repo_root / "docs")
-    page = importlib.import_module("hooks")
-    assert documented(page) == []
-    fields = {field: (kind, about) for field, kind, about in page.fields_of(tg4mm.Capture)}
-    assert fields["timesteps"] == ("np.ndarray", "[C] int64, 0 … T-1")
-    assert "NaN for a picture of the scene at rest" in fields["times_s"][1]  # from the lines above it
-    settings = {field: about for field, _, about in page.fields_of(tg4mm.SpaceConfig)}
-    assert settings["seed"] == "of random draws"
-
-
 def test_type_checkers_see_the_same_names_in_the_same_modules() -> None:
     """A package that was written `from tg4mm.x import y as y` for them, and `"y": "x"` for Python."""
     tree = ast.parse(Path(tg4mm.__file__).read_text(encoding="utf-8"))
@@ -117,13 +84,6 @@ def test_type_checkers_see_the_same_names_in_the_same_modules() -> None:
             seen[alias.name] = str(line.module).removeprefix("tg4mm.")
     assert seen == tg4mm._PUBLIC
     assert (Path(tg4mm.__file__).parent / "py.typed").is_file()
-
-
-def test_the_page_lists_every_name(repo_root: Path) -> None:
-    page = (repo_root / "docs" / "python.md").read_text(encoding="utf-8")
-    table = page[page.index("## Public names") : page.index("## Notebooks")]
-    listed = {word for word in table.split("`")[1::2] if word.isidentifier()}
-    assert listed == set(NAMES)
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.core.values import POSITIVE
-
 from ..errors import GenerateError
 from ..limits import check_whole, check_within
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
@@ -86,7 +84,7 @@ class CameraSetup:
 
         Raises GenerateError if kind is "given" and there are none, or if the sphere has no size.
         """
-        if not POSITIVE.fits(radius):
+        if not 0 < radius < math.inf:
             raise GenerateError(f"the scene has a radius of {radius!r}: there is nothing to look at")
         if self.kind == "given" and not cameras:
             raise GenerateError("--cameras given: the file holds no camera")

@@ -100,7 +100,7 @@ CONTENT = {
     "LICENSE",
     *(f"{name}.py" for name in ADDON),
     *(f"jobs/{name}.py" for name in JOBS),
-    *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted")),
+    *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted", "values")),
     *(f"core/{file.relative_to(CORE)}" for file in (CORE / "splatfile").glob("*.py")),
 }
 
@@ -208,7 +208,7 @@ def generator(root: Path) -> set[str]:
     package = root / "dataset_gen"
     files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
     kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
-    needed = "__init__ errors events files form lazy progress temporary untrusted work_folder"
+    needed = "__init__ errors events files lazy progress records temporary untrusted values work_folder"
     tg4mm = {f"generator/tg4mm/core/{name}.py" for name in needed.split()}
     tg4mm.add("generator/tg4mm/__init__.py")
     return kept | {"generator/__init__.py"} | tg4mm

@@ -12,7 +12,6 @@ import pytest
 
 from tests.helpers.colmap import CAMERAS, IMAGES, NAMES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
-from tg4mm.capture.cameras import world_to_camera
 from tg4mm.core.errors import CaptureError
 
 
@@ -102,12 +101,6 @@ def test_the_undistorters_layout_has_no_number(text: Path) -> None:
     check(text)
 
 
-def test_poses_pass_through_the_convention_on_disk(text: Path) -> None:
-    viewmat = load_capture(text).viewmats[0]
-    c2w = np.linalg.inv(viewmat) @ np.diag([1.0, -1, -1, 1])
-    np.testing.assert_allclose(world_to_camera(c2w), viewmat, atol=1e-12)
-
-
 def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path) -> None:
     os.replace(text / "images/b.png", text / "images/b 1.png")
     edit(text / "sparse/0/images.txt", "b.png", "b 1.png")
@@ -183,7 +176,3 @@ def test_there_is_a_training_split_only(text: Path) -> None:
     refused(text, "training images only: there is no 'test' split", split="test")
     with pytest.raises(CaptureError, match="no images magnified by 5"):
         load_capture(text, magnification=5)
-
-
-def test_images_without_a_model_are_not_recognised(tmp_path: Path) -> None:
-    refused(pictures(tmp_path), "is not a dataset; tg4mm reads", "a COLMAP folder (images/ and sparse/0/)")

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
-from tg4mm.capture.convert import at_timesteps, quaternion, write_colmap
+from tg4mm.capture.convert import at_timesteps, write_colmap
 from tg4mm.cli import main
 
 T = 4
@@ -55,27 +55,6 @@ def test_lenses_that_differ_are_different_cameras(dataset, tmp_path):
     assert sorted(camera.focal_length_x for camera in model.cameras.values()) == sorted(
         {*Ks[:, 0, 0].tolist()}
     )
-
-
-def test_our_own_reader_takes_a_timestep_of_it(dataset, tmp_path):
-    assert convert(dataset, tmp_path / "c", "colmap", "--timesteps", "2") == 0
-    read, want = load_capture(tmp_path / "c"), at_timesteps(load_capture(dataset), [2])
-    np.testing.assert_allclose(read.viewmats, want.viewmats, atol=1e-9)
-    assert len(read) == 3
-
-
-def test_nerfstudio_frames_have_times(dataset, tmp_path):
-    assert convert(dataset, tmp_path / "n", "nerfstudio") == 0
-    data = json.loads((tmp_path / "n" / "transforms.json").read_text())
-    assert (data["fps"], data["w"], data["h"], data["camera_model"]) == (30, 16, 16, "OPENCV")
-    assert len(data["train_filenames"]) == 3 * T
-    assert len(data["test_filenames"]) == 2 * T
-    assert len(data["frames"]) == 5 * T
-    for frame in data["frames"]:
-        t = int(frame["file_path"].split("/")[1])
-        assert frame["time"] == pytest.approx(t / (T - 1))
-        assert frame["time_s"] == pytest.approx(t / 30)
-        assert (tmp_path / "n" / frame["file_path"]).is_file()
 
 
 def test_nerfstudio_times_are_read_back(dataset, tmp_path):
@@ -143,12 +122,3 @@ def test_bad_input_is_one_line(dataset, tmp_path, capsys):
         assert message in line
         assert line.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
-
-
-def test_a_quaternion_is_that_of_the_rotation():
-    rng = np.random.default_rng(0)
-    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(50)]
-    turns = [turn * np.sign(np.linalg.det(turn)) for turn in turns]
-    for turn in (*turns, np.eye(3), np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])):
-        w, x, y, z = quaternion(turn)
-        np.testing.assert_allclose(pycolmap.Rotation3d(np.array([x, y, z, w])).matrix(), turn, atol=1e-12)

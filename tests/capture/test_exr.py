@@ -8,7 +8,7 @@ import pytest
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.pictures.decode import decode, image_header
+from tg4mm.core.pictures.decode import decode
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -58,11 +58,6 @@ def test_grey_and_opaque_files(tmp_path, names):
         got[..., :3], 0.5 * 65535 if "A" not in names else 65535, atol=70_000 * ("A" in names) + 1
     )
     assert (got[..., 3] == (round(0.2140411 * 65535) if "A" in names else 65535)).all()
-
-
-def test_the_header_says_size_and_depth(tmp_path):
-    header = image_header(write(tmp_path / "a.exr", {"RGBA": rgba(8, 12)}))
-    assert (header.width, header.height, header.bits) == (12, 8, 16)
 
 
 def test_a_capture_of_exr_images(folder, tools):

@@ -25,10 +25,6 @@ def test_straight_alpha_over_a_background(pixel, background):
     np.testing.assert_allclose(one.alpha(0), [[alpha]], atol=1e-6)
 
 
-def test_the_background_is_white_by_default():
-    assert stack((9, 9, 9, 0)).rgb(0).tolist() == [[[1.0, 1.0, 1.0]]]
-
-
 def test_opaque_full_range_is_exact():
     assert stack((0, 255, 0, 255)).rgb(0, (0.3, 0.3, 0.3)).tolist() == [[[0.0, 1.0, 0.0]]]
     sixteen = stack((0, 65535, 0, 65535), dtype=np.uint16)
@@ -90,11 +86,6 @@ def test_sixteen_bit_grey_keeps_its_low_byte_and_widens_the_others(folder):
     assert (images.data[0, ..., 3] == 65535).all()
     assert images.data[1, 0, 0].tolist() == [101 * 257] * 4
     np.testing.assert_allclose(images.alpha(1), 101 / 255, rtol=1e-6)
-
-
-def test_many_images_keep_their_places(tmp_path, tools):
-    tools["folder"](tmp_path, views=60)
-    assert load_images(load_capture(tmp_path)).data[:, 0, 0, 0].tolist() == list(range(100, 160))
 
 
 def test_reading_many_pixels_shows_how_far_it_is(folder, monkeypatch, capsys):

@@ -67,11 +67,6 @@ def test_splits_are_the_files_own_lists(studio, tools) -> None:
     refused(studio, "has no val_filenames", "no 'val' split", split="val")
 
 
-def test_without_lists_all_frames_are_training(studio) -> None:
-    assert len(load_capture(studio)) == 3
-    refused(studio, "has no test_filenames", "no 'test' split", split="test")
-
-
 def test_points_come_from_the_named_file(studio, tools) -> None:
     data = np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
     data["x"] = range(4)
@@ -84,11 +79,6 @@ def test_points_come_from_the_named_file(studio, tools) -> None:
     refused(studio, "ply_file_path is 'gone.ply', which does not exist")
     tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="../x.ply"))
     refused(studio, "leads outside the dataset's folder")
-
-
-def test_a_scene_json_gives_the_scale(studio) -> None:
-    (studio / "scene.json").write_text(json.dumps({"unit_scale_m": 0.25}))
-    assert load_capture(studio).unit_scale_m == 0.25
 
 
 @pytest.mark.parametrize(
@@ -115,11 +105,6 @@ def test_a_scene_json_gives_the_scale(studio) -> None:
 def test_bad_files_are_refused(studio, tools, change, parts) -> None:
     tools["edit"](studio / "transforms.json", change)
     refused(studio, *parts)
-
-
-def test_no_magnified_pictures(studio) -> None:
-    with pytest.raises(CaptureError, match="no images magnified by 5"):
-        load_capture(studio, magnification=5)
 
 
 @pytest.mark.parametrize(

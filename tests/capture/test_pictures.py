@@ -85,16 +85,6 @@ def test_each_is_decoded_once(capture: Capture, decoded: Counter[Path]) -> None:
     assert decoded == Counter(capture.paths)
 
 
-def test_where_the_cache_is_small_twice(
-    capture: Capture, decoded: Counter[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first camera's five pictures fit, the second's do not."""
-    monkeypatch.setattr(first_look_module, "CACHE_BYTES", 5 * 30 * 12)
-    components(observe(capture, FilePictures(capture)), 16)
-    assert {decoded[path] for path in capture.paths[::2]} == {1}
-    assert {decoded[path] for path in capture.paths[1::2]} == {2}
-
-
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -33,10 +33,6 @@ def test_a_single_folder_is_one_timestep_of_unknown_fps_and_scale(folder, tools)
     assert capture.times_s.tolist() == [0.0, 0.0]
 
 
-def test_a_string_path_works(folder):
-    assert len(load_capture(str(folder))) == 2
-
-
 def test_intrinsics_come_from_the_horizontal_field_of_view(folder, tools):
     width, height = tools["size"]
     focal = width / 2 / math.tan(tools["angle_x"] / 2)
@@ -80,20 +76,11 @@ def test_magnification_reads_the_ground_truth_of_the_test_cameras(tree):
     np.testing.assert_array_equal(capture.viewmats, load_capture(tree, "test").viewmats)
 
 
-def test_magnification_0_is_the_test_split_as_captured(tree):
-    assert load_capture(tree, magnification=0).paths == load_capture(tree, "test").paths
-
-
 def test_only_train_folders_and_fps_are_needed(tree):
     shutil.rmtree(tree / "magnified")
     for path in tree.glob("*/transforms_test.json"):
         path.unlink()
     assert len(load_capture(tree)) == 6
-
-
-def test_timesteps_may_have_different_numbers_of_views(tree, tools):
-    tools["folder"](tree / "001", "train", views=4)
-    assert load_capture(tree).timesteps.tolist() == [0, 0, 1, 1, 1, 1, 2, 2]
 
 
 def test_scene_json_is_kept_and_null_counts_as_unknown(tree, tools):
@@ -155,11 +142,6 @@ def test_a_path_into_another_timestep_stays_inside(tree, tools):
     images = {path.resolve() for path in load_capture(tree).paths}
     assert (tree / "000/train/r_000.png").resolve() in images
     assert (tree / "001/train/r_000.png").resolve() not in images
-
-
-def test_a_link_to_the_dataset_itself_is_fine(tree, tmp_path):
-    (tmp_path / "link").symlink_to(tree)
-    assert len(load_capture(tmp_path / "link")) == 6
 
 
 def test_a_timestep_folder_of_a_tree_is_a_capture_too(tree):

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm import __version__
-
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     "demo", "generate", "convert", "train", "render", "evaluate", "measure", "report", "view", "export", "sfm", "bench",
@@ -41,11 +39,6 @@ def empty_run(tmp_path: Path) -> Path:
 
     (tmp_path / "data").mkdir()
     return Run.create(tmp_path / "run", tmp_path / "data", "modal", {}).path
-
-
-def test_version() -> None:
-    done = tg4mm("--version")
-    assert (done.returncode, done.stdout) == (0, f"tg4mm {__version__}\n")
 
 
 def test_the_log_is_shown_once_where_progress_is() -> None:
@@ -92,25 +85,6 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
     assert "--preset" in done.stdout
     # Processor time, which a busy machine does not stretch.
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.0
-
-
-@pytest.mark.parametrize(
-    ("command", "texts"),
-    [
-        ("train", ["[default: modal]", "[default: cpu]", "modal", "cuda", "--set"]),
-        ("render", ["(1 + alpha)", "-1 at rest", "Hz", "[default: all]", "[default: test]", "--orbit"]),
-        ("evaluate", ["dB", "Hz", "[default: RUN/metrics.json]", "5,10,20,50"]),
-        ("report", ["(1 + alpha)", "Hz", "[default: RUN/report.html]", "ground truth"]),
-        ("export", ["ply"]),
-        ("demo", ["[default: demo]"]),
-    ],
-)
-def test_help_of_a_command_shows_units_and_defaults(command: str, texts: list[str]) -> None:
-    done = tg4mm(command, "--help")
-    assert done.returncode == 0
-    shown = " ".join(done.stdout.split())
-    for text in texts:
-        assert text in shown
 
 
 def test_no_command_shows_help_and_exits_with_2() -> None:
@@ -177,17 +151,6 @@ def test_unfinished_run_is_refused(empty_run: Path, tmp_path: Path) -> None:
     assert "its space stage is not finished" in refused(done)
 
 
-def test_render_takes_one_source_of_cameras(empty_run: Path, tmp_path: Path) -> None:
-    done = tg4mm("render", empty_run, "--alpha", 5, "--out", tmp_path / "o", "--split", "test", "--orbit", 3)
-    assert "--split and --orbit exclude each other" in refused(done)
-    done = tg4mm("render", empty_run, "--alpha", 5, "--out", tmp_path / "o", "--orbit", 3, "--no-video")
-    assert "--no-video and --orbit exclude each other" in refused(done)
-
-
-def test_alpha_that_is_no_number_is_named(empty_run: Path) -> None:
-    assert "--alphas '5,x': 'x' is not a number" in refused(tg4mm("evaluate", empty_run, "--alphas", "5,x"))
-
-
 def run_main(body: str) -> subprocess.CompletedProcess[str]:
     """main() with the export command's body replaced by `body`, as another command of the program."""
     code = (
@@ -215,35 +178,11 @@ def test_reader_that_goes_away_ends_it_quietly() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
 
 
-def test_demo_refuses_a_file_and_a_size_out_of_range(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    assert f"{tmp_path}/file is a file, expected a folder" in refused(
-        tg4mm("demo", "--out", tmp_path / "file")
-    )
-    below = refused(tg4mm("demo", "--out", tmp_path / "file" / "x"))
-    assert below == f"tg4mm: {tmp_path}/file/x cannot be written: Not a directory"
-    assert "--size 100000: expected 16" in refused(tg4mm("demo", "--out", tmp_path / "d", "--size", 100000))
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_message_of_several_lines_becomes_one() -> None:
-    done = run_main(r"from tg4mm.core.errors import RunError; raise RunError('a\n  b')")
-    assert refused(done) == "tg4mm: a b"
-
-
 def test_missing_core_package_says_how_to_install_it() -> None:
     done = run_main("sys.modules['torch'] = None; import torch")
     assert (
         refused(done) == "tg4mm: this command needs torch: pip install '.[core]' in a copy of the repository"
     )
-
-
-def test_other_missing_module_is_a_fault_of_the_program() -> None:
-    assert run_main("import no_such_module").returncode == 1
-
-
-def test_exit_code_given_by_a_command_is_passed_on() -> None:
-    assert run_main("import typer; raise typer.Exit(7)").returncode == 7
 
 
 def test_interrupt_exits_with_130_and_says_how_to_go_on() -> None:

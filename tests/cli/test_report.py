@@ -50,8 +50,3 @@ def test_bad_options_give_one_line_and_no_page(run_path, tmp_path, capsys, optio
     error = capsys.readouterr().err.strip()
     assert message in error.splitlines()[-1]
     assert not out.exists()
-
-
-def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
-    assert main(["report", str(tmp_path / "none")]) == 2
-    assert "none does not exist" in capsys.readouterr().err

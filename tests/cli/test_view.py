@@ -85,11 +85,6 @@ def test_bad_options_are_one_line(
     assert err.count("\n") == 1
 
 
-def test_a_folder_that_is_no_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["view", str(tmp_path / "none"), "--no-open"]) == 2
-    assert "none does not exist" in capsys.readouterr().err
-
-
 def test_without_viser_it_says_what_to_install(
     run_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tg4mm.core.progress import HeardProgress, PlainProgress, clock_text, listened_to, progress
+from tg4mm.core.progress import HeardProgress, PlainProgress, listened_to, progress
 
 
 class Clock:
@@ -99,17 +99,6 @@ def test_the_first_of_few_units_tells_the_time_left() -> None:
     assert "1:00 elapsed, 11:00 left" in stream.getvalue()
 
 
-def test_time_left_is_unknown_before_the_first_unit() -> None:
-    assert "time left unknown" in lines(50, [(10.0, 50)])[0]
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (61, "1:01"), (3725, "1:02:05")]
-)
-def test_clock_text(seconds: float, text: str) -> None:
-    assert clock_text(seconds) == text
-
-
 def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     with progress("render", 3, unit="frames") as update:
         for i in range(3):
@@ -117,12 +106,6 @@ def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixtu
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "render: 3/3 frames, took 0:00, alpha 5\n"
-
-
-def test_an_exception_passes_and_no_end_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(ZeroDivisionError), progress("render", 3) as update:
-        update(1 // 0)
-    assert "took" not in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

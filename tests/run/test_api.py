@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -152,16 +151,3 @@ def test_the_packages_own_example(
     exec("\n".join(lines), names)
     assert names["picture"].shape == (48, 48, 3)  # type: ignore[attr-defined]
     assert names["waveform"].displacement.shape == (20, 3)  # type: ignore[attr-defined]
-
-
-@pytest.mark.slow
-def test_the_page(repo_root: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every block of docs/python.md, one after another."""
-    monkeypatch.chdir(data.parent.parent)
-    page = (repo_root / "docs" / "python.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", page, re.S)
-    assert len(blocks) == 6
-    names: dict[str, object] = {}
-    for block in blocks:
-        exec(block, names)
-    assert (data.parent.parent / "mic.ply").is_file()

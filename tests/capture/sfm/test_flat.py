@@ -82,20 +82,6 @@ def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
         np.testing.assert_array_equal(image[..., :3], frame.rgb)
 
 
-def test_killed_while_writing_it_goes_on(video: Path, dataset: Path, tmp_path: Path) -> None:
-    import shutil
-
-    out = tmp_path / "bridge"
-    shutil.copytree(dataset, out)
-    (out / "scene.json").unlink()
-    (out / "005/train/bridge.png").unlink()
-    kept = (out / "004/train/bridge.png").stat().st_mtime_ns
-    reconstruct(video, out)
-    assert (out / "005/train/bridge.png").read_bytes() == (dataset / "005/train/bridge.png").read_bytes()
-    assert (out / "004/train/bridge.png").stat().st_mtime_ns == kept
-    assert load_capture(out).n_timesteps == T
-
-
 def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, tmp_path: Path) -> None:
     import shutil
 

@@ -31,12 +31,6 @@ def two_pictures(n: int, seed: int = 0) -> tuple[np.ndarray, Features, Features,
     return E / np.linalg.norm(E), one, two, np.argsort(order)
 
 
-def test_partners_satisfy_the_epipolar_equation() -> None:
-    E, one, two, partner = two_pictures(50)
-    residual = np.einsum("fi,ij,fj->f", two.rays[partner], E, one.rays)
-    assert np.abs(residual).max() < 1e-12
-
-
 def test_relative_pose_takes_one_camera_to_the_other() -> None:
     first, second = orbit(5)[:2]
     _, relative = essential(first, second)
@@ -74,13 +68,6 @@ def test_repeated_texture_is_told_apart_by_the_line_and_dropped_on_it() -> None:
     assert 0 < len(matches) < 200
     np.testing.assert_array_equal(matches[:, 1], partner[matches[:, 0]])
     assert near[matches[:, 1], matches[:, 0]].max() < 1e-20
-
-
-def test_a_distant_descriptor_is_no_match() -> None:
-    E, one, two, _ = two_pictures(40)
-    other = np.random.default_rng(9).normal(size=(40, 128)).astype(np.float32)
-    other /= np.linalg.norm(other, axis=1, keepdims=True)
-    assert len(guided_matches(one, Features(two.rays, other), E, PIXEL, 1.0, 0.6)) == 0
 
 
 def test_no_features_no_matches() -> None:

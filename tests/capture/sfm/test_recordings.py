@@ -95,18 +95,6 @@ def test_its_cameras_come_back(tripod_dataset: Path) -> None:
     assert place_error(capture, rows, np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.05
 
 
-def test_a_killed_one_goes_on(tripod: Path, tripod_dataset: Path, tmp_path: Path) -> None:
-    out = tmp_path / "tripod"
-    shutil.copytree(tripod_dataset, out)
-    shutil.rmtree(out / "sfm" / "survey")
-    shutil.rmtree(out / "sfm" / "sparse")
-    (out / "scene.json").unlink()
-    (out / "003/train/film.png").unlink()
-    reconstruct(tripod, out, threads=1)
-    for file in ("scene.json", "000/transforms_train.json", "003/train/film.png", "points3d.ply"):
-        assert (out / file).read_bytes() == (tripod_dataset / file).read_bytes(), file
-
-
 @pytest.mark.slow
 def test_photographs_of_another_size_and_lens_are_brought_to_the_films(tripod: Path, tmp_path: Path) -> None:
     folder = tmp_path / "in"

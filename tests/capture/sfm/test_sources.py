@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -141,16 +140,6 @@ def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 class TestSuggestion:
-    def test_a_video_and_a_folder_of_photographs_get_a_command(self, tmp_path: Path) -> None:
-        videos(tmp_path / "my films", "cam.mp4")
-        fill(tmp_path / "photos", 4)
-        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
-            command = suggested_command(path)
-            assert command is not None
-            words = shlex.split(command)
-            assert words[:4] == ["tg4mm", "sfm", str(path), "--out"]
-            assert not Path(words[4]).exists()
-
     def test_training_on_them_says_the_command_in_one_line(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

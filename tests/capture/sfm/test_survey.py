@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 from tests.capture.sfm.scenes import save
-from tests.capture.sfm.videos import SIZE, looked, still, texture, write_video
+from tests.capture.sfm.videos import looked, still, texture, write_video
 from tg4mm.capture.sfm import survey as module
 from tg4mm.capture.sfm.clip import Clip, Window
 from tg4mm.capture.sfm.kind import kind_of
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.spoilt import check_usable, warn_clocks
-from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
+from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
 from tg4mm.core.errors import CaptureError
 
 
@@ -44,12 +44,6 @@ class TestShift:
         first, other = (texture((256, 192), seed)[..., 1].astype(np.float32) for seed in (0, 5))
         assert np.isnan(ShiftMeter(first).shift(other)).all()
 
-    def test_reduction_averages(self) -> None:
-        grey = np.arange(900 * 1203, dtype=np.float32).reshape(900, 1203) % 7
-        small, k = reduced(grey)
-        assert (k, small.shape) == (4, (225, 300))
-        assert small[0, 0] == grey[:4, :4].mean()
-
 
 class TestKnock:
     times_s = np.arange(120) / 30
@@ -75,37 +69,12 @@ class TestKnock:
         drift = np.stack([3 * self.times_s, 0 * self.times_s], axis=1)
         assert find_knocks(drift, self.times_s) == []
 
-    def test_who_stays(self) -> None:
-        assert stays(self.shifts(), 1000)
-        walk = np.stack([20 * self.times_s, 0 * self.times_s], axis=1)
-        assert not stays(walk, 1000)
-        assert not stays(np.full((120, 2), np.nan), 1000)
-
 
 class TestFaults:
-    def test_black(self, tmp_path: Path) -> None:
-        frames = [np.full((SIZE[1], SIZE[0], 3), 3, np.uint8)] * 10
-        with pytest.raises(CaptureError, match=r"a\.mp4: is black: its brightest pixels reach \d+ of 255"):
-            looked(write_video(tmp_path / "a.mp4", frames))
-
     def test_too_short(self, tmp_path: Path) -> None:
         path = write_video(tmp_path / "a.mp4", still(30))
         with pytest.raises(CaptureError, match=r"holds 1 frames from 0\.5 s to 0\.51 s, at least 2"):
             looked(path, Window(0.5, 0.51))
-
-    def test_a_knocked_camera_names_the_second_and_what_to_type(self, tmp_path: Path) -> None:
-        frames = still(60, shifts=[0] * 37 + [4] * 23)
-        path = write_video(tmp_path / "a.mp4", frames)
-        with pytest.raises(CaptureError) as caught:
-            check_usable([looked(path)], True)
-        message = str(caught.value)
-        assert "a.mp4: the camera was knocked at 1.233 s: the whole picture moves by 4." in message
-        assert message.endswith("take --until 1.233 or --from 1.233")
-        for part in (Window(0, 1.233), Window(1.233)):
-            survey = looked(path.rename(tmp_path / f"{part.start_s}.mp4"), part)
-            path = survey.path
-            check_usable([survey], True)
-            assert len(survey) == (37 if part.start_s == 0 else 23)
 
     def test_a_camera_that_moves_is_not_fixed(self, tmp_path: Path) -> None:
         survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from tests.capture.sfm.scenes import intrinsics, orbit, picture, sample, surface_distance
+from tests.capture.sfm.scenes import intrinsics, orbit, picture, surface_distance
 from tests.fit.space.scenes import views_of
-from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.sfm import SfmPoints, TriangulationConfig, triangulate_views
 from tg4mm.capture.sfm.points import outside_masks
 from tg4mm.capture.sfm.triangulate import view_pairs
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, initial
 from tg4mm.fit.space.initial import initial_points
-from tg4mm.fit.space.targets import rest_views
 
 SIZE = (180, 180)
 K = intrinsics(*SIZE, 200.0)
@@ -74,40 +71,6 @@ def test_a_second_run_finds_the_same_points(box: RestViews, found: SfmPoints) ->
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
 
 
-def test_inputs_are_left_alone(box: RestViews, found: SfmPoints) -> None:
-    np.testing.assert_array_equal(box.viewmats, orbit(12, turn=np.pi).astype(np.float32))
-
-
-def test_a_capture_is_averaged_over_time_first() -> None:
-    """Two timesteps, one brighter by as much as the other is darker: their mean is what is triangulated."""
-    pytest.importorskip("pycolmap")
-    viewmats = orbit(5, turn=1.2)
-    pictures = np.stack([picture(v, K, SIZE) for v in viewmats])
-    pictures[..., :3] = 20 + pictures[..., :3] * 0.8
-    shift = np.array([10, 10, 10, 0], np.uint8)
-    data = np.concatenate([pictures + shift, pictures - shift])
-    ids = np.tile(np.arange(5), 2)
-    capture = Capture(
-        root=None,  # type: ignore[arg-type]
-        split="train",
-        width=SIZE[0],
-        height=SIZE[1],
-        fps=30.0,
-        n_timesteps=2,
-        viewmats=np.concatenate([viewmats, viewmats]),
-        Ks=np.repeat(K[None], 10, 0),
-        timesteps=np.repeat([0, 1], 5),
-        camera_ids=ids,
-        paths=tuple(range(10)),  # type: ignore[arg-type]
-    )
-    points = triangulate_views(rest_views(capture, ImageStack(data)))
-    alpha = pictures[..., 3] / 255
-    rgb = pictures[..., :3] / 255 * alpha[..., None] + 1 - alpha[..., None]
-    still = triangulate_views(views_of(viewmats, K, alpha, rgb))
-    assert len(points) > 50
-    assert abs(len(points) - len(still)) <= 0.05 * len(still)  # rounding moves a feature now and then
-
-
 class TestStart:
     """space.init=sfm."""
 
@@ -144,9 +107,6 @@ class TestStart:
 
 
 class TestPairs:
-    def test_all_pairs_of_a_small_cluster(self) -> None:
-        assert view_pairs(orbit(4, turn=0.6), 60, 24) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
-
     def test_cameras_that_look_the_other_way_are_left_out(self) -> None:
         pairs = view_pairs(orbit(12, low=0.2, high=0.2), 60, 24)
         assert {(j - i) % 12 for i, j in pairs} == {1, 2, 10, 11}  # 30° apart each, at 0.2 rad of elevation
@@ -154,25 +114,3 @@ class TestPairs:
     def test_only_the_nearest_of_many(self) -> None:
         pairs = view_pairs(orbit(40, low=0.5, high=0.5), 180, 4)
         assert {min(j - i, 40 - j + i) for i, j in pairs} == {1, 2}
-
-
-def test_importing_the_package_needs_no_other_part_of_the_program_nor_torch_nor_pycolmap() -> None:
-    absent = ("torch", "pycolmap", "av", "bpy", "tg4mm.fit.space", "tg4mm.fit.motion")
-    modules = "tg4mm.capture.sfm, tg4mm.capture.sfm.sources, tg4mm.capture.sfm.reconstruct"
-    code = f"import sys; [sys.modules.__setitem__(name, None) for name in {absent}]; import {modules}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_the_scene_itself_is_right() -> None:
-    """A face's texture, looked up, is what the picture shows where that point falls."""
-    viewmat = orbit(8)[0]
-    from tests.capture.sfm.scenes import HALF, texture
-
-    place = np.array([[0.3, 0.2]])  # on the top face, axes x and y
-    xyz = np.array([0.3 * HALF[0], 0.2 * HALF[1], 2 * HALF[2]])
-    cam = viewmat[:3, :3] @ xyz + viewmat[:3, 3]
-    u, v = (cam[:2] / cam[2] * 200 + K[:2, 2]).astype(int)
-    shown = picture(viewmat, K, SIZE)[v, u, :3] / 255
-    assert np.abs(shown - sample(texture(6), place)[0]).max() < 0.25
-    assert surface_distance(xyz[None])[0] < 1e-12

@@ -59,14 +59,6 @@ def test_alpha_0_is_the_identity_whatever_the_band(make_module, seed, t):
     np.testing.assert_array_equal(rotations_at(splat, t, 0.0, (1.0, 7.0)), rotations_at(splat, t))
 
 
-@given(seeds, times)
-def test_alpha_minus_1_is_the_rest_pose(make_module, seed, t):
-    splat = make_module.splat(seed)
-    np.testing.assert_allclose(positions_at(splat, t, -1.0), splat.means, atol=1e-12)
-    rest = splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)
-    np.testing.assert_allclose(rotations_at(splat, t, -1.0), rest, atol=1e-6)
-
-
 @given(seeds, times, alphas, st.floats(0, 7), st.floats(7, 15))
 def test_modes_outside_the_band_keep_their_size(make_module, seed, t, alpha, low, high):
     assume(low < high)
@@ -114,12 +106,6 @@ def test_the_turn_follows_the_rest_rotation_in_world_axes(make_module, seed, t):
     turn = rotations_at(untwisted, t)
     expected = np.stack([rotated(turn[i : i + 1], at_rest[i])[0] for i in range(5)])
     np.testing.assert_allclose(rotated(rotations_at(splat, t), v), expected, atol=1e-9)
-
-
-def test_a_static_scene_stays(make):
-    splat = make.splat(m=0)
-    np.testing.assert_array_equal(positions_at(splat, 3.5, 10.0), splat.means)
-    np.testing.assert_allclose(np.linalg.norm(rotations_at(splat, 3.5, 10.0), axis=1), 1)
 
 
 @pytest.mark.parametrize("band", [(4, 4), (5, 4), (-1, 4), (math.nan, 4), (1, math.inf)])

@@ -45,13 +45,6 @@ def header_edit(data, change):
     return data.replace(line[0], b"comment tg4mm " + json.dumps(values).encode() + b"\n")
 
 
-def test_refused_itself_notices_a_good_file_and_a_wrong_message(refused, good):
-    with pytest.raises(pytest.fail.Exception):
-        refused(good)
-    with pytest.raises(AssertionError):
-        refused(good[:-1], "too long")
-
-
 def test_missing_file_and_folder(tmp_path):
     with pytest.raises(SplatFileError, match=r"none\.ply: cannot be read: No such file"):
         read_splat(tmp_path / "none.ply")

@@ -9,7 +9,7 @@ import pytest
 from tests.core.splatfile.formats.conftest import angles, turned
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile.axes import y_up
-from tg4mm.core.splatfile.spz import smallest_three, write_spz
+from tg4mm.core.splatfile.spz import write_spz
 
 HALF_STEPS = {"alphas": 0.5 / 255, "sh0": 0.5 / (0.15 * 255), "sh": 0.5 / 128, "scales": 0.5 / 16}
 ROUNDING = 1.001
@@ -74,13 +74,3 @@ def test_positions_that_do_not_fit_are_refused(splat, tmp_path):
     ):
         write_spz(tmp_path / "a.spz", far)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_is_not_there_is_said(splat, tmp_path):
-    with pytest.raises(SplatFileError, match=r"a\.spz: cannot be written: No such file or directory"):
-        write_spz(tmp_path / "none" / "a.spz", splat)
-
-
-def test_a_rotation_and_its_negative_are_the_same_bits():
-    quats = np.random.default_rng(2).normal(size=(50, 4))
-    np.testing.assert_array_equal(smallest_three(quats), smallest_three(-3 * quats))
