@@ -20,6 +20,7 @@ import torch
 from pxr import Usd
 
 from tg4mm.capture import load_capture
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import SplatFile, positions_at, read_splat, rotations_at
 from tg4mm.core.splatfile.axes import TURN, harmonics_turn
 from tg4mm.fit.gaussians import Gaussians
@@ -83,7 +84,7 @@ OPTIONS = {"run": Path, "--alpha": 20.0}
 
 def run(options: argparse.Namespace) -> None:
     """Print a row for each format."""
-    trained, request = Run.open(options.run), RenderRequest(alpha=options.alpha)
+    trained, request = Run.open(options.run), RenderRequest(Magnification.of(options.alpha))
     times = one_period(trained)
     camera = capture_cameras(load_capture(trained.dataset))[0]
     true = frames_of(trained, request, times)

@@ -27,6 +27,7 @@ from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, kind_of, wor
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_json
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import ssim
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians
@@ -160,8 +161,8 @@ def picture_scores(subject: Subject, truth: Truth) -> dict[str, dict[str, float]
     `run`, every mode magnified; `run_band`, those of 3 to 7.5 Hz; `nothing_moves`; `truth_moved`, the exact motion
     on the same Gaussians: the ceiling.
     """
-    magnified, _, fps = pose_of(subject.run, RenderRequest(alpha=ALPHA))
-    in_band, _, _ = pose_of(subject.run, RenderRequest(alpha=ALPHA, band=BAND))
+    magnified, _, fps = pose_of(subject.run, RenderRequest(Magnification.of(ALPHA)))
+    in_band, _, _ = pose_of(subject.run, RenderRequest(Magnification.of(ALPHA, BAND)))
     rest = subject.gaussians
     vectors = subject.world.vectors_to_run(truth.phasors(subject.world.to_truth(subject.means)))
 

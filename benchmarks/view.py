@@ -22,6 +22,7 @@ import torch
 
 from benchmarks.common import Times, machine, times_of
 from benchmarks.kernels import scene as ball
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.motion.modes import ModalMotion
@@ -93,7 +94,7 @@ def steps(shown: Scene, size: int, repeats: int) -> None:
     """Print the time of the whole way and of its steps."""
     server = start_server(0)
     view = canvas(shown.cameras[0], size)
-    camera, look = view.camera((size, size)), Look(20.0)
+    camera, look = view.camera((size, size)), Look(Magnification.of(20.0))
     moments = iter(np.linspace(0, 1000, 100_000))
     session = Session(shown, look, Clock(shown.duration))
     pose = animator(shown.gaussians, shown.motion, packed=True)
@@ -123,7 +124,7 @@ def in_browser(shown: Scene, size: int) -> None:
     """Print the rate of pictures in a headless Chromium, and their size as the pace has chosen it."""
     from playwright.sync_api import sync_playwright
 
-    session = Session(shown, Look(20.0), Clock(shown.duration, playing=True))
+    session = Session(shown, Look(Magnification.of(20.0)), Clock(shown.duration, playing=True))
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         app = App(session, 0, Path(folder))
         chromium = play.chromium.launch(

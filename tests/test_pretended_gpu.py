@@ -18,6 +18,7 @@ from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
@@ -203,7 +204,7 @@ def test_motion_of_more_than_a_pixel(tmp_path: Path, gpu: Gpu) -> None:
 def test_pictures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
     data, run = made
     cameras = capture_cameras(load_capture(data, split="test"))
-    request = RenderRequest(alpha=5)
+    request = RenderRequest(Magnification.of(5))
     here, there = (
         render_sequence(run, cameras, request, tmp_path / place, video=False, device=place)
         for place in ("cpu", NAME)
@@ -249,7 +250,7 @@ def test_the_preset_paper(
         counts.append(counted(gpu))
         if times == 1:
             out = render_sequence(
-                run, capture_cameras(load_capture(data, split="test"))[:1], RenderRequest(alpha=5),
+                run, capture_cameras(load_capture(data, split="test"))[:1], RenderRequest(Magnification.of(5)),
                 tmp_path / f"pictures_{place}", video=False, device=place,
             )  # fmt: skip
             assert any(out.rglob("*.png"))

@@ -15,6 +15,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.device import check_device, full_precision, gpu_figures
 from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
@@ -115,7 +116,7 @@ def test_motion_kept_on_a_device_moves_alike(t: float, band: tuple[float, float]
 @needs_cuda
 def test_pictures_rendered_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
     cameras = capture_cameras(load_capture(run.dataset, split="test"))
-    request = RenderRequest(alpha=5)
+    request = RenderRequest(Magnification.of(5))
     here, there = (
         render_sequence(run, cameras, request, tmp_path / d, video=False, device=d) for d in ("cpu", "cuda")
     )

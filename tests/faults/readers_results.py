@@ -14,6 +14,7 @@ from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json
 from tests.faults.reader import Reader, record, sealed
 from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.measure import VERSION
 
 ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
@@ -209,7 +210,7 @@ def _claim(root: Path, make: bool = False) -> None:
         _run("config.json")(root)
     camera = Camera("r_000", np.eye(4), np.eye(3), 12, 8)
     work_folder(root / "out").claim(
-        record(Run.open(root / "run"), RenderRequest(alpha=5.0), [camera], "sequence")
+        record(Run.open(root / "run"), RenderRequest(Magnification.of(5.0)), [camera], "sequence")
     )
 
 

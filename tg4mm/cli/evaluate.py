@@ -15,6 +15,7 @@ from tg4mm.cli.magnify import (
     MethodOption,
     check_magnified,
     known_bands,
+    magnified,
     parse_bands,
     temporal_filter,
     warn_too_far,
@@ -49,7 +50,6 @@ def evaluate(
     """
     wanted, asked = parse_alphas(alphas), parse_bands(band)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.core.magnification import BandGain, Magnification
     from tg4mm.fit.device import check_device
     from tg4mm.research.evaluate.run import evaluate_run
     from tg4mm.research.evaluate.table import format_table
@@ -57,21 +57,18 @@ def evaluate(
     from tg4mm.run import Run
 
     check_device(device.value)
-    opened, chosen = Run.open(run), None if method is None else method.value
+    opened = Run.open(run)
     largest = max(check_alphas(wanted, opened.dataset), default=0)
     bands = known_bands(opened, asked)
-    gains = tuple(BandGain(*one, largest) for one in bands)
-    plan = Magnification(gains, 0.0 if gains else largest, chosen, chosen_filter)
+    plan = magnified([largest] * max(len(bands), 1), bands, method, chosen_filter)
     check_magnified(opened, plan, allow_empty_band)
     target_file(opened, out)  # raises where it cannot be written
     warn_too_far(opened, plan)
     metrics = evaluate_run(
         opened,
-        alphas=wanted,
-        out=out,
-        bands=bands,
-        method=chosen,
-        filter=chosen_filter,
+        wanted,
+        out,
+        plan,
         lpips_weights=lpips_weights or None,
         device=device.value,
     )

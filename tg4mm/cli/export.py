@@ -17,7 +17,7 @@ from tg4mm.cli.magnify import (
     check_magnified,
     check_paired,
     known_bands,
-    paired,
+    magnified,
     parse_bands,
     temporal_filter,
     warn_too_far,
@@ -127,20 +127,19 @@ def export(
         export_spz(opened, out, baked)
         _say("spz holds no motion: this is the scene at rest; a folder as --out takes a sequence")
     else:
-        chosen = None if method is None else method.value
-        magnified = paired(alphas, known_bands(opened, asked))
-        request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
-        check_magnified(opened, request.checked().plan, allow_empty_band)
-        warn_too_far(opened, request.plan)
+        plan = magnified(alphas, known_bands(opened, asked), method, chosen_filter)
+        request = RenderRequest(plan).checked()
+        check_magnified(opened, plan, allow_empty_band)
+        warn_too_far(opened, plan)
         if format is Format.gltf:
-            export_gltf(opened, out, request.plan, baked)
+            export_gltf(opened, out, plan, baked)
         elif format is Format.usd:
             export_usd(opened, out, request, wanted, baked)
         elif format is Format.spz:
             written = export_spz_sequence(opened, out, request, wanted, baked)
             _say(f"spz holds no motion: {written} files, one for each timestep")
         else:
-            plain.export_ply_sequence(opened, out, timesteps=wanted, request=request, low_pass=baked)
+            plain.export_ply_sequence(opened, out, request, wanted, baked)
     typer.echo(str(out))
 
 

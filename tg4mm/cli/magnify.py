@@ -14,7 +14,7 @@ from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.core.filters import TemporalFilter
-    from tg4mm.core.magnification import BandGain, Magnification
+    from tg4mm.core.magnification import Magnification
     from tg4mm.run import Run
 
 _LOG = logging.getLogger("tg4mm")
@@ -132,14 +132,18 @@ def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:
         raise Tg4mmError(f"--alpha is given {_times(alphas)}, --band {_times(bands)}: {need}")
 
 
-def paired(alphas: Sequence[float], bands: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """alpha, band and bands of a RenderRequest."""
-    from tg4mm.core.magnification import BandGain
+def magnified(
+    alphas: Sequence[float],
+    bands: Sequence[tuple[float, float]],
+    method: Method | None = None,
+    filter: TemporalFilter | None = None,
+) -> Magnification:
+    """What the options ask for: one α for each band, or one of all frequencies."""
+    from tg4mm.core.magnification import BandGain, Magnification
 
-    if len(bands) <= 1:
-        return {"alpha": alphas[0], "band": bands[0] if bands else None}
-    gains: tuple[BandGain, ...] = tuple(BandGain(*b, a) for b, a in zip(bands, alphas, strict=True))
-    return {"bands": gains}
+    gains = tuple(BandGain(*b, a) for b, a in zip(bands, alphas, strict=False))
+    name = None if method is None else method.value
+    return Magnification(gains, 0.0 if gains else alphas[0], name, filter)
 
 
 def temporal_filter(kind: Filter | None, bands: Sequence[object]) -> TemporalFilter | None:

@@ -17,7 +17,7 @@ from tg4mm.cli.magnify import (
     check_magnified,
     check_paired,
     known_bands,
-    paired,
+    magnified,
     parse_bands,
     temporal_filter,
     warn_too_far,
@@ -104,13 +104,10 @@ def render(
     if cameras is None:
         cameras_asked(opened, given[0] if given else None)
     low_pass = opened.low_pass_px2 if isinstance(opened, SplatRun) else LOW_PASS_PX2
-    chosen_method = None if method is None else method.value
-    magnified = paired(alpha, known_bands(opened, asked))
-    request = RenderRequest(
-        slow=slow, method=chosen_method, filter=chosen_filter, low_pass_px2=low_pass, **magnified
-    )
-    check_magnified(opened, request.checked().plan, allow_empty_band)
-    warn_too_far(opened, request.plan)
+    plan = magnified(alpha, known_bands(opened, asked), method, chosen_filter)
+    request = RenderRequest(plan, slow=slow, low_pass_px2=low_pass).checked()
+    check_magnified(opened, plan, allow_empty_band)
+    warn_too_far(opened, plan)
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:

@@ -42,7 +42,7 @@ def report(
         raise Tg4mmError(
             f"--band is given {len(asked)} times: a report magnifies one band, or every frequency"
         )
-    from tg4mm.core.magnification import BandGain, Magnification
+    from tg4mm.core.magnification import Magnification
     from tg4mm.research.evaluate.run import evaluate_run
     from tg4mm.run import Run
     from tg4mm.show.measure import parse_sensor
@@ -57,7 +57,7 @@ def report(
         check_sensors(opened, sensors)
     bands = known_bands(opened, asked)
     if not allow_empty_band:
-        refuse_empty(opened, Magnification(tuple(BandGain(*one, 1.0) for one in bands)))
+        refuse_empty(opened, Magnification.of(1.0, *bands))
     options = ReportOptions(
         alpha=alpha, band=bands[0] if bands else None, sensors=sensors, evaluate=evaluate_run
     )

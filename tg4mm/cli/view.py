@@ -66,6 +66,7 @@ def view(
 
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
     from tg4mm.core.band import check_band
+    from tg4mm.core.magnification import Magnification
     from tg4mm.run import Run
     from tg4mm.show.view.painter import Look
     from tg4mm.show.view.scene import open_scene
@@ -74,9 +75,11 @@ def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -
     scene = open_scene(Run.open(run))
     if band is not None and scene.motion is not None:
         band = check_band(band, scene.motion.fps)
-    strongest = scene.strongest(band)
+    plan = Magnification.of(
+        scene.alpha_to_see() if alpha is None else alpha, *(() if band is None else (band,))
+    )
+    strongest = scene.strongest(plan)
     speed = 1.0
     if strongest is not None and scene.motion is not None:
         speed = slow_enough(float(scene.motion.freqs_hz[strongest]))
-    look = Look(scene.alpha_to_see() if alpha is None else alpha, band)
-    return Session(scene, look, Clock(scene.duration, speed=speed, playing=scene.duration > 0))
+    return Session(scene, Look(plan), Clock(scene.duration, speed=speed, playing=scene.duration > 0))

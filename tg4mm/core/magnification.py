@@ -45,6 +45,39 @@ class Magnification:
     method: str | None = None
     filter: TemporalFilter | None = None  # None: zero-phase
 
+    @classmethod
+    def of(
+        cls,
+        alpha: float,
+        *bands: tuple[float, float],
+        method: str | None = None,
+        filter: TemporalFilter | None = None,
+    ) -> Magnification:
+        """The same α in each of the bands (low, high) in Hz; of all frequencies without any."""
+        gains = tuple(BandGain(low, high, alpha) for low, high in bands)
+        return cls(gains, 0.0 if gains else alpha, method, filter)
+
+    def times(self, alpha: float) -> Magnification:
+        """With `alpha` in place of every α."""
+        return Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """(low, high) of each band, Hz; () for all frequencies."""
+        return tuple(b.band for b in self.bands)
+
+    @property
+    def alpha(self) -> float:
+        """The largest α, either way."""
+        return max((b.alpha for b in self.bands), key=abs, default=self.everywhere)
+
+    def inside(self, freqs_hz: np.ndarray) -> np.ndarray:
+        """[K] bool: which frequencies lie in a band, ends included; all of them without bands."""
+        freqs = np.asarray(freqs_hz)
+        if not self.bands:
+            return np.full(freqs.shape, True)
+        return np.any([(b.low <= freqs) & (freqs <= b.high) for b in self.bands], axis=0)
+
     def checked(self, fps: float) -> Magnification:
         """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
         CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
@@ -84,6 +117,9 @@ class Magnification:
         for b in self.bands:
             total += b.alpha * temporal.response(b.band, freqs, fps)
         return total
+
+
+AS_CAPTURED = Magnification()
 
 
 def check_bands(bands: Sequence[tuple[float, float]], fps: float) -> None:

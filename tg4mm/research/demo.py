@@ -157,9 +157,10 @@ def _train(places: Places) -> None:
 
 
 def _request() -> Any:
+    from tg4mm.core.magnification import Magnification
     from tg4mm.show.render.sequence import RenderRequest
 
-    return RenderRequest(alpha=ALPHA)
+    return RenderRequest(Magnification.of(ALPHA))
 
 
 def _render(places: Places) -> None:

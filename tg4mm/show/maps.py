@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.phasors import peak_displacement
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -23,18 +24,10 @@ class MotionMaps:
     opacity: np.ndarray  # [H, W] in 0..1
 
 
-def in_band(motion: ModalMotion, band: tuple[float, float] | None) -> np.ndarray:
-    """[K] bool, which frequencies lie in the band; all of them for None."""
-    freqs = np.asarray(motion.freqs_hz)
-    if band is None:
-        return np.ones(len(freqs), dtype=bool)
-    return (freqs >= band[0]) & (freqs <= band[1])
-
-
 def leading_modes(
     motion: ModalMotion,
     weights: np.ndarray,
-    band: tuple[float, float] | None,
+    magnified: Magnification = AS_CAPTURED,
     share: float = 0.5,
     most: int = 2,
 ) -> list[int]:
@@ -44,22 +37,20 @@ def leading_modes(
     a cycle (drift, 0 Hz) counts only where nothing else is in the band.
     """
     rms = np.sqrt(np.einsum("knc,n->k", np.abs(motion.displacement) ** 2, weights))
-    inside = in_band(motion, band)
+    inside = magnified.inside(motion.freqs_hz)
     cyclic = inside & (motion.freqs_hz * motion.n_timesteps > (1 - 1e-9) * motion.fps)
     rms = np.where(cyclic if cyclic.any() else inside, rms, -1.0)
     order = np.argsort(-rms, kind="stable")[:most]
     return [int(k) for k in order if rms[k] >= 0 and rms[k] >= share * rms[order[0]]]
 
 
-def strongest(motion: ModalMotion, weights: np.ndarray, band: tuple[float, float] | None) -> int:
+def strongest(motion: ModalMotion, weights: np.ndarray, magnified: Magnification) -> int:
     """Index of the in-band frequency with most weighted motion. Raises RunError for a band without any."""
-    leading = leading_modes(motion, weights, band, most=1)
+    leading = leading_modes(motion, weights, magnified, most=1)
     if not leading:
         known = ", ".join(f"{f:g}" for f in motion.freqs_hz) or "none"
-        assert band is not None
-        raise RunError(
-            f"band ({band[0]:g}, {band[1]:g}) Hz holds none of the model's frequencies ({known} Hz)"
-        )
+        named = " and ".join(f"({low:g}, {high:g})" for low, high in magnified.limits)
+        raise RunError(f"band {named} Hz holds none of the model's frequencies ({known} Hz)")
     return leading[0]
 
 

@@ -302,6 +302,6 @@ def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
     images, scorer = load_images(capture), Scorer(g, {})
     found = set()
     for own in (None, appearance(), appearance(2e-3)):
-        method = Method("ours", replace(motion(), appearance=own), None)
+        method = Method("ours", replace(motion(), appearance=own))
         found.add(fingerprint(scorer, [method], capture, images, 5.0))
     assert len(found) == 3

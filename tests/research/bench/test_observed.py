@@ -9,6 +9,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
@@ -72,7 +73,7 @@ def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: 
     seen[np.flatnonzero(moving(motion))[::2]] = True
     monkeypatch.setattr("tg4mm.research.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
     estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
-    subject = Subject(gaussians, estimated, motion, None, (), False, None)
+    subject = Subject(gaussians, estimated, motion, None, AS_CAPTURED, False, None)
     found = observed_figures(subject, data, train)
     weights = blending_weights(gaussians, train) * (rms_motion(motion) > 0.01 * rms_motion(motion).max())
     assert found["observed_share"] == pytest.approx(weights[seen].sum() / weights.sum(), rel=1e-3)

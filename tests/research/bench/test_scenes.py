@@ -16,6 +16,7 @@ import pytest
 
 from tests.research.bench.conftest import MODAL, PAPER
 from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import SEEN, Plan, Training, _request
@@ -58,7 +59,11 @@ def test_the_numbers_are_those_of_evaluate(
 ) -> None:
     out, results = done
     run = Run.open(out / "runs" / data.name / row / "run")
-    again = evaluate_run(run, out=tmp_path / "m.json", band=results["sets"][0]["band_hz"], method=way)
+    again = evaluate_run(
+        run,
+        out=tmp_path / "m.json",
+        magnified=Magnification.of(1.0, results["sets"][0]["band_hz"], method=way),
+    )
     ours = entry(results, row)
     for scored in again["alphas"]:
         found = ours["rows"][str(scored["alpha"])]

@@ -12,6 +12,7 @@ import pytest
 import tg4mm.research.evaluate.run as module
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import psnr
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -194,7 +195,7 @@ def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
     with pytest.raises(EvaluationError, match="-3"):
         evaluate_run(half, alphas=[-3])
     with pytest.raises(CaptureError, match="half the frame rate"):
-        evaluate_run(half, band=(4, 40))
+        evaluate_run(half, magnified=Magnification.of(1.0, (4, 40)))
     with pytest.raises(EvaluationError, match=r"nowhere\.pth does not exist"):
         evaluate_run(half, lpips_weights=tmp_path / "nowhere.pth")
     with pytest.raises(EvaluationError, match="is a folder"):
@@ -282,7 +283,7 @@ def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path) -> 
     wrong = motion.displacement.copy()
     wrong[1] *= 0.5  # what is outside the band is off
     run = make_run(tmp_path, root, gaussians, replace(motion, displacement=wrong))
-    metrics = evaluate_run(run, band=(2, 4))
+    metrics = evaluate_run(run, magnified=Magnification.of(1.0, (2, 4)))
     assert metrics["band_hz"] == [2.0, 4.0]
     assert metrics["displacement"]["in_band"]["relative_error"] < 1e-3
     assert metrics["displacement"]["relative_error"] > 0.1
@@ -303,8 +304,10 @@ def test_motion_that_the_ground_truth_does_not_magnify_is_noted(tmp_path) -> Non
     run = make_run(tmp_path, root, gaussians, motion)
     note = "The ground truth does not magnify motion at 6 Hz, "
     assert evaluate_run(run, alphas=[0])["notes"] == [note + "without a band, ours does."]
-    assert evaluate_run(run, alphas=[0], band=(2, 8))["notes"] == [note + "which lies inside the band."]
-    assert evaluate_run(run, alphas=[0], band=(2, 4))["notes"] == []
+    assert evaluate_run(run, alphas=[0], magnified=Magnification.of(1.0, (2, 8)))["notes"] == [
+        note + "which lies inside the band."
+    ]
+    assert evaluate_run(run, alphas=[0], magnified=Magnification.of(1.0, (2, 4)))["notes"] == []
 
 
 def test_the_table_holds_every_figure(half) -> None:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.scores import Method, in_band
+from tg4mm.research.evaluate.scores import Method
 
 FPS, T = 30.0, 30
 
@@ -15,11 +16,11 @@ def method(
     shape = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0]])
     displacement = np.stack([m * shape for m in modes.values()]).astype(np.complex64)
     motion = ModalMotion(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
-    return Method("ours", motion, band)
+    return Method("ours", motion, Magnification.of(1.0, *([band] if band else [])))
 
 
 def displacement(m: Method, t: int, alpha: float) -> np.ndarray:
-    gain = 1 + alpha * (in_band(m.motion.freqs_hz, m.band) & (m.motion.freqs_hz > 0))  # 0 Hz stands still
+    gain = 1 + alpha * (m.magnified.inside(m.motion.freqs_hz) & (m.motion.freqs_hz > 0))  # 0 Hz stands still
     phase = gain * np.exp(2j * np.pi * m.motion.freqs_hz * t / FPS)
     return np.einsum("k,knc->nc", phase, m.motion.displacement).real
 
@@ -70,7 +71,6 @@ def test_methods_that_move_are_kept_apart() -> None:
 
 
 def test_band_edges_are_inside() -> None:
-    np.testing.assert_array_equal(
-        in_band(np.array([2.9, 3.0, 4.0, 4.1]), (3.0, 4.0)), [False, True, True, False]
-    )
-    assert in_band(np.array([0.0, 99.0]), None).all()
+    inside = Magnification.of(1.0, (3.0, 4.0)).inside(np.array([2.9, 3.0, 4.0, 4.1]))
+    np.testing.assert_array_equal(inside, [False, True, True, False])
+    assert Magnification().inside(np.array([0.0, 99.0])).all()

@@ -20,6 +20,7 @@ from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
 from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_variance, widened
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, smoothing_of, to_splat
+from tg4mm.show.render.sequence import RenderRequest
 
 EPS = 1e-6  # square pixels: a viewer without a low-pass
 
@@ -124,7 +125,9 @@ def test_exports_are_widened_and_say_so(run, tmp_path):
     assert (splat.scales > gaussians.scales.numpy()).all()
     np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
     assert splat.low_pass_px2 == BAKED_PX2 == 0.3
-    frame = read_splat(export_ply_sequence(run, tmp_path / "s", timesteps=[2]) / "frame_0002.ply")
+    frame = read_splat(
+        export_ply_sequence(run, tmp_path / "s", RenderRequest(), timesteps=[2]) / "frame_0002.ply"
+    )
     np.testing.assert_allclose(frame.scales, expected, rtol=1e-5)
     assert frame.low_pass_px2 == 0.3
 

@@ -9,10 +9,12 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
+from tg4mm.show.render.sequence import RenderRequest
 from tg4mm.show.result.line import mode_deviations
 
 
@@ -74,7 +76,9 @@ def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
     np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
     np.testing.assert_allclose(splat.means, run.load_space().means + 0.25, atol=1e-6)
     assert np.abs(splat.quats - run.load_space().quats.numpy()).max() > 0.01
-    frames = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, timesteps=[1])
+    frames = export_ply_sequence(
+        run, tmp_path / "frames", RenderRequest(Magnification.of(4.0)), timesteps=[1]
+    )
     shown = read_splat(frames / "frame_0001.ply").means
     np.testing.assert_allclose(positions_at(splat, 1, 4.0, None), shown, atol=1e-6)
 
@@ -90,7 +94,7 @@ def test_only_a_ply_is_overwritten(run, tmp_path):
 
 
 def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, band=(2.0, 4.0))
+    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(Magnification.of(4.0, (2.0, 4.0))))
     assert [path.name for path in sorted(out.iterdir())][1:] == [f"frame_{t:04d}.ply" for t in range(5)]
     splat = to_splat(run.load_space(), run.load_motion())
     for t in range(5):
@@ -100,36 +104,36 @@ def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
 
 
 def test_an_earlier_sequences_files_are_not_mixed_in(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0)
+    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(Magnification.of(4.0)))
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     with pytest.raises(RunError, match=r"frames was made with alpha = 4\.0, asked is 8\.0"):
-        export_ply_sequence(run, out, alpha=8.0)
+        export_ply_sequence(run, out, RenderRequest(Magnification.of(8.0)))
     with pytest.raises(RunError, match=r"frames was made of other timesteps"):
-        export_ply_sequence(run, out, alpha=4.0, timesteps=[3])
+        export_ply_sequence(run, out, RenderRequest(Magnification.of(4.0)), timesteps=[3])
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "frame_0000.ply").touch()
     with pytest.raises(RunError, match=r"holds no export\.json, but 'frame_0000\.ply'"):
-        export_ply_sequence(run, foreign, alpha=4.0)
+        export_ply_sequence(run, foreign, RenderRequest(Magnification.of(4.0)))
     assert [path.name for path in foreign.iterdir()] == ["frame_0000.ply"]
 
 
 def test_a_killed_sequence_goes_on(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0)
+    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(Magnification.of(4.0)))
     before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.iterdir()}
     (out / "frame_0002.ply").unlink()
-    export_ply_sequence(run, out, alpha=4.0)
+    export_ply_sequence(run, out, RenderRequest(Magnification.of(4.0)))
     after = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.iterdir()}
     assert [name for name in before if before[name] != after[name]] == ["frame_0002.ply"]
     assert before["frame_0002.ply"][0] == after["frame_0002.ply"][0]
 
 
 def test_chosen_timesteps_only(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", timesteps=[3])
+    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(), timesteps=[3])
     assert sorted(path.name for path in out.iterdir()) == ["export.json", "frame_0003.ply"]
     with pytest.raises(Tg4mmError, match="timestep 5 is outside 0 … 4"):
-        export_ply_sequence(run, tmp_path / "frames", timesteps=[5])
+        export_ply_sequence(run, tmp_path / "frames", RenderRequest(), timesteps=[5])
 
 
 def test_without_motion_the_file_is_static(run, tmp_path):
@@ -137,7 +141,7 @@ def test_without_motion_the_file_is_static(run, tmp_path):
     still.save_space(run.load_space(), {})
     assert read_splat(export_ply(still, tmp_path / "a.ply")).n_modes == 0
     with pytest.raises(RunError, match="--alpha 3"):
-        export_ply_sequence(still, tmp_path / "frames", alpha=3.0)
+        export_ply_sequence(still, tmp_path / "frames", RenderRequest(Magnification.of(3.0)))
 
 
 def test_a_motion_of_other_gaussians_is_refused(run):
@@ -152,7 +156,7 @@ def test_folders_and_files_are_told_apart(run, tmp_path):
         export_ply(run, tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(Tg4mmError, match="is a file"):
-        export_ply_sequence(run, tmp_path / "file")
+        export_ply_sequence(run, tmp_path / "file", RenderRequest())
 
 
 def with_uncertainty(run: Run, deviation: float, noise: float) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.temporary import _HOST
 from tg4mm.show.render.cameras import capture_cameras, orbit
@@ -36,13 +37,13 @@ def test_a_video_that_no_player_plays_is_refused_before_rendering(run, cameras, 
 @pytest.mark.parametrize("alpha", [1e308, -1e7])
 def test_a_magnification_beyond_all_measure_is_refused(run, cameras, tmp_path, alpha):
     with pytest.raises(RunError, match=r"--alpha .*: must be within ±1e\+06"):
-        render_sequence(run, cameras, RenderRequest(alpha=alpha), tmp_path / "out")
+        render_sequence(run, cameras, RenderRequest(Magnification.of(alpha)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("alpha", [0, 20])
 def test_the_exact_model_renders_its_ground_truth(run, cameras, dataset, tmp_path, alpha):
-    out = render_sequence(run, cameras, RenderRequest(alpha=alpha), tmp_path / "out", video=False)
+    out = render_sequence(run, cameras, RenderRequest(Magnification.of(alpha)), tmp_path / "out", video=False)
     truth = load_capture(dataset, split="test", magnification=alpha)
     images = load_images(truth)
     for i in range(len(images)):
@@ -53,9 +54,11 @@ def test_the_exact_model_renders_its_ground_truth(run, cameras, dataset, tmp_pat
 
 
 def test_motion_is_seen_in_the_pictures(run, cameras, tmp_path):
-    out = render_sequence(run, cameras[:1], RenderRequest(alpha=20), tmp_path / "out", [0, 1], video=False)
+    out = render_sequence(
+        run, cameras[:1], RenderRequest(Magnification.of(20)), tmp_path / "out", [0, 1], video=False
+    )
     still = render_sequence(
-        run, cameras[:1], RenderRequest(alpha=-1), tmp_path / "still", [0, 1], video=False
+        run, cameras[:1], RenderRequest(Magnification.of(-1)), tmp_path / "still", [0, 1], video=False
     )
     first, second = (read_png(out / t / "r_000.png").astype(int) for t in ("000", "001"))
     assert np.abs(first - second).max() > 30
@@ -74,7 +77,7 @@ def test_timestep_folders_and_names_are_the_datasets(run, cameras, tmp_path):
 
 
 def test_resume_keeps_complete_pictures_and_finishes_the_rest(run, cameras, tmp_path):
-    request = RenderRequest(alpha=5)
+    request = RenderRequest(Magnification.of(5))
     out = render_sequence(run, cameras, request, tmp_path / "out", video=False)
     expected = {path: path.read_bytes() for path in stamps(out)}
     torn, gone = out / "001" / "r_000.png", out / "004" / "r_001.png"
@@ -99,13 +102,15 @@ def test_more_timesteps_may_be_added_later(run, cameras, tmp_path):
 @pytest.mark.parametrize(
     ("request_2", "message"),
     [
-        (RenderRequest(alpha=6), r"alpha = 5, asked is 6"),
-        (RenderRequest(alpha=5, band=(1.0, 6.0)), r"band_hz = null, asked is \[1.0, 6.0\]"),
-        (RenderRequest(alpha=5, background=(0.0, 0.0, 0.0)), "background"),
+        (RenderRequest(Magnification.of(6)), r"alpha = 5, asked is 6"),
+        (RenderRequest(Magnification.of(5, (1.0, 6.0))), r"band_hz = null, asked is \[1.0, 6.0\]"),
+        (RenderRequest(Magnification.of(5), background=(0.0, 0.0, 0.0)), "background"),
     ],
 )
 def test_another_request_in_the_same_folder_is_refused(run, cameras, tmp_path, request_2, message):
-    out = render_sequence(run, cameras, RenderRequest(alpha=5), tmp_path / "out", [0], video=False)
+    out = render_sequence(
+        run, cameras, RenderRequest(Magnification.of(5)), tmp_path / "out", [0], video=False
+    )
     before = stamps(out)
     with pytest.raises(RunError, match=message):
         render_sequence(run, cameras, request_2, out, [0, 1], video=False)
@@ -138,10 +143,10 @@ def test_a_broken_record_is_named(run, cameras, tmp_path):
 @pytest.mark.parametrize(
     ("request_", "timesteps", "message"),
     [
-        (RenderRequest(alpha=float("nan")), None, "--alpha nan"),
-        (RenderRequest(alpha=float("inf")), None, "--alpha inf"),
+        (RenderRequest(Magnification.of(float("nan"))), None, "--alpha nan"),
+        (RenderRequest(Magnification.of(float("inf"))), None, "--alpha inf"),
         (RenderRequest(slow=0), None, "--slow 0"),
-        (RenderRequest(band=(4.0, 40.0)), None, "half the frame rate"),
+        (RenderRequest(Magnification.of(0.0, (4.0, 40.0))), None, "half the frame rate"),
         (RenderRequest(), [6], "timestep 6 is outside 0 … 5"),
     ],
 )
@@ -155,7 +160,7 @@ def test_bad_requests_are_refused_before_anything_is_written(
 
 def test_without_motion_only_alpha_0_renders(still_run, cameras, tmp_path):
     with pytest.raises(RunError, match=r"--alpha 5.*no motion"):
-        render_sequence(still_run, cameras, RenderRequest(alpha=5), tmp_path / "out")
+        render_sequence(still_run, cameras, RenderRequest(Magnification.of(5)), tmp_path / "out")
     out = render_sequence(still_run, cameras, RenderRequest(), tmp_path / "out")
     assert sorted(path.name for path in out.iterdir()) == ["000", "render.json"]
 
@@ -168,19 +173,19 @@ def test_an_orbit_around_a_still_scene_plays_smoothly(still_run, dataset, tmp_pa
 
 
 def test_slow_motion_videos_stand_beside_the_others(run, cameras, tmp_path):
-    out = render_sequence(run, cameras[:1], RenderRequest(alpha=5), tmp_path / "out")
-    render_sequence(run, cameras[:1], RenderRequest(alpha=5, slow=4), out)
+    out = render_sequence(run, cameras[:1], RenderRequest(Magnification.of(5)), tmp_path / "out")
+    render_sequence(run, cameras[:1], RenderRequest(Magnification.of(5), slow=4), out)
     assert sorted(path.name for path in out.glob("*.mp4")) == ["r_000.mp4", "r_000_slow4.mp4"]
 
 
 def test_an_orbit_has_a_picture_a_camera_while_time_runs(run, dataset, tmp_path):
     cameras = orbit(load_capture(dataset), 4)
     same = tuple(replace(cameras[0], name=camera.name) for camera in cameras)
-    out = render_orbit(run, same, RenderRequest(alpha=20, slow=2), tmp_path / "out")
+    out = render_orbit(run, same, RenderRequest(Magnification.of(20), slow=2), tmp_path / "out")
     assert sorted(path.name for path in out.iterdir()) == [
         *("orbit.mp4", "r_000.png", "r_001.png", "r_002.png", "r_003.png", "render.json")
     ]
-    pose, _, _ = pose_of(run, RenderRequest(alpha=20))
+    pose, _, _ = pose_of(run, RenderRequest(Magnification.of(20)))
     for i in range(4):  # at half speed, picture i shows time i / 2
         expected = render_image(pose(i / 2), same[0].viewmat, same[0].K, 32, 32)
         np.testing.assert_allclose(read_png(out / f"r_{i:03d}.png") / 255, expected, atol=0.5 / 255 + 1e-6)

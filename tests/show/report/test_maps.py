@@ -6,6 +6,7 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
@@ -22,13 +23,13 @@ def motion_of(*amplitudes: float) -> ModalMotion:
 def test_leading_modes_are_the_strong_ones_in_the_band():
     motion = motion_of(1.0, 0.2, 3.0, 2.0)
     weights = np.ones(2)
-    assert leading_modes(motion, weights, None) == [2, 3]
-    assert leading_modes(motion, weights, (0.5, 2.5)) == [0]
-    assert leading_modes(motion, weights, (1.5, 3.5), most=5) == [2]
-    assert strongest(motion, weights, (0.5, 2.5)) == 0
-    assert leading_modes(motion, np.array([0.0, 1.0]), None, most=1)  # nothing seen moves: still an answer
+    assert leading_modes(motion, weights) == [2, 3]
+    assert leading_modes(motion, weights, Magnification.of(1.0, (0.5, 2.5))) == [0]
+    assert leading_modes(motion, weights, Magnification.of(1.0, (1.5, 3.5)), most=5) == [2]
+    assert strongest(motion, weights, Magnification.of(1.0, (0.5, 2.5))) == 0
+    assert leading_modes(motion, np.array([0.0, 1.0]), most=1)  # nothing seen moves: still an answer
     with pytest.raises(RunError, match=r"band \(8, 9\) Hz holds none.*1, 2, 3, 4 Hz"):
-        strongest(motion, weights, (8.0, 9.0))
+        strongest(motion, weights, Magnification.of(1.0, (8.0, 9.0)))
 
 
 def test_maps_show_the_true_amplitude_and_phase_of_each_part(tmp_path):

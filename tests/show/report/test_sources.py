@@ -10,6 +10,7 @@ import pytest
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import json_digest
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.run import Run
 from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.result.read import reading_of
@@ -20,16 +21,12 @@ def reading(run):
     return reading_of(run)
 
 
-def test_alpha_asked_for_is_taken(reading):
-    assert choose_alpha(reading, None, 7.5, None) == (7.5, "")
-
-
 def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp_path):
     made = reading.run
     bare = replace(
         reading, run=Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
     )
-    alpha, why = choose_alpha(bare, bare.result().noise_px, None, None)
+    alpha, why = choose_alpha(bare, bare.result().noise_px, AS_CAPTURED)
     reach = reading.reach(reading.motion.is_magnified().astype(float))
     assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
     assert reach.too_far * (1 + alpha) <= 1
@@ -37,7 +34,7 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
 
 
 def test_with_truth_it_is_one_that_has_some(reading):
-    alpha, why = choose_alpha(reading, None, None, None)
+    alpha, why = choose_alpha(reading, None, AS_CAPTURED)
     bound = 0.04 * 48 / reading.reach(reading.motion.is_magnified().astype(float)).pixels - 1
     assert alpha == max(a for a in (5, 20) if a <= bound)
     assert "ground truth" in why
@@ -50,8 +47,8 @@ def test_noise_lowers_it(reading, tmp_path):
     noise = np.full_like(reading.uncertainty["displacement"], 0.02)
     noisy = replace(bare, uncertainty={**reading.uncertainty, "noise": noise})
     assert (
-        choose_alpha(noisy, noisy.result().noise_px, None, None)[0]
-        < choose_alpha(bare, bare.result().noise_px, None, None)[0]
+        choose_alpha(noisy, noisy.result().noise_px, AS_CAPTURED)[0]
+        < choose_alpha(bare, bare.result().noise_px, AS_CAPTURED)[0]
     )
 
 

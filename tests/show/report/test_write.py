@@ -17,6 +17,7 @@ from tests.show.report.page_checks import outside_loads, read_page
 from tests.show.view.browser import browser
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.pictures.frames import write_png
 from tg4mm.run import Run
 from tg4mm.show.measure import MeasureError, Sensor, measure, parse_sensor
@@ -241,9 +242,8 @@ def test_a_camera_that_moves_is_shown_from_its_own_poses(tmp_path):
     view = gather_view(
         made,
         load_capture(tmp_path / "d"),
-        load_model(reading_of(made), load_capture(tmp_path / "d"), None),
-        0,
-        None,
+        load_model(reading_of(made), load_capture(tmp_path / "d"), AS_CAPTURED),
+        AS_CAPTURED,
     )
     assert len(view.ours) == len(view.input) == n
     assert np.abs(view.ours[0].astype(int) - view.ours[-1]).mean() > 1  # the poses differ

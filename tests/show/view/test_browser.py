@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from tests.show.view.browser import browser
+from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.scene import Scene
@@ -68,7 +69,7 @@ def until(holds: Callable[[], bool], what: str) -> None:
 
 @pytest.fixture(scope="module")
 def opened(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
-    session = Session(scene, Look(0.0), Clock(scene.duration, offset=0.1))
+    session = Session(scene, Look(Magnification.of(0.0)), Clock(scene.duration, offset=0.1))
     folder = tmp_path_factory.mktemp("saved")
     with browser() as chromium:
         app = App(session, 0, folder)
@@ -92,24 +93,24 @@ def test_the_magnification_slider_changes_the_picture(opened):
     slider = opened.page.get_by_role("slider").first
     slider.focus()
     slider.press("End")
-    until(lambda: opened.session.look.alpha == 100.0, "α is at the slider's end")
+    until(lambda: opened.session.look.magnified.alpha == 100.0, "α is at the slider's end")
     after = opened.settled()
     assert (np.abs(after - before).max(axis=-1) > 40).mean() > 0.002
     slider.press("Home")
-    until(lambda: opened.session.look.alpha == -1.0, "α is at the slider's start")
+    until(lambda: opened.session.look.magnified.alpha == -1.0, "α is at the slider's start")
     assert np.abs(opened.settled() - after).max() > 40
 
 
 def test_a_click_on_a_peak_sets_the_band(opened):
     opened.page.locator('rect.hit[data-peak="5 Hz"]').first.click()
-    until(lambda: opened.session.look.band == (4.5, 5.5), "the band is around 5 Hz")
+    until(lambda: opened.session.band == (4.5, 5.5), "the band is around 5 Hz")
     opened.page.get_by_text("1 of 2 frequencies").wait_for(timeout=WAIT * 1e3)
     opened.page.get_by_role("button", name="all").click()
-    until(lambda: opened.session.look.band is None, "all frequencies again")
+    until(lambda: opened.session.band is None, "all frequencies again")
 
 
 def test_a_clicked_pixel_answers_with_its_waveform(opened, scene):
-    k = scene.strongest((4.0, 6.0))
+    k = scene.strongest(Magnification.of(1.0, (4.0, 6.0)))
     moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 1e-4
     opened.page.mouse.click(*opened.pixel_of(scene.gaussians.means.numpy()[moves].mean(axis=0)))
     opened.page.get_by_text("mm at 5 Hz").wait_for(timeout=WAIT * 1e3)

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from tg4mm.core.colour import amount_colours
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.motion.animate import animate
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import open_scene
+
+LARGE = Look(Magnification.of(20.0))
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +27,9 @@ def test_the_picture_is_the_one_that_render_writes(scene, painter, alpha, band):
     camera, t = scene.cameras[1], 3.5
     gaussians = animate(scene.gaussians, scene.motion, t, alpha, band)
     wanted = to_bytes(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))
-    shown = painter.paint(Look(alpha, band), t / scene.motion.fps, camera)
+    shown = painter.paint(
+        Look(Magnification.of(alpha, *([band] if band else []))), t / scene.motion.fps, camera
+    )
     assert np.abs(shown.astype(int) - wanted).max() <= 1
 
 
@@ -32,14 +37,22 @@ def test_magnification_and_moment_change_the_picture(scene, painter):
     camera = scene.cameras[0]
     pictures = [
         painter.paint(look, seconds, camera).astype(int)
-        for look, seconds in ((Look(-1.0), 0.1), (Look(0.0), 0.1), (Look(20.0), 0.1), (Look(20.0), 0.3))
+        for look, seconds in (
+            (Look(Magnification.of(-1.0)), 0.1),
+            (Look(Magnification.of(0.0)), 0.1),
+            (Look(Magnification.of(20.0)), 0.1),
+            (Look(Magnification.of(20.0)), 0.3),
+        )
     ]
     for one, other in pairwise(pictures):
         assert np.abs(one - other).max() > 2
 
 
 def test_colours_are_those_of_the_band_s_strongest_frequency(scene):
-    moving = [gaussian_colours(scene, Colour.amplitude, band) for band in ((2.0, 3.0), (4.0, 6.0))]
+    moving = [
+        gaussian_colours(scene, Colour.amplitude, Magnification.of(1.0, band))
+        for band in ((2.0, 3.0), (4.0, 6.0))
+    ]
     dark = amount_colours(np.array(0.0))
     shown = [(np.abs(colours - dark).max(axis=1) > 0.1) for colours in moving]
     assert shown[0].any()
@@ -49,16 +62,18 @@ def test_colours_are_those_of_the_band_s_strongest_frequency(scene):
 
 def test_colours_show_in_the_picture(scene, painter):
     camera = scene.cameras[0]
-    pictures = [painter.paint(Look(0.0, None, c), 0.0, camera).astype(int) for c in choices(scene)]
+    pictures = [
+        painter.paint(Look(Magnification.of(0.0), c), 0.0, camera).astype(int) for c in choices(scene)
+    ]
     assert len(pictures) == 4
     for one, other in pairwise(pictures):
         assert np.abs(one - other).max() > 50
 
 
 def test_a_band_without_frequencies_shows_colours_as_filmed_and_says_so(scene):
-    assert gaussian_colours(scene, Colour.phase, (9.0, 10.0)) is None
-    assert "No frequency" in legend(scene, Colour.phase, (9.0, 10.0))
-    assert "2.5 Hz" in legend(scene, Colour.amplitude, (2.0, 3.0))
+    assert gaussian_colours(scene, Colour.phase, Magnification.of(1.0, (9.0, 10.0))) is None
+    assert "No frequency" in legend(scene, Colour.phase, Magnification.of(1.0, (9.0, 10.0)))
+    assert "2.5 Hz" in legend(scene, Colour.amplitude, Magnification.of(1.0, (2.0, 3.0)))
 
 
 def test_a_run_without_motion_has_no_colours_but_its_own(still_run):
@@ -69,19 +84,21 @@ def test_a_run_without_motion_has_no_colours_but_its_own(still_run):
     assert "no motion" in still.notes[0]
     assert "No cameras of the capture" in still.notes[1]
     camera = still.cameras[0]
-    assert Painter(still).paint(Look(50.0), 0.0, camera).min() < 200  # the overview has the scene in view
+    assert (
+        Painter(still).paint(Look(Magnification.of(50.0)), 0.0, camera).min() < 200
+    )  # the overview has the scene in view
 
 
 def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, painter):
-    camera, k = scene.cameras[0], scene.strongest((4.0, 6.0))
+    camera, k = scene.cameras[0], scene.strongest(Magnification.of(1.0, (4.0, 6.0)))
     moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 1e-4
     centre = scene.gaussians.means.numpy()[moves].mean(axis=0)
     seen = camera.K @ (camera.viewmat[:3, :3] @ centre + camera.viewmat[:3, 3])
     x, y = (int(v) for v in seen[:2] / seen[2])
-    weights = painter.pixel_weights(Look(0.0), 0.0, camera, x, y)
+    weights = painter.pixel_weights(Look(Magnification.of(0.0)), 0.0, camera, x, y)
     assert 0.9 < weights.sum() <= 1 + 1e-6
     assert weights[moves].sum() > 0.9 * weights.sum()
-    corner = painter.pixel_weights(Look(0.0), 0.0, camera, 0, 0)
+    corner = painter.pixel_weights(Look(Magnification.of(0.0)), 0.0, camera, 0, 0)
     assert corner.sum() < 0.05
 
 
@@ -90,5 +107,5 @@ def test_the_first_magnification_can_be_seen(scene):
     camera = scene.cameras[0]
     assert alpha in {1, 2, 5, 10, 20, 50, 100}
     painter = Painter(scene)
-    rest, moved = (painter.paint(Look(a), 0.1, camera).astype(int) for a in (-1.0, alpha))
+    rest, moved = (painter.paint(Look(Magnification.of(a)), 0.1, camera).astype(int) for a in (-1.0, alpha))
     assert np.abs(rest - moved).max() > 30

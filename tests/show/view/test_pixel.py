@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.show.view.conftest import DEVIATION
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
@@ -12,15 +13,17 @@ from tg4mm.show.view.scene import open_scene
 
 def on_the_ball(scene):
     """[N] blending weights of the pixel that shows the middle of what moves at 5 Hz."""
-    k, camera = scene.strongest((4.0, 6.0)), scene.cameras[0]
+    k, camera = scene.strongest(Magnification.of(1.0, (4.0, 6.0))), scene.cameras[0]
     moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 5e-3
     centre = scene.gaussians.means.numpy()[moves].mean(axis=0)
     u, v, depth = camera.K @ (camera.viewmat[:3, :3] @ centre + camera.viewmat[:3, 3])
-    return Painter(scene).pixel_weights(Look(0.0), 0.0, camera, int(u / depth), int(v / depth))
+    return Painter(scene).pixel_weights(
+        Look(Magnification.of(0.0)), 0.0, camera, int(u / depth), int(v / depth)
+    )
 
 
 def test_of_two_gaussians_it_is_their_weighted_mean(scene):
-    k = scene.strongest(None)
+    k = scene.strongest()
     order = np.argsort(-np.abs(scene.motion.displacement[k]).sum(axis=1))
     weights = np.zeros(len(scene.weights))
     weights[order[0]], weights[order[7]] = 0.6, 0.2

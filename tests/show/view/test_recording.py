@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.saving import LONGEST, clip_moments, next_name, save_clip, save_snapshot
 from tg4mm.show.view.screen import Canvas
@@ -13,7 +14,7 @@ from tg4mm.show.view.session import Clock, Session
 
 @pytest.fixture
 def session(scene):
-    return Session(scene, Look(20.0), Clock(scene.duration, offset=0.1))
+    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration, offset=0.1))
 
 
 @pytest.fixture

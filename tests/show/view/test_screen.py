@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tg4mm.core.magnification import Magnification
 from tg4mm.run import Run
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.scene import open_scene
@@ -19,7 +20,7 @@ def sent():
 
 @pytest.fixture
 def session(scene):
-    return Session(scene, Look(20.0), Clock(scene.duration))
+    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration))
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def test_a_still_page_is_drawn_twice_and_then_left_alone(screen, sent):
 def test_every_change_is_shown(screen, session, sent):
     screen.refresh(CANVAS, 0.0)
     screen.refresh(CANVAS, 0.0)
-    session.set_look(alpha=-1.0)
+    session.magnify(-1.0)
     assert session.changed.is_set()
     assert screen.refresh(CANVAS, 0.0)
     session.set_clock(lambda clock, now: clock.sought(now, 0.1))
@@ -63,7 +64,7 @@ def test_a_run_without_frequencies_is_shown_and_says_so(run, tmp_path, sent):
     assert opened.notes == ("No frequency was found in this run: there is nothing to magnify.",)
     assert opened.duration == 0
     assert opened.alpha_to_see() == 0
-    session = Session(opened, Look(20.0), Clock(opened.duration, playing=True))
+    session = Session(opened, Look(Magnification.of(20.0)), Clock(opened.duration, playing=True))
     screen = Screen(session, lambda picture, quality: sent.append(picture))
     assert screen.refresh(CANVAS, 0.0)
     assert sent[0].min() < 200

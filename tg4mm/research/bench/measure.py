@@ -16,7 +16,7 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances
@@ -65,6 +65,11 @@ class Scoring:
     name: str
     method: str  # "modal", "linear", "phase"
     filter: str | None = None  # None: the method's own, zero-phase
+
+    def magnified(self, bands: Iterable[tuple[float, float]], alpha: float = 1.0) -> Magnification:
+        """By α in the bands; without any everywhere."""
+        chosen = None if self.filter is None else TemporalFilter(self.filter)
+        return Magnification.of(alpha, *bands, method=self.method, filter=chosen)
 
 
 SCORINGS = {
@@ -119,6 +124,10 @@ class Plan:
     lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
     device: str = "cpu"
     metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
+
+    def bands(self, data: BenchSet) -> tuple[tuple[float, float], ...]:
+        """That every method magnifies, Hz; (): every frequency."""
+        return (data.band_hz,) if self.banded else ()
 
 
 def measure(
@@ -263,9 +272,7 @@ def _scored(
         run,
         alphas=plan.alphas,
         out=place / f"metrics_{_file_name(way.name)}.json",
-        bands=[data.band_hz] if plan.banded else [],
-        method=way.method,
-        filter=None if way.filter is None else TemporalFilter(way.filter),
+        magnified=way.magnified(plan.bands(data)),
         device=plan.device,
         scores=scores,
         metrics=plan.metrics,
@@ -274,7 +281,7 @@ def _scored(
 
 def _observed(run: Run, data: BenchSet, plan: Plan) -> dict[str, float | None]:
     train = load_capture(data.root)
-    return observed_figures(subject_of(run, train, (), Magnification(), {}, plan.device), data, train)
+    return observed_figures(subject_of(run, train, AS_CAPTURED, {}, plan.device), data, train)
 
 
 def _figures(

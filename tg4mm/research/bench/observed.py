@@ -16,7 +16,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.scores import BACKGROUND, Method, pose, render_views
+from tg4mm.research.evaluate.scores import BACKGROUND, Method, render_views
 from tg4mm.research.evaluate.subject import Subject
 from tg4mm.show.weights import blending_weights
 
@@ -68,9 +68,9 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
         true = np.stack([images.rgb(i, background=BACKGROUND) for i in chosen])
         made = np.stack(
             [
-                render_views(
-                    pose(gaussians, moved, int(capture.timesteps[i]), alpha), capture, np.array([i])
-                )[0]
+                render_views(moved.pose(gaussians, int(capture.timesteps[i]), alpha), capture, np.array([i]))[
+                    0
+                ]
                 for i in chosen
             ]
         )

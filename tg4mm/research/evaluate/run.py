@@ -15,7 +15,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.files import json_digest, write_json
 from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.progress import progress
 from tg4mm.core.untrusted import read_json
 from tg4mm.research.evaluate.lpips import Lpips
@@ -57,21 +57,18 @@ def evaluate_run(
     run: Run,
     alphas: Sequence[float] | None = None,
     out: Path | str | None = None,
-    band: Sequence[float] | None = None,
+    magnified: Magnification = AS_CAPTURED,
     lpips_weights: Path | str | Sequence[Path | str] | None = None,
     device: str = "cpu",
     use_cache: bool = True,
-    bands: Sequence[tuple[float, float]] = (),
-    method: str | None = None,
-    filter: TemporalFilter | None = None,
     scores: dict[Key, dict[str, float]] | None = None,
     metrics: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Score a run on its dataset's test cameras and write the figures to `out` (default RUN/metrics.json).
 
     `alphas`: magnification factors with ground truth, None for all there are; 0, the test split itself, is
-    always scored. `band` (Hz): what "ours" magnifies, None for all frequencies; ground truth magnifies all. `bands`:
-    several in its place, all by the same α. `method`, `filter`: as in `tg4mm.fit.magnify.Magnification`.
+    always scored. `magnified`: bands, method and filter of "ours"; its α are replaced by each of `alphas`. Ground truth
+    magnifies all frequencies.
     `device`: where pictures are rendered; metrics are computed on the CPU, so each picture is brought there once.
     `lpips_weights`: see `tg4mm.research.evaluate.lpips`. `use_cache=False` scores every image anew (same numbers,
     slower). `scores`: what another call for the same run has scored is taken from there, and left there; not with other
@@ -106,12 +103,10 @@ def evaluate_run(
     began = time.monotonic()
     absent: dict[str, str] = {}
     wanted = alphas_with_truth(alphas, run.dataset, absent)
-    bands = tuple(bands) or (() if band is None else (tuple(band),))  # type: ignore[assignment]
-    plan = Magnification(method=method, filter=filter)
     chosen = image_metrics(lpips_weights, absent, metrics)
     capture = load_capture(run.dataset, split="train")
     with progress("motion and its truth", 1, "part", brief=True):
-        subject = subject_of(run, capture, bands, plan, absent, device)
+        subject = subject_of(run, capture, magnified, absent, device)
     target = target_file(run, out)
     scorer = Scorer(subject.gaussians, chosen, use_cache, {} if scores is None else scores)
     resume = Resume(target)
@@ -124,9 +119,9 @@ def evaluate_run(
         "version": VERSION,
         "run": str(run.path),
         "dataset": str(run.dataset),
-        "band_hz": _plain_bands(subject.bands),
-        "method": method_of(run, plan),
-        "filter": _filter_name(run, plan),
+        "band_hz": _plain_bands(magnified),
+        "method": method_of(run, magnified),
+        "filter": _filter_name(run, magnified),
         "background": list(BACKGROUND),
         "metrics": [m for m in _HIGHER_IS_BETTER if any(_measured(e, m) for e in entries)],
         "alphas": entries,
@@ -142,13 +137,13 @@ def evaluate_run(
     return result
 
 
-def _plain_bands(bands: Sequence[tuple[float, float]]) -> list[Any] | None:
-    listed = [list(band) for band in bands]
+def _plain_bands(magnified: Magnification) -> list[Any] | None:
+    listed = [list(band) for band in magnified.limits]
     return listed[0] if len(listed) == 1 else listed or None
 
 
-def _filter_name(run: Run, plan: Magnification) -> str | None:
-    return None if method_of(run, plan) == "modal" else (plan.filter or TemporalFilter()).kind
+def _filter_name(run: Run, magnified: Magnification) -> str | None:
+    return None if method_of(run, magnified) == "modal" else (magnified.filter or TemporalFilter()).kind
 
 
 def _score_alpha(
@@ -245,7 +240,7 @@ def fingerprint(
 ) -> str:
     """Digest of everything an α's scores depend on, so that only what is still true is resumed."""
     digest = hashlib.blake2b(digest_size=16)
-    named = [(m.name, m.band, *([m.posing.label] if m.posing else [])) for m in methods]
+    named = [(m.name, m.magnified.limits, *([m.posing.label] if m.posing else [])) for m in methods]
     settings = [_VERSION, alpha, sorted(scorer.metrics), named]
     digest.update(json.dumps(settings).encode())
     for tensor in _tensors(scorer):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate, mode_gains
 from tg4mm.fit.motion.modes import ModalMotion
@@ -36,12 +37,12 @@ class Posing:
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in `band`."""
+    """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in the bands of `magnified`."""
 
     name: str
     motion: ModalMotion | None
-    band: tuple[float, float] | None = None
-    posing: Posing | None = None  # in place of motion and band: how the run itself poses and magnifies
+    magnified: Magnification = AS_CAPTURED  # whose α the one asked for replaces
+    posing: Posing | None = None  # in place of these: how the run itself poses and magnifies
 
     def state(self, t: int, alpha: float) -> Key:
         """What the pose at (t, α) depends on: equal keys, equal poses. `()` is the rest pose of every method.
@@ -53,10 +54,22 @@ class Method:
             return (self.name, alpha, t)
         if self.motion is None:
             return ()
-        phase = mode_gains(self.motion, t, alpha, self.band)
+        phase = mode_gains(self.motion, t, self._alphas(alpha), None)
         has_re, has_im = self._parts
         factors = np.stack([phase.real * has_re, -phase.imag * has_im]).round(9) + 0.0  # + 0.0: -0 is 0
         return (self.name, tuple(factors.ravel().tolist())) if factors.any() else ()
+
+    def pose(self, gaussians: Gaussians, t: int, alpha: float) -> Gaussians:
+        """The Gaussians as the method has them at timestep t, magnified by α."""
+        if self.posing is not None:
+            return self.posing.at(alpha)(t)
+        if self.motion is None:
+            return gaussians
+        return animate(gaussians, self.motion, t, self._alphas(alpha))
+
+    def _alphas(self, alpha: float) -> np.ndarray:
+        assert self.motion is not None
+        return self.magnified.times(alpha).ideal(self.motion.freqs_hz)
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
@@ -67,19 +80,6 @@ class Method:
         if (light := self.motion.appearance) is None:
             return has_re, has_im
         return has_re | light.parts[0], has_im | light.parts[1]
-
-
-def in_bands(freqs_hz: np.ndarray, bands: Sequence[tuple[float, float]]) -> np.ndarray:
-    """[K] bool: inside one of the bands; every mode if there are none."""
-    if not bands:
-        return in_band(freqs_hz, None)
-    return np.any([in_band(freqs_hz, band) for band in bands], axis=0)
-
-
-def in_band(freqs_hz: np.ndarray, band: tuple[float, float] | None) -> np.ndarray:
-    """[K] bool: low ≤ f ≤ high; every mode if the band is None."""
-    freqs_hz = np.asarray(freqs_hz)
-    return np.full(freqs_hz.shape, True) if band is None else (band[0] <= freqs_hz) & (freqs_hz <= band[1])
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Scorer:
         by_camera: dict[Any, list[Key]] = {}
         for key in wanted:
             by_camera.setdefault(key[1], []).append(key)
-        posed = pose(self.gaussians, method, int(capture.timesteps[next(iter(wanted.values()))]), alpha)
+        posed = method.pose(self.gaussians, int(capture.timesteps[next(iter(wanted.values()))]), alpha)
         groups = list(by_camera.values())
         for start in range(0, len(groups), _CAMERAS_AT_ONCE):
             some = groups[start : start + _CAMERAS_AT_ONCE]
@@ -149,15 +149,6 @@ class Scorer:
     def _measure(self, image: np.ndarray, images: ImageStack, i: int) -> dict[str, float]:
         truth = images.rgb(i, background=BACKGROUND).clip(0.0, 1.0)
         return {name: metric(image, truth) for name, metric in self.metrics.items()}
-
-
-def pose(gaussians: Gaussians, method: Method, t: int, alpha: float) -> Gaussians:
-    """The Gaussians as the method has them at timestep t, magnified by α."""
-    if method.posing is not None:
-        return method.posing.at(alpha)(t)
-    if method.motion is None:
-        return gaussians
-    return animate(gaussians, method.motion, t, alpha=alpha, band=method.band)
 
 
 def render_views(gaussians: Gaussians, capture: Capture, which: np.ndarray) -> np.ndarray:
@@ -194,9 +185,6 @@ def content_key(images: ImageStack, i: int) -> bytes:
     return hashlib.blake2b(np.ascontiguousarray(images.data[i]).tobytes(), digest_size=16).digest()
 
 
-_CAMERAS_AT_ONCE = 8  # images held of each method
-
-
 def closure(ours: float, static: float, ceiling: float) -> float | None:
     """(ours − static) / (ceiling − static); None where the ceiling is no better than nothing moving."""
     return (ours - static) / (ceiling - static) if ceiling > static else None
@@ -227,7 +215,7 @@ def change_figures(
         for first in range(0, len(todo), _CAMERAS_AT_ONCE):
             some = todo[first : first + _CAMERAS_AT_ONCE]
             shown = [
-                render_views(pose(gaussians, method, t, alpha), capture, np.array(some)).astype(np.float64)
+                render_views(method.pose(gaussians, t, alpha), capture, np.array(some)).astype(np.float64)
                 for method in (ours, ceiling, rest)
             ]
             a, c = shown[0] - shown[2], shown[1] - shown[2]

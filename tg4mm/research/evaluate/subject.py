@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.capture.truth_file import TRUTH_FILE, load_truth
-from tg4mm.core.magnification import BandGain, Magnification, check_bands
+from tg4mm.core.magnification import Magnification, check_bands
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, mean_squares
-from tg4mm.research.evaluate.scores import Method, Posing, in_bands
+from tg4mm.research.evaluate.scores import Method, Posing
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
@@ -36,17 +36,15 @@ class Subject:
     uncertainty: (
         np.ndarray | None
     )  # [N] standard deviation of the displacement, scene units, if the run says it
-    bands: tuple[tuple[float, float], ...]
+    magnified: Magnification  # by each α that is evaluated in place of its own
     from_zero: bool  # a mode of 0 Hz is the way to the motion's own zero, from which the truth counts
-    posing: Posing | None  # None: modal, by the estimated motion and at most one band
+    posing: Posing | None  # None: modal, by the estimated motion
 
     @property
     def methods(self) -> list[Method]:
         found = [Method(STATIC, None)]
-        if self.estimated is not None and self.posing is not None:
-            found.append(Method(OURS, self.estimated, posing=self.posing))
-        elif self.estimated is not None:
-            found.append(Method(OURS, self.estimated, self.bands[0] if self.bands else None))
+        if self.estimated is not None:
+            found.append(Method(OURS, self.estimated, self.magnified, self.posing))
         if self.exact is not None:
             found.append(Method(CEILING, self.exact))
         return found
@@ -55,8 +53,7 @@ class Subject:
 def subject_of(
     run: Run,
     capture: Capture,
-    bands: Sequence[tuple[float, float]],
-    plan: Magnification,
+    magnified: Magnification,
     absent: dict[str, str],
     device: str,
 ) -> Subject:
@@ -81,27 +78,23 @@ def subject_of(
         absent["ceiling"] = (
             f"{run.dataset / TRUTH_FILE} does not exist: no exact motion, no displacement error"
         )
-    check_bands(bands, capture.fps)
-    posing = None if estimated is None else _posing(run, bands, plan, device)
+    check_bands(magnified.limits, capture.fps)
+    posing = None if estimated is None else _posing(run, magnified, device)
     from_zero = run.preset == "modal"
     said = run.load_uncertainty()
-    return Subject(gaussians.to(device), estimated, exact, said, tuple(bands), from_zero, posing)
+    return Subject(gaussians.to(device), estimated, exact, said, magnified, from_zero, posing)
 
 
-def _posing(
-    run: Run, bands: Sequence[tuple[float, float]], plan: Magnification, device: str
-) -> Posing | None:
-    """How the run poses and magnifies, None where its motion and one band say it all."""
-    if method_of(run, plan) == "modal" and len(bands) <= 1:
+def _posing(run: Run, magnified: Magnification, device: str) -> Posing | None:
+    """How the run poses and magnifies, None where its modes say it all."""
+    if method_of(run, magnified) == "modal":
         return None
 
     @lru_cache(maxsize=1)
     def at(alpha: float) -> Callable[[float], Gaussians]:
-        gains = tuple(BandGain(*band, alpha) for band in bands)
-        everywhere = 0.0 if bands else alpha
-        return poses_of(run, replace(plan, bands=gains, everywhere=everywhere), device).at
+        return poses_of(run, magnified.times(alpha), device).at
 
-    return Posing(at, repr((method_of(run, plan), plan, list(bands), model_hash(run.path))))
+    return Posing(at, repr((method_of(run, magnified), magnified.times(1.0), model_hash(run.path))))
 
 
 def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) -> dict[str, Any] | None:
@@ -121,19 +114,19 @@ def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) 
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
     if subject.uncertainty is not None:
         figures["uncertainty"] = uncertainty_figures(estimated, exact, weights, subject.uncertainty)
-    if subject.bands:
-        inside = [m.selected(in_bands(m.freqs_hz, subject.bands)) for m in (estimated, exact)]
+    if subject.magnified.bands:
+        inside = [m.selected(subject.magnified.inside(m.freqs_hz)) for m in (estimated, exact)]
         figures["in_band"] = displacement_figures(inside[0], inside[1], weights, capture.unit_scale_m)
     return figures
 
 
 def notes_of(subject: Subject) -> list[str]:
     """What "ours" magnifies and the ground truth does not, or the other way round."""
-    exact, bands = subject.exact, subject.bands
+    exact, bands = subject.exact, subject.magnified.limits
     if exact is None:
         return []
     moving, magnified = exact.displacement.any(axis=(1, 2)), exact.is_magnified()
-    inside = in_bands(exact.freqs_hz, bands)
+    inside = subject.magnified.inside(exact.freqs_hz)
     notes = []
     if bands and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:
         notes.append(

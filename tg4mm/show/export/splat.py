@@ -177,24 +177,16 @@ def _begins(path: Path, magic: bytes) -> bool:
 def export_ply_sequence(
     run: Run,
     out: Path,
-    alpha: float = 0.0,
-    band: tuple[float, float] | None = None,
+    request: RenderRequest,
     timesteps: Sequence[int] | None = None,
-    request: RenderRequest | None = None,
     low_pass: bool = True,
 ) -> Path:
-    """Write OUT/frame_0000.ply …, one static splat file per timestep with the motion magnified by `alpha`.
+    """Write OUT/frame_0000.ply …, a static splat file for every timestep asked for (default: all).
 
-    `request`: alpha and band, or several bands, with a method, in place of `alpha` and `band`.
-    Raises Tg4mmError for an `out` that is a file or a timestep that does not exist, and what rendering with
-    this alpha and band would.
+    Raises Tg4mmError for an `out` that is a file, a timestep that does not exist, and what rendering the request would.
     """
-    from tg4mm.show.render.sequence import RenderRequest
-
-    request = request or RenderRequest(alpha=alpha, band=band)
     check_folder(out, ".ply")
-    frames = frames_of(run, request, timesteps, low_pass)
-    write_frames(out, ".ply", write_splat, frames)
+    write_frames(out, ".ply", write_splat, frames_of(run, request, timesteps, low_pass))
     return out
 
 

@@ -14,8 +14,7 @@ import numpy as np
 import torch
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import LARGEST_ALPHA, BandGain, Magnification
+from tg4mm.core.magnification import AS_CAPTURED, LARGEST_ALPHA, Magnification
 from tg4mm.core.pictures.frames import is_complete_png, write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
@@ -38,28 +37,14 @@ Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gauss
 class RenderRequest:
     """What is rendered; recorded in DIR/render.json, so that DIR never holds pictures of two requests."""
 
-    alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ, [TG4MM] Eq. (9)
-    band: tuple[float, float] | None = None  # Hz; None magnifies every frequency
+    magnified: Magnification = AS_CAPTURED
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
-    bands: tuple[BandGain, ...] = ()  # several, each with its own alpha, in place of alpha and band
-    method: str | None = None  # "modal", "linear", "phase"; None: the run's own
-    filter: TemporalFilter | None = None  # of linear and phase; None: zero-phase
-    low_pass_px2: float = (
-        0.3  # what each Gaussian is drawn wider by; less where a file's scales hold some of it
-    )
-
-    @property
-    def plan(self) -> Magnification:
-        """What is magnified. Raises RunError where `bands` and alpha or band are both given."""
-        if self.bands and (self.alpha != 0 or self.band is not None):
-            raise RunError("bands with their own alpha exclude alpha and band")
-        bands = self.bands or (() if self.band is None else (BandGain(*self.band, self.alpha),))
-        return Magnification(bands, 0.0 if bands else self.alpha, self.method, self.filter)
+    low_pass_px2: float = 0.3  # drawn wider by, square pixels; less where a file's scales hold some of it
 
     def checked(self) -> RenderRequest:
         """Itself. Raises RunError for an alpha or a speed that is out of range."""
-        for alpha in (self.alpha, *(b.alpha for b in self.bands)):
+        for alpha in (self.magnified.everywhere, *(b.alpha for b in self.magnified.bands)):
             if not math.isfinite(alpha):
                 raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
             if abs(alpha) > LARGEST_ALPHA:
@@ -71,7 +56,8 @@ class RenderRequest:
     @property
     def label(self) -> str:
         """α as progress shows it."""
-        return ", ".join(f"{b.alpha:g}" for b in self.bands) or f"{self.alpha:g}"
+        chosen = self.magnified
+        return ", ".join(f"{b.alpha:g}" for b in chosen.bands) or f"{chosen.everywhere:g}"
 
 
 def render_sequence(
@@ -135,7 +121,7 @@ def render_orbit(
 
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
     """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
-    poses = poses_of(run, request.checked().plan, device)
+    poses = poses_of(run, request.checked().magnified, device)
     return poses.at, poses.n_timesteps, poses.fps
 
 
@@ -212,17 +198,17 @@ def work_folder(out: Path) -> WorkFolder:
 def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
     """All that the pictures depend on, in JSON's types."""
     poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
-    method = method_of(run, request.plan)
-    own = method_of(run, Magnification())
-    temporal = request.filter
+    chosen = request.magnified
+    method, temporal = method_of(run, chosen), chosen.filter
+    one, several = chosen.bands[:1], len(chosen.bands) > 1
     return {
         "format": FORMAT,
         "version": 1,
         "kind": kind,
-        "alpha": request.alpha,
-        "band_hz": list(request.band) if request.band is not None else None,
-        "bands": [[b.low, b.high, b.alpha] for b in request.bands] or None,
-        "method": None if method == own else method,  # null: the run's own
+        "alpha": 0.0 if several else chosen.alpha,
+        "band_hz": list(one[0].band) if one and not several else None,
+        "bands": [[b.low, b.high, b.alpha] for b in chosen.bands] if several else None,
+        "method": None if method == method_of(run, AS_CAPTURED) else method,  # null: the run's own
         "filter": None if temporal is None else [temporal.kind, temporal.taps],
         "background": list(request.background),
         "slow": request.slow if kind == "orbit" else 1.0,

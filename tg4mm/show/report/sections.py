@@ -16,7 +16,7 @@ from tg4mm.core.pages.page import Block, Figure, Section, Text, drawing, film, p
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction, scale_top
 from tg4mm.core.pictures.frames import read_png
-from tg4mm.show.maps import in_band, leading_modes, motion_maps, uncertainty_map
+from tg4mm.show.maps import leading_modes, motion_maps, uncertainty_map
 from tg4mm.show.report.figures import (
     Line,
     contact_sheet,
@@ -76,9 +76,11 @@ def _leading(m: Material) -> list[int]:
     """Modes that are worth a map: the strongest vibrations that are magnified, two at most; else the strongest mode."""
     assert m.model.motion is not None
     freqs = m.model.motion.freqs_hz
-    inside = in_band(m.model.motion, m.band)
+    inside = m.view.magnified.inside(freqs)
     found = [int(np.argmin(np.abs(freqs - v.hz))) for v in m.result.vibrations]
-    return [k for k in found if inside[k]][:2] or leading_modes(m.model.motion, m.model.weights, m.band)
+    return [k for k in found if inside[k]][:2] or leading_modes(
+        m.model.motion, m.model.weights, m.view.magnified
+    )
 
 
 def _maps(m: Material) -> Block:

@@ -11,6 +11,7 @@ import numpy as np
 
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
@@ -18,7 +19,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
 from tg4mm.run.figures_file import read_figures
-from tg4mm.show.maps import image_motion, in_band, strongest
+from tg4mm.show.maps import image_motion, strongest
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.render.sequence import RenderRequest, pose_of
@@ -41,11 +42,11 @@ class Model:
     uncertainty: np.ndarray | None = None  # [N] standard deviation of the displacement, rms, scene units
 
 
-def load_model(reading: Reading, train: Capture, band: tuple[float, float] | None) -> Model:
+def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Model:
     """The run's Gaussians and motion with blending weights. Raises RunError."""
     gaussians, motion = reading.gaussians, reading.motion
     weights = blending_weights(gaussians, train)
-    main = strongest(motion, weights, band) if motion is not None else -1
+    main = strongest(motion, weights, magnified) if motion is not None else -1
     return Model(gaussians, motion, weights, main, reading.uncertainty.get("displacement"))
 
 
@@ -55,19 +56,15 @@ def alphas_with_truth(dataset: Path) -> list[int]:
     return sorted(int(name) for name in names if name.isdigit())
 
 
-def choose_alpha(
-    reading: Reading, noise_px: float | None, wanted: float | None, band: tuple[float, float] | None
-) -> tuple[float, str]:
-    """`wanted` if given, else what shows the motion well, and a sentence on how it was chosen ("" for `wanted`).
+def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnification) -> tuple[float, str]:
+    """What shows the motion in the bands well, and a sentence on how it was chosen; (0, "") without motion.
 
     Where there is ground truth, the largest α of it that is no larger than that. noise_px: the noise's amplitude in the
     pictures, also where no mode stands out of it; None: not known.
     """
     if reading.motion is None:
         return 0.0, ""
-    if wanted is not None:
-        return float(wanted), ""
-    gains = (in_band(reading.motion, band) & reading.motion.is_magnified()).astype(float)
+    gains = (magnified.inside(reading.motion.freqs_hz) & reading.motion.is_magnified()).astype(float)
     reach = reading.reach(gains)
     assert reach is not None  # there is a motion
     alpha = suggested_alpha(replace(reach, noise_px=noise_px), reading.capture)
@@ -114,7 +111,6 @@ MOST_FRAMES = 180  # of a video: what a page can hold
 _MANY = 40  # poses of a moving camera that are looked at for where most is seen
 _BYTES = 1 << 29  # of uncompressed pictures of one video
 
-Band = tuple[float, float]
 Pose = Callable[[float], Gaussians]
 
 
@@ -125,7 +121,7 @@ class View:
 
     camera: Camera  # of a moving camera: where most motion is seen
     split: str  # the split that the camera is of
-    alpha: float
+    magnified: Magnification
     ours: np.ndarray
     input: np.ndarray | None
     truth: np.ndarray | None
@@ -137,23 +133,27 @@ class View:
     )
 
     @property
+    def alpha(self) -> float:
+        return self.magnified.alpha
+
+    @property
     def widest_time(self) -> int:
         """The timestep whose magnified picture differs most from the first: shown where nothing can play."""
         shown = self.ours if self.fixed is None else self.fixed[1]
         return int(np.argmax([np.abs(one.astype(np.int16) - shown[0]).mean() for one in shown]))
 
 
-def gather_view(run: Run, train: Capture, model: Model, alpha: float, band: Band | None) -> View:
+def gather_view(run: Run, train: Capture, model: Model, magnified: Magnification) -> View:
     """Render the camera that sees most motion, and read its pictures and ground truth."""
     split, clock, shots = _shots(run.dataset, train)
     best = _most_telling(train, model, shots)
-    request = RenderRequest(alpha=alpha, band=band)
-    pose, n_timesteps, fps = pose_of(run, request)
+    alpha = magnified.alpha
+    pose, n_timesteps, fps = pose_of(run, RenderRequest(magnified))
     camera = _camera(train, shots[best])
     if n_timesteps == 1:
         ours = _rendered(pose, [(0.0, camera)], "report")
         return View(
-            camera, split.split, alpha, ours, _pictures(split, shots[best].rows[:1]), None, n_frames=1
+            camera, split.split, magnified, ours, _pictures(split, shots[best].rows[:1]), None, n_frames=1
         )
     own = list(shots) if clock == "moving" else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == "moving" else shots[best].rows.tolist()
@@ -163,12 +163,12 @@ def gather_view(run: Run, train: Capture, model: Model, alpha: float, band: Band
     ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}")
     fixed = None
     if clock == "moving":
-        still, _, _ = pose_of(run, RenderRequest(alpha=0.0))
+        still, _, _ = pose_of(run, RenderRequest())
         there = [(t, camera) for t, _ in jobs]
         fixed = _rendered(still, there, "one pose, α = 0"), _rendered(pose, there, f"one pose, α = {alpha:g}")
     recorded = _pictures(split, np.array(rows[:kept]))
     truth, why = _truth(run.dataset, split, rows[0], alpha, kept)
-    return View(camera, split.split, alpha, ours, recorded, truth, why, clock, len(rows), fixed)
+    return View(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)
 
 
 def _shots(dataset: Path, train: Capture) -> tuple[Capture, str, Sequence[PosedFrames]]:

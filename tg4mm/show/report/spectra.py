@@ -11,7 +11,6 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.run import Run
-from tg4mm.show.maps import in_band
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform
 from tg4mm.show.measure.table import table_of
@@ -26,8 +25,7 @@ def model_spectrum(m: Material) -> Block:
     assert m.model.motion is not None
     unit, factor = unit_of(m.train.unit_scale_m)
     freqs, amplitudes = amplitude_spectrum(m.model.motion, m.model.weights)
-    inside = in_band(m.model.motion, m.band)[np.argsort(m.model.motion.freqs_hz, kind="stable")]
-    inside &= freqs > 0
+    inside = m.view.magnified.inside(freqs) & (freqs > 0)
     noise = None if m.result.noise is None else m.result.noise * factor
 
     def draw(axes: Any) -> None:

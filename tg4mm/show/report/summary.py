@@ -32,17 +32,19 @@ class Material:
     metrics: dict[str, Any]  # as evaluate_run returns it, {} if there is no ground truth
     measurement: Measurement | None  # of sensors; None where there is nothing to measure
     why_no_sensors: str  # "" where there are some, or no motion
-    band: tuple[float, float] | None
     why_alpha: str = ""  # how α was chosen; "" if it was asked for
     warning: str = ""  # where α goes further than the motion holds
     orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
 
     @property
+    def band(self) -> tuple[float, float] | None:
+        """That is magnified, Hz; None: all frequencies."""
+        return next(iter(self.view.magnified.limits), None)
+
+    @property
     def main(self) -> Vibration | None:
         """The strongest vibration that is magnified."""
-        inside = (
-            v for v in self.result.vibrations if self.band is None or self.band[0] <= v.hz <= self.band[1]
-        )
+        inside = (v for v in self.result.vibrations if self.view.magnified.inside(np.array(v.hz)))
         return next(inside, None)
 
 

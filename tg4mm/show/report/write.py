@@ -14,7 +14,7 @@ from tg4mm.capture import Capture, load_capture
 from tg4mm.core.band import check_band
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.page import Page, Section, render_page
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
@@ -62,8 +62,7 @@ def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> P
     options = options or ReportOptions()
     _check_writable(out)
     train = load_capture(run.dataset)
-    band = None if options.band is None else check_band(options.band, train.fps)
-    material = _material(run, train, band, options)
+    material = _material(run, train, options)
     files = {
         "Gaussians": run.path / "space.safetensors",
         "motion": run.path / "motion.safetensors",
@@ -85,25 +84,26 @@ def _check_writable(out: Path) -> None:
         raise RunError(f"--out {out}: {there} cannot be written")
 
 
-def _material(run: Run, train: Capture, band: tuple[float, float] | None, options: ReportOptions) -> Material:
+def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
+    bands = () if options.band is None else (check_band(options.band, train.fps),)
+    chosen = Magnification.of(1.0, *bands)
     reading = reading_of(run)
     result = reading.result()
-    model = load_model(reading, train, band)
-    alpha, why_alpha = choose_alpha(reading, result.noise_px, options.alpha, band)
-    view = gather_view(run, train, model, alpha, band)
+    model = load_model(reading, train, chosen)
+    alpha, why_alpha = options.alpha, ""
+    if alpha is None or model.motion is None:
+        alpha, why_alpha = choose_alpha(reading, result.noise_px, chosen)
+    view = gather_view(run, train, model, chosen.times(float(alpha)))
     with progress("sensors", 1, "part", brief=True):
         measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run, options.evaluate)
     if metrics and metrics.get("format") != "tg4mm-metrics":
         raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
-    gains = () if band is None else (BandGain(*band, alpha),)
-    warning = (
-        too_far(run, Magnification(gains, 0.0 if gains else alpha)) if model.motion is not None else None
-    )
+    warning = None if model.motion is None else too_far(run, view.magnified)
     if warning:
         _LOG.warning(warning)
     return Material(
-        run, train, model, view, result, metrics, measurement, why_no_sensors, band, why_alpha, warning or "",
+        run, train, model, view, result, metrics, measurement, why_no_sensors, why_alpha, warning or "",
         options.orbit,
     )  # fmt: skip
 

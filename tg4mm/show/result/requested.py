@@ -50,7 +50,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
     freqs = motion.freqs_hz[told]
     is_modal = method_of(run, plan) == "modal"
     for band in plan.bands:
-        one = Magnification((type(band)(band.low, band.high, 1.0),), 0.0, plan.method, plan.filter)
+        one = Magnification.of(1.0, band.band, method=plan.method, filter=plan.filter)
         gains = one.ideal(freqs) if is_modal else np.abs(one.response(freqs, motion.fps))
         if not (gains > _LET_THROUGH).any():
             raise Tg4mmError(
@@ -90,7 +90,7 @@ def too_far(run: Run, plan: Magnification) -> str | None:
     reach = reading_of(run).reach(gains)
     if reach is None or not reach.too_far > 1:
         return None
-    alpha = max((b.alpha for b in plan.bands), key=abs, default=plan.everywhere)
+    alpha = plan.alpha
     moved = "" if reach.pixels is None else f"the largest motion becomes {reach.pixels:.3g} px; "
     # Everything that limits grows with |1 + α|.
     most = abs(1 + alpha) / reach.too_far - 1

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.svg import colour_bar, number, phase_bar
 from tg4mm.core.phasors import main_direction, peak_displacement, scale_top
 from tg4mm.show.view.scene import Scene
@@ -32,7 +33,7 @@ def choices(scene: Scene) -> tuple[Colour, ...]:
     return tuple(c for c in Colour if c is not Colour.uncertainty or scene.deviation is not None)
 
 
-def gaussian_colours(scene: Scene, colour: Colour, band: Band) -> np.ndarray | None:
+def gaussian_colours(scene: Scene, colour: Colour, magnified: Magnification) -> np.ndarray | None:
     """[N, 3] sRGB in 0..1; None for the colours as filmed, and where no frequency is in the band.
 
     Amplitude (peak displacement) and phase (of the motion along its main direction, at timestep 0) are those of the
@@ -41,7 +42,7 @@ def gaussian_colours(scene: Scene, colour: Colour, band: Band) -> np.ndarray | N
     """
     if colour is Colour.uncertainty and scene.deviation is not None:
         return amount_colours(scene.deviation / max(scale_top(scene.deviation, scene.weights), 1e-30))
-    k = scene.strongest(band)
+    k = scene.strongest(magnified)
     if colour is Colour.picture or k is None or scene.motion is None:
         return None
     phasors = scene.motion.displacement[k]
@@ -54,7 +55,7 @@ def gaussian_colours(scene: Scene, colour: Colour, band: Band) -> np.ndarray | N
     return amount_colours(amplitude / max(top, 1e-30))
 
 
-def legend(scene: Scene, colour: Colour, band: Band) -> Markup:
+def legend(scene: Scene, colour: Colour, magnified: Magnification) -> Markup:
     """The scale of the colours, as a drawing under a line that names what is shown; empty for `as filmed`."""
     if colour is Colour.picture or scene.motion is None:
         return Markup()
@@ -62,7 +63,7 @@ def legend(scene: Scene, colour: Colour, band: Band) -> Markup:
         top = scale_top(scene.deviation, scene.weights) * scene.per_unit
         words = Markup("<p>Standard deviation of the displacement, rms over time.</p>{}")
         return words.format(colour_bar(top, scene.unit, "standard deviation"))
-    k = scene.strongest(band)
+    k = scene.strongest(magnified)
     if k is None:
         return Markup("<p>No frequency lies in the band: colours as filmed.</p>")
     at = f"{number(float(scene.motion.freqs_hz[k]))} Hz"

@@ -13,15 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
-from tg4mm.show.view.colours import Band, Colour, gaussian_colours
+from tg4mm.show.view.colours import Colour, gaussian_colours
 from tg4mm.show.view.scene import Scene
 
+Bands = tuple[tuple[float, float], ...]
 _MOMENT = 0.02  # seconds: enough for a thread that waits for the painter to be let in
 _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to colour
 
@@ -30,8 +32,7 @@ _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to c
 class Look:
     """What is shown, apart from moment and camera."""
 
-    alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ
-    band: Band = None  # Hz; None: all frequencies
+    magnified: Magnification = AS_CAPTURED
     colour: Colour = Colour.picture
 
 
@@ -45,7 +46,7 @@ class Painter:
         self._scene = scene
         self._pose = animator(scene.gaussians, scene.motion, packed=True)
         self._lock = threading.Lock()
-        self._coloured: tuple[tuple[Colour, Band], Tensor | None] = (Colour.picture, None), None
+        self._coloured: tuple[tuple[Colour, Bands], Tensor | None] = (Colour.picture, ()), None
 
     @contextmanager
     def beside(self) -> Iterator[Callable[[], None]]:
@@ -92,14 +93,14 @@ class Painter:
     def _gaussians(self, look: Look, seconds: float) -> Gaussians:
         motion = self._scene.motion
         t = 0.0 if motion is None else seconds * motion.fps
-        gaussians = self._pose(t, look.alpha, look.band)
-        sh = self._colours(look.colour, look.band)
+        gaussians = self._pose(t, 0.0 if motion is None else look.magnified.ideal(motion.freqs_hz))
+        sh = self._colours(look)
         return gaussians if sh is None else replace(gaussians, sh=sh)
 
-    def _colours(self, colour: Colour, band: Band) -> Tensor | None:
+    def _colours(self, look: Look) -> Tensor | None:
         """[N, 1, 3] spherical harmonics of a colouring; of the last one they are kept."""
-        if self._coloured[0] != (colour, band):
-            rgb = gaussian_colours(self._scene, colour, band)
+        if self._coloured[0] != (key := (look.colour, look.magnified.limits)):
+            rgb = gaussian_colours(self._scene, look.colour, look.magnified)
             sh = None if rgb is None else torch.tensor((rgb[:, None] - 0.5) / _SH_0, dtype=torch.float32)
-            self._coloured = (colour, band), sh
+            self._coloured = key, sh
         return self._coloured[1]

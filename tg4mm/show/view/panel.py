@@ -62,18 +62,18 @@ class Panel:
         self._show_band()
 
     def _add_magnification(self) -> None:
-        alpha = self._session.look.alpha
+        alpha = self._session.look.magnified.alpha
         top = max(100.0, 5 * alpha)
         hint = "A displacement δ becomes (1 + α) δ: 0 as captured, −1 at rest."
         slider = self._gui.add_slider(
             "α (factor 1 + α)", min=min(-1.0, alpha), max=top, step=0.5, initial_value=alpha, hint=hint
         )
-        slider.on_update(lambda _: self._session.set_look(alpha=float(slider.value)))
+        slider.on_update(lambda _: self._session.magnify(float(slider.value)))
         self._spectrum = self._gui.add_html("")
         names = (ALL, *self._names)
         buttons = self._gui.add_button_group("Peaks", names, hint="The band around one peak, or all.")
         buttons.on_click(lambda _: self._choose(str(buttons.value)))
-        low, high = self._session.look.band or (0.0, self._nyquist)
+        low, high = self._session.band or (0.0, self._nyquist)
         step = self._nyquist / 400
         self._band: Any = self._gui.add_multi_slider(
             "Band (Hz)",
@@ -94,7 +94,7 @@ class Panel:
             band = None
         else:
             band = band_around(float(self._buttons[self._names.index(name)]), frequencies, self._nyquist)
-        self._session.set_look(band=band)
+        self._session.choose_band(band)
         self._band.value = band or (0.0, self._nyquist)
         self._show_band()
 
@@ -102,24 +102,24 @@ class Panel:
         if event.client is None:  # set by a button, to the slider's own steps
             return
         low, high = self._band.value
-        self._session.set_look(band=band_of_slider(float(low), float(high), self._nyquist))
+        self._session.choose_band(band_of_slider(float(low), float(high), self._nyquist))
         self._show_band()
 
     def _show_band(self) -> None:
         """Everything that depends on the band."""
-        scene, look = self._session.scene, self._session.look
+        scene, look, band = self._session.scene, self._session.look, self._session.band
         labels = dict(zip(self._buttons.tolist(), self._names, strict=True))
         chart = spectrum_chart(
             scene.frequencies,
             self._peaks * scene.per_unit,
             self._nyquist,
             scene.unit,
-            look.band,
+            band,
             [labels.get(f, "") for f in scene.frequencies.tolist()],
         )
         self._spectrum.content = block(chart)
-        self._band_words.content = block(band_words(look.band, scene.frequencies))
-        self._legend.content = block(legend(scene, look.colour, look.band))
+        self._band_words.content = block(band_words(band, scene.frequencies))
+        self._legend.content = block(legend(scene, look.colour, look.magnified))
         self._show_speed()
 
     def _add_time(self) -> None:
@@ -159,7 +159,7 @@ class Panel:
 
     def _show_speed(self) -> None:
         """A warning where the fastest magnified motion shows too few pictures a cycle to be seen as it is."""
-        band = self._session.look.band
+        band = self._session.band
         inside = [f for f in self._buttons if band is None or band[0] <= f <= band[1]]
         cycles = max(inside, default=0.0) * self._session.clock.speed
         words = ""

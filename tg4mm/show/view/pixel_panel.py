@@ -114,7 +114,7 @@ class PixelPanel:
             how = f"Measured in the pictures, within {radius} {unit}{_SHADED}; dashed: noise floor{clip}."
         else:
             assert scene.motion is not None
-            band = self._session.look.band
+            band = self._session.band
             chart = spectrum_chart(found.frequencies, amplitudes, scene.motion.fps / 2, unit, band)
             how = f"The fitted motion, as captured{_SHADED if deviation is not None else ''}."
         wave = waveform_chart(found.times, found.displacement * per, unit, deviation)

@@ -10,6 +10,7 @@ import numpy as np
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import Found
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -54,11 +55,11 @@ class Scene:
             return np.zeros(0)
         return np.sort(self.motion.freqs_hz[self.motion.is_magnified()])
 
-    def strongest(self, band: tuple[float, float] | None) -> int | None:
-        """Index of the magnified mode in the band that moves most; None where there is none."""
+    def strongest(self, magnified: Magnification = AS_CAPTURED) -> int | None:
+        """Index of the mode in the bands that moves most; None where there is none that is magnified."""
         if self.motion is None or not len(self.motion.freqs_hz):
             return None
-        leading = leading_modes(self.motion, self.weights, band, most=1)
+        leading = leading_modes(self.motion, self.weights, magnified, most=1)
         return next((k for k in leading if self.motion.is_magnified()[k]), None)
 
     def peaks(self) -> np.ndarray:
@@ -75,7 +76,7 @@ class Scene:
 
     def alpha_to_see(self) -> float:
         """The run's own (`result.advice`); 0 where nothing can be magnified."""
-        return 0.0 if self.strongest(None) is None else result_of(Run.open(self.path)).alpha
+        return 0.0 if self.strongest() is None else result_of(Run.open(self.path)).alpha
 
 
 def open_scene(run: Run) -> Scene:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import Scene
 
@@ -39,6 +40,20 @@ class Session:
             self._look = replace(self._look, **changes)  # type: ignore[arg-type]
             self.revision += 1
         self.changed.set()
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """That is magnified, Hz; None: all frequencies."""
+        return next(iter(self._look.magnified.limits), None)
+
+    def magnify(self, alpha: float) -> None:
+        """By another α, in the same band."""
+        self.set_look(magnified=self._look.magnified.times(alpha))
+
+    def choose_band(self, band: tuple[float, float] | None) -> None:
+        """Another band, by the same α; None: all frequencies."""
+        limits = () if band is None else (band,)
+        self.set_look(magnified=Magnification.of(self._look.magnified.alpha, *limits))
 
     def set_clock(self, change: Callable[[Clock, float], Clock]) -> None:
         """Put `change(clock, now)` in the clock's place."""

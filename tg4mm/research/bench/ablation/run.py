@@ -46,7 +46,7 @@ from tg4mm.research.bench.measure import (
     measure,
     warm_up,
 )
-from tg4mm.research.bench.pages.shown import Magnified, slices_picture
+from tg4mm.research.bench.pages.shown import slices_picture
 from tg4mm.research.bench.pages.text import latex_table
 from tg4mm.research.bench.request import check_settings, settings_by_preset
 from tg4mm.research.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
@@ -132,16 +132,16 @@ def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[
 def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: Path) -> str:
     """Draw slices.png of the first dataset; its caption."""
     lines = {line["row"]: line for line in results["lines"] if line["set"] == data.label}
-    shown = []
+    band = next(iter(lines.values()))["band_hz"]
+    shown = {}
     for row in (r for r in rows if r.label in lines):
         run = out / lines[row.label]["run"]
         for way in row.scorings or SCORINGS[results["preset"]]:
             label = row.label if row.scorings else f"{row.label}, {way.name}"
-            shown.append(Magnified(label, run, way.method, way.filter))
+            shown[label] = run, way.magnified([] if band is None else [tuple(band)])
     if not shown:
         return ""
-    band = lines[next(iter(lines))]["band_hz"]
-    return f"{data.label}. " + slices_picture(data.root, data.alphas, band, shown, out / "slices.png")
+    return f"{data.label}. " + slices_picture(data.root, data.alphas, shown, out / "slices.png")
 
 
 def _results(

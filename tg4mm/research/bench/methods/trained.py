@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
-from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.measure import Plan, Scoring, Training, measure
 from tg4mm.research.bench.methods import Pictures
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
-from tg4mm.research.evaluate.scores import Method, pose, render_views
+from tg4mm.research.evaluate.scores import Method, render_views
 from tg4mm.research.evaluate.subject import Subject, subject_of
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
@@ -60,9 +59,8 @@ class Trained:
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
         way = self._way(row)
-        bands = (data.band_hz,) if plan.banded else ()
-        run, shown = place / "run", way or self.training.ways[0]
-        subject = _subject_of(run, model_hash(run), data.root, shown, bands, plan.device)
+        run, magnified = place / "run", (way or self.training.ways[0]).magnified(plan.bands(data))
+        subject = _subject_of(run, model_hash(run), data.root, magnified, plan.device)
         (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
         if method.posing is not None:  # opens the model, which is not to count as rendering
             method.posing.at(float(alpha))
@@ -74,17 +72,13 @@ class Trained:
 
 
 @lru_cache(maxsize=1)  # one at a time: rows and α of one way to magnify follow each other
-def _subject_of(
-    run: Path, model: str, root: Path, way: Scoring, bands: tuple[tuple[float, float], ...], device: str
-) -> Subject:
-    chosen = None if way.filter is None else TemporalFilter(way.filter)
-    magnification = Magnification(method=way.method, filter=chosen)
-    return subject_of(Run.open(run), load_capture(root), bands, magnification, {}, device)
+def _subject_of(run: Path, model: str, root: Path, magnified: Magnification, device: str) -> Subject:
+    return subject_of(Run.open(run), load_capture(root), magnified, {}, device)
 
 
 def _pictures(subject: Subject, method: Method, capture: Capture, alpha: float) -> Pictures:
     for t in np.unique(capture.timesteps).tolist():
-        gaussians = pose(subject.gaussians, method, t, alpha)
+        gaussians = method.pose(subject.gaussians, t, alpha)
         rows = np.flatnonzero(capture.timesteps == t)
         for first in range(0, len(rows), _CAMERAS_AT_ONCE):
             some = rows[first : first + _CAMERAS_AT_ONCE]

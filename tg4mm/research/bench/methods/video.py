@@ -16,7 +16,7 @@ from torch import Tensor
 
 from tg4mm.capture import Capture
 from tg4mm.core.filters import apply_response, bins
-from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.magnify.half_octaves import half_octave_bands
 from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.fit.magnify.pyramid import SMALLEST
@@ -67,9 +67,7 @@ class VideoMethod:
 
 def band_response(data: BenchSet, alpha: float, plan: Plan) -> np.ndarray:
     """[T // 2 + 1] complex: α times the zero-phase filter's response to the band, or α where there is none."""
-    bands = (BandGain(*data.band_hz, alpha),) if plan.banded else ()
-    chosen = Magnification(bands=bands, everywhere=0.0 if bands else alpha)
-    return chosen.response(bins(data.n_timesteps, data.fps), data.fps)
+    return Magnification.of(alpha, *plan.bands(data)).response(bins(data.n_timesteps, data.fps), data.fps)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.page import Block, Figure, Section, Text, film, photo_uri, picture
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
@@ -192,20 +191,10 @@ def _font() -> ImageFont.FreeTypeFont:
 _HEIGHT = 96  # pixels of a slice in the picture
 
 
-@dataclass(frozen=True)
-class Magnified:
-    """A run and how it is magnified."""
-
-    label: str
-    run: Path
-    method: str
-    filter: str | None
-
-
 def slices_picture(
-    root: Path, alphas: Sequence[int], band_hz: Sequence[float] | None, shown: Sequence[Magnified], out: Path
+    root: Path, alphas: Sequence[int], shown: Mapping[str, tuple[Path, Magnification]], out: Path
 ) -> str:
-    """Write the picture to `out`; returns a sentence that says what it shows.
+    """Write the picture of runs, each magnified by α in place of its own, to `out`; says in a sentence what it shows.
 
     The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
     """
@@ -214,9 +203,9 @@ def slices_picture(
     images, truth = most_changing(capture)
     axis, index = most_moving_line(truth)
     rows = {"ground truth": space_time_slice(truth, axis, index)}
-    for one in shown:
-        video = _rendered(one, capture, images, alpha, band_hz)
-        rows[one.label] = space_time_slice(video, axis, index)
+    for label, (run, magnified) in shown.items():
+        video = _rendered(run, magnified.times(float(alpha)), capture, images)
+        rows[label] = space_time_slice(video, axis, index)
     if axis == "column":  # [H, T, 3]: time is brought down here too
         rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
     write_sheet(out, {label: to_bytes(piece) for label, piece in rows.items()}, _HEIGHT)
@@ -224,14 +213,8 @@ def slices_picture(
     return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
 
 
-def _rendered(
-    one: Magnified, capture: Capture, images: np.ndarray, alpha: int, band_hz: Sequence[float] | None
-) -> np.ndarray:
-    bands = () if band_hz is None else (BandGain(band_hz[0], band_hz[1], alpha),)
-    chosen = None if one.filter is None else TemporalFilter(one.filter)
-    everywhere = float(alpha) if band_hz is None else 0.0
-    plan = Magnification(bands=bands, everywhere=everywhere, method=one.method, filter=chosen)
-    poses = poses_of(Run.open(one.run), plan)
+def _rendered(run: Path, magnified: Magnification, capture: Capture, images: np.ndarray) -> np.ndarray:
+    poses = poses_of(Run.open(run), magnified)
     times = capture.timesteps[images].tolist()
     views = [render_views(poses.at(t), capture, images[j : j + 1])[0] for j, t in enumerate(times)]
     return np.stack(views)
