@@ -12,10 +12,11 @@ from scipy import stats
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import Look, LookLine, Tone
 from tg4mm.capture.look.movers import movers_of
+from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import CellSeries, Picture, exact_times, read_cells, video_pictures
 from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
-from tg4mm.capture.look.search import CHANCE, Line, Search
+from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
 from tg4mm.core.lines import Line as CoreLine
 from tg4mm.core.lines import find_lines, fit_lines

@@ -20,6 +20,7 @@ _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
 _FEWEST_OTHERS = 24  # pictures that are not B
+_FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
 _MINOR_LIGHT = 0.3  # of the strongest light line: what is weaker is an image of it by the codec
 _EVERYWHERE = 0.4  # of the median amplitude that every quarter of the picture must show of a light line
 _AGREES = 1.5  # times the typical ratio of scatter to noise: cells that do not move
@@ -109,7 +110,7 @@ def find_masks(series: CellSeries) -> Masks:
     spread = 1.4826 * float(np.median(np.abs(excess)))
     core = excess > max(np.log(_CORE), _CORE_SPREADS * spread)
     around = ndimage.binary_dilation(grid.picture(core), _BLOCK).ravel()
-    relative = series.misfit / typical
+    relative = series.misfit / typical_by_kind(series)
     quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * spread))))
     scatter = 1.4826 * float(np.median(np.abs(relative[:, quiet] - 1))) if quiet.any() else 0.1
     unlike = grid.picture(relative > 1 + _PASSING * max(0.1, scatter))
@@ -120,6 +121,22 @@ def find_masks(series: CellSeries) -> Masks:
     hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
     hidden |= ~np.isfinite(series.shift).all(2)
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
+
+
+def typical_by_kind(series: CellSeries) -> np.ndarray:
+    """[F, C] grey levels²: the median misfit of each cell in pictures of the same kind, as key frames hold more noise.
+
+    Where a kind has few pictures, the median of all of them times what most cells then have more or less.
+    """
+    every = np.maximum(np.median(series.misfit, 0), QUANTISED)
+    out = np.empty_like(series.misfit)
+    for kind in np.unique(series.kinds):
+        rows = series.kinds == kind
+        if rows.sum() >= _FEWEST_OF_KIND:
+            out[rows] = np.maximum(np.median(series.misfit[rows], 0), QUANTISED)
+        else:
+            out[rows] = every * np.median(series.misfit[rows] / every, 1, keepdims=True)
+    return out
 
 
 def _lost(series: CellSeries) -> float:

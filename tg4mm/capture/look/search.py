@@ -10,30 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
 
+from tg4mm.capture.look.peaks import LOWEST, Candidates, Peak, Shape, beam_floor, shape_of
 from tg4mm.capture.look.pools import Pool, pools_of
 from tg4mm.capture.look.ringing import Vibration, fitted
 from tg4mm.capture.look.scene import Scene
 from tg4mm.capture.look.spectra import LOG2, explained, spectrum
 
 MOST = 24  # lines
-CHANCE = 0.01  # of one false line in a recording
-_LOWEST = 2.5  # periods in the record
-_PEAK = 12.0  # statistic from which a point is looked at: one of 12,000 of noise is above
-_BEAM = 6.0  # power over noise of a column that counts for a mode's shape: one of 400 of noise
-_ENOUGH_SEEN = 0.2  # of the shape's weight that a picture must show
 _NEAR_BINS, _NEAR_SHARE = 12, 0.08  # neighbourhood that noise is told from, bins or share of the rate
 _WANDER_BINS = 6  # neighbourhood that a line must explain
 _LEFT, _LEFT_SHARE = 2.5, 0.15  # what may stay there, times the noise or of half the statistic
 _SUPPORT = 7.0  # statistic of the place without its strongest cell: one of 140 of noise is above
 _TRIES = 2  # at one frequency
 _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
-_PARTS = (4, 12)  # of the record: windows for what lives shortly
-_FEWEST = 24  # pictures of a window
-_SHORT_PEAK = 18.0
-_WINDOW_FREEDOM = 50  # degrees of freedom of the floor in a window
-_UNDERFLOW = 1e-250
 
 
 @dataclass
@@ -50,35 +40,6 @@ class Line:
     plain: list[np.ndarray] = field(default_factory=list)  # of each pool [2, M]: cosine and sine
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Columns of a pool and the weights that make one series of them."""
-
-    columns: np.ndarray  # [m]
-    weights: np.ndarray  # [m]
-    seen_weights: np.ndarray  # [m]
-
-    def series(self, residual: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """[F], and [F] bool: the pictures in which enough of the shape is seen."""
-        total = residual[:, self.columns] @ self.weights
-        if seen is None:
-            return total, np.ones(len(total), bool)
-        share = seen[:, self.columns] @ self.seen_weights / self.seen_weights.sum()
-        enough = share > _ENOUGH_SEEN
-        return np.where(enough, total / np.where(enough, share, 1), 0), enough
-
-
-@dataclass(frozen=True)
-class _Peak:
-    pool: int
-    place: int
-    hz: float
-    statistic: float
-    cut: float
-    values: np.ndarray  # [M] complex amplitudes there
-    window: float | None = None  # share of the record; None: all of it
-
-
 class Search:
     """The lines of a scene, and its pools without them."""
 
@@ -88,7 +49,7 @@ class Search:
         self.lines: list[Line] = []
         self.hz = spectrum(self.times[:, None] * 0, self.times)[0]
         d, top = scene.duration, 0.5 / scene.dt
-        self.allowed = (self.hz >= _LOWEST / d) & (self.hz <= top - 0.5 / d)
+        self.allowed = (self.hz >= LOWEST / d) & (self.hz <= top - 0.5 / d)
         self._open = self.allowed.copy()
         self._tries: dict[int, int] = {}
         self.composite = np.mean(self.pools[0].statistics(), 1) / 2 if self.pools else np.ones(len(self.hz))
@@ -113,82 +74,19 @@ class Search:
 
     def _find(self) -> None:
         for _ in range(MOST):
-            peak = self._strongest() or self._strongest_of_windows()
+            peak = Candidates(self.pools, self.times, self.hz, self._open, self._tests).strongest()
             if peak is None:
                 return
             self._judge(peak)
 
-    def _strongest(self) -> _Peak | None:
-        best: tuple[float, int, int, int, float] | None = None
-        for j, pool in enumerate(self.pools):
-            statistics = pool.statistics()
-            statistics[~self._open] = 0
-            rows, places = np.nonzero(statistics > _PEAK)
-            if not len(rows):
-                continue
-            values = statistics[rows, places]
-            chance = stats.f.sf(values / 2, 4, pool.freedom[rows])
-            rank = np.where(chance < _UNDERFLOW, -values, chance)
-            k = int(np.argmin(rank))
-            if best is None or rank[k] < best[0]:
-                best = (float(rank[k]), j, int(rows[k]), int(places[k]), float(values[k]))
-        if best is None or best[0] > CHANCE / self._tests:
-            return None
-        _, j, row, place, value = best
-        pool = self.pools[j]
-        cut = 2 * float(stats.f.isf(CHANCE / self._tests, 4, pool.freedom[row]))
-        return _Peak(j, place, float(self.hz[row]), value, cut, pool.amplitudes[row])
-
-    def _strongest_of_windows(self) -> _Peak | None:
-        """The same test in windows of a quarter and a twelfth of the record, for what dies out early."""
-        frames, tests = len(self.times), self._tests
-        best: tuple[float, _Peak] | None = None
-        for length in (frames // part for part in _PARTS if frames // part >= _FEWEST):
-            for first in range(0, frames - length + 1, length // 2):
-                for j, pool in enumerate(self.pools):
-                    n, found = self._in_window(j, pool, slice(first, first + length))
-                    tests += n
-                    if found is not None and (best is None or found[0] < best[0]):
-                        best = found
-        if best is None or best[0] > CHANCE / tests:
-            return None
-        return best[1]
-
-    def _in_window(self, j: int, pool: Pool, rows: slice) -> tuple[int, tuple[float, _Peak] | None]:
-        """The number of tests, and the least chance with its peak."""
-        times = self.times[rows]
-        n, share = len(times), len(times) / len(self.times)
-        hz, amplitudes = spectrum(pool.residual[rows], times)
-        at = np.minimum(np.round(hz / self.hz[1]).astype(int), len(self.hz) - 1)
-        span = n * self.scene.dt
-        usable = self._open[at] & (hz >= _LOWEST / span) & (hz <= 0.5 / self.scene.dt - 0.5 / span)
-        if not usable.any():
-            return 0, None
-        power = np.abs(amplitudes) ** 2 * share
-        floor = np.maximum(pool.floor[at[usable]], np.median(power[2:], 0) / LOG2)
-        ratio = power[usable] / floor
-        statistics = ratio.reshape(len(ratio), -1, 2).sum(2)
-        r, places = np.nonzero(statistics > _SHORT_PEAK)
-        if not len(r):
-            return statistics.size, None
-        values = statistics[r, places]
-        chance = stats.f.sf(values / 2, 4, pool.freedom[at[usable]][r])
-        k = int(np.argmin(chance))
-        row = int(np.flatnonzero(usable)[r[k]])
-        cut = 2 * float(stats.f.isf(CHANCE / self._tests, 4, _WINDOW_FREEDOM))
-        peak = _Peak(
-            j, int(places[k]), float(hz[row]), float(values[k]), cut, amplitudes[row] * share**0.5, share
-        )
-        return statistics.size, (float(chance[k]), peak)
-
-    def _judge(self, peak: _Peak) -> None:
+    def _judge(self, peak: Peak) -> None:
         """Accept the peak as a line; else raise the noise around it, or close its frequency."""
         pool, scene = self.pools[peak.pool], self.scene
         row = self.bin_of(peak.hz)
-        shape = _shape(peak, pool.floor[row])
+        shape = shape_of(peak, pool.floor[row])
         series, seen = shape.series(pool.residual, pool.seen)
         vibration, noise = self._fitted(series, seen, peak, row)
-        wander = self._wander(series, seen, vibration) / _beam_floor(pool, shape, row)
+        wander = self._wander(series, seen, vibration) / beam_floor(pool, shape, row)
         statistic = peak.statistic
         if peak.window is not None or vibration.decay:
             statistic = max(statistic, _statistic(pool, peak.place, row, vibration, self.times))
@@ -208,7 +106,7 @@ class Search:
         half = max(1 / scene.duration, 2.5 * vibration.decay / (2 * np.pi))
         self._open &= np.abs(self.hz - vibration.hz) >= half
 
-    def _fitted(self, series: np.ndarray, seen: np.ndarray, peak: _Peak, row: int) -> tuple[Vibration, float]:
+    def _fitted(self, series: np.ndarray, seen: np.ndarray, peak: Peak, row: int) -> tuple[Vibration, float]:
         """The vibration, and the noise's variance beside it: first of all that is there, then of what it leaves."""
         near = np.abs(self.hz - self.hz[row]) < max(
             _NEAR_BINS / self.scene.duration, _NEAR_SHARE / self.scene.dt
@@ -255,7 +153,7 @@ class Search:
             abs(vibration.hz - o.hz) < max(resolution, (vibration.decay + o.decay) / np.pi) for o in others
         )
 
-    def _raise(self, peak: _Peak, hz: float, factor: float) -> None:
+    def _raise(self, peak: Peak, hz: float, factor: float) -> None:
         """What wanders is noise: that much higher around this place and frequency."""
         around = np.flatnonzero((np.abs(self.hz - hz) < _WANDER_BINS / self.scene.duration) & self.allowed)
         here = self.pools[peak.pool]
@@ -266,7 +164,7 @@ class Search:
             pool.raised[np.ix_(around, columns)] *= factor
             pool.floor[np.ix_(around, columns)] *= factor
 
-    def _support(self, peak: _Peak, vibration: Vibration, row: int) -> float:
+    def _support(self, peak: Peak, vibration: Vibration, row: int) -> float:
         """The line's statistic in the place's cells less the strongest, or beside a single one."""
         cells, here = self.pools[0], self.pools[peak.pool]
         offset = cells.corner - here.corner[peak.place]
@@ -331,24 +229,6 @@ def images(hz: float, rate: float) -> list[float]:
     """Frequencies at which every second, third or fourth picture of another quality shows a line at hz."""
     folded = (j * rate / n + sign * hz for n in (2, 3, 4) for j in range(1, n) for sign in (1, -1))
     return [abs((f + rate / 2) % rate - rate / 2) for f in folded]
-
-
-def _shape(peak: _Peak, floor: np.ndarray) -> Shape:
-    """The mode's shape where the peak stands out, in one phase; weights are matched to it and to the noise."""
-    above = np.abs(peak.values) ** 2 > _BEAM * floor
-    above[[2 * peak.place, 2 * peak.place + 1]] = True
-    columns = np.flatnonzero(above)
-    values, noise = peak.values[columns], floor[columns]
-    phase = 0.5 * np.angle((values**2 / noise).sum())
-    weights = np.real(values * np.exp(-1j * phase)) / noise
-    weights = weights / (weights**2 * noise).sum()
-    return Shape(columns, weights, weights**2 * noise)
-
-
-def _beam_floor(pool: Pool, shape: Shape, row: int) -> float:
-    """Power of the shape's series where nothing vibrates, at a frequency: its median with the common shape."""
-    power = np.abs(pool.amplitudes[:, shape.columns] @ shape.weights) ** 2
-    return float(np.median(power[4:]) / LOG2 * np.median(pool.floor[row] / np.median(pool.floor, 0)))
 
 
 def _statistic(pool: Pool, place: int, row: int, vibration: Vibration, times_s: np.ndarray) -> float:
