@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.codec import Tone, codec_losses
-from tg4mm.capture.codec.loss import gain_of, shifts_of
+from tg4mm.capture.codec.trial import gain_of, shifts_of
 
 WIDTH, HEIGHT, FRAMES, FPS = 240, 136, 150, 30
 PLATE = slice(30, 100), slice(40, 150)

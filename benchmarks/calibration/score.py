@@ -28,6 +28,7 @@ class Named:
     start_s: float = 0.0  # where the amplitude is of what decays
     centre_px: tuple[float, float] | None = None
     marked: bool = False
+    lower_bound: bool = False  # the amplitude is marked as too small, by more than its ±
 
 
 @dataclass
@@ -40,6 +41,7 @@ class Score:
     samples: list[float] = field(default_factory=list)
     false: list[str] = field(default_factory=list)
     marked: int = 0  # false lines that were marked
+    bounds: list[float] = field(default_factory=list)  # like amplitudes, of those marked as too small
     found: list[tuple[float, bool]] = field(
         default_factory=list
     )  # true amplitude in pixels, whether it was named
@@ -89,7 +91,8 @@ def _compare(out: Score, true: TrueVibration, named: Named) -> None:
             of_rate = size * rate * abs(true.start_s - named.start_s) * (named.damping_deviation or 0)
             size, deviation = size * grown, float(np.hypot(deviation, of_rate)) * grown
         if (true.damping is None) == (named.damping is None):
-            out.amplitudes.append((size - true.size_px * true.at(y)) / deviation)
+            errors = out.bounds if named.lower_bound else out.amplitudes
+            errors.append((size - true.size_px * true.at(y)) / deviation)
     if true.damping is not None and named.damping is not None and named.damping_deviation:
         out.dampings.append((named.damping - true.damping) / named.damping_deviation)
 
@@ -101,6 +104,7 @@ def table(scores: Sequence[Score]) -> str:
         ("samples", lambda s: s.samples),
         ("frequencies", lambda s: s.frequencies),
         ("amplitudes", lambda s: s.amplitudes),
+        ("amplitudes marked as too small", lambda s: s.bounds),
         ("damping ratios", lambda s: s.dampings),
     ]
     for name, of in kinds:

@@ -30,6 +30,7 @@ def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
         Named(
             *(line.hz, line.hz_deviation, line.amplitude_px, line.amplitude_deviation_px),
             *(line.damping, line.damping_deviation, line.from_s, line.centre_px, bool(line.mark)),
+            lower_bound=bool(line.lost),
         )
         for line in found.lines
     ]

@@ -9,8 +9,9 @@ import pytest
 
 from tests.capture.sfm.videos import encoded, texture
 from tg4mm.capture.codec import Tone, codec_losses
-from tg4mm.capture.codec.loss import _stored, gain_of, shifts_of
+from tg4mm.capture.codec.loss import _stored
 from tg4mm.capture.codec.probe import probe
+from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.core.errors import Tg4mmError
 
 FPS, N, AMPLITUDE = 30.0, 120, 0.04

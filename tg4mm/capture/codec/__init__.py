@@ -1,5 +1,6 @@
 """What a video's compression takes from small motion: measured by sending a known motion through the same encoder."""
 
-from tg4mm.capture.codec.loss import Loss, Tone, codec_losses
+from tg4mm.capture.codec.loss import Loss, codec_losses, reported_deviation
+from tg4mm.capture.codec.trial import Tone
 
-__all__ = ["Loss", "Tone", "codec_losses"]
+__all__ = ["Loss", "Tone", "codec_losses", "reported_deviation"]

@@ -12,20 +12,20 @@ whose pixels hardly ever repeat and whose noise is as fresh in each frame lost n
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, maximum_filter
 
-from tg4mm.capture.codec.probe import Probe, probe, rate_options
+from tg4mm.capture.codec.probe import Probe, probe
+from tg4mm.capture.codec.trial import Tone, through
 from tg4mm.capture.sfm.video import av_module
 from tg4mm.core.errors import Tg4mmError
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.05
+_UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
 FRESH_PIXELS, FRESH_NOISE = (
     0.15,
@@ -33,18 +33,10 @@ FRESH_PIXELS, FRESH_NOISE = (
 )  # equal pixels and the noise's correlation from frame to frame, at most,
 FRESH = 0.08  # of what lost nothing; the deviation of its gain
 _PIXELS, _FEWEST, _PERIODS = 30e6, 64, 6  # of the test, frames at least, and periods of its slowest tone
-_NOISE_PX = 8.0  # over which the key frames' noise is averaged
-_AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
-_EDGE_PX = 2.0  # over which that motion fades
+# The same where an answer is wanted in seconds, and the pixels beyond which there is none.
+_QUICK_PIXELS, _QUICK_FEWEST, _QUICK_PERIODS, _QUICK_MOST = 4e6, 64, 3, 12e6
 _GAINS = 0.15, 1.1  # that the second tone is corrected by
-
-
-@dataclass(frozen=True)
-class Tone:
-    """A measured vibration of one region."""
-
-    frequency_hz: float  # of the pictures' clock
-    phasor: np.ndarray  # [2] complex, pixels right and down, zero to peak
+_ALIKE = 0.9  # first gains from which a second tone would be as large as the first within the deviation
 
 
 @dataclass(frozen=True)
@@ -64,6 +56,8 @@ def codec_losses(
     start_s: float = 0.0,
     repeats: Sequence[int] = (),
     seed: int = 0,
+    quick: bool = False,
+    without_between: bool = False,
 ) -> list[list[Loss]]:
     """Of each region's tones; two encodings of the film for each set of regions that do not overlap.
 
@@ -74,6 +68,9 @@ def codec_losses(
         fps: pictures per second that frequencies refer to; None: the file's own.
         start_s: seconds of the file that come before.
         repeats: frames from there on that show the picture before them again.
+        quick: in seconds: a region whose own pictures say that nothing is lost is not tested, the others are with a
+            few frames; of larger pictures nothing but that is asked.
+        without_between: the amplitudes were measured without B frames, and so are the test's.
 
     Raises Tg4mmError for a region of another size than the picture.
     """
@@ -83,6 +80,9 @@ def codec_losses(
     slowest = min(tone.frequency_hz for own in tones for tone in own)
     height, width = regions[0].shape
     most = int(max(_FEWEST, _PERIODS * rate / max(slowest, 1e-3), _PIXELS / (height * width)))
+    if quick:
+        fewest = int(max(_QUICK_FEWEST, _QUICK_PERIODS * rate / max(slowest, 1e-3)))
+        most = max(fewest, int(_QUICK_PIXELS / (height * width)))
     try:
         made = probe(video, start_s, most)
     except (OSError, ValueError, Tg4mmError, av_module().FFmpegError):
@@ -97,15 +97,27 @@ def codec_losses(
     masks = [np.rot90(region.astype(np.float32), -made.turns) for region in regions]
     if made.is_key.all():  # every picture by itself: noise, but no memory
         return [[Loss(1.0, 0.0) for _ in own] for own in tones]
-    if not made.encoder:
-        return [[_by_pictures(made, mask)] * len(own) for mask, own in zip(masks, tones, strict=True)]
+    if not made.encoder or quick:
+        unasked = "it is too large for a quick test" if made.encoder else _UNASKED
+        own_words = [_by_pictures(made, mask, unasked) for mask in masks]
+        found = [[loss] * len(own) for loss, own in zip(own_words, tones, strict=True)]
+        if not made.encoder or most * height * width > _QUICK_MOST:
+            return found
+        tones = [own if loss.why else [] for loss, own in zip(own_words, tones, strict=True)]
     is_new = ~np.isin(np.arange(len(made.luma)), list(repeats))
     is_new[0] = True
-    return _tested(made, masks, tones, (np.cumsum(is_new) - 1) / float(fps or made.rate), seed)
+    times = (np.cumsum(is_new) - 1) / float(fps or made.rate)
+    tested = _tested(made, masks, tones, times, seed, without_between)
+    return [own or known for own, known in zip(tested, found, strict=True)] if quick else tested
 
 
 def _tested(
-    made: Probe, masks: Sequence[np.ndarray], tones: Sequence[Sequence[Tone]], times: np.ndarray, seed: int
+    made: Probe,
+    masks: Sequence[np.ndarray],
+    tones: Sequence[Sequence[Tone]],
+    times: np.ndarray,
+    seed: int,
+    without_between: bool,
 ) -> list[list[Loss]]:
     """times [F] seconds, of frames that show one picture the same."""
     found: list[list[Loss]] = [[] for _ in tones]
@@ -117,8 +129,10 @@ def _tested(
                 [Tone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS)) for t, g in zip(ts, gs, strict=True)]
                 for ts, gs in zip(own, gains, strict=True)
             ]
-            results = _through(made, [masks[k] for k in group], scaled, times, seed + again)
+            results = through(made, [masks[k] for k in group], scaled, times, seed + again, without_between)
             gains = [np.array([g for g, _ in result]) for result in results]
+            if min(g.min() for g in gains) > _ALIKE:
+                break
         for k, result in zip(group, results, strict=True):
             found[k] = [_told(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
     return found
@@ -132,7 +146,7 @@ def _told(gain: float, deviation: float) -> Loss:
     return Loss(gain, deviation, why)
 
 
-def _by_pictures(made: Probe, mask: np.ndarray) -> Loss:
+def _by_pictures(made: Probe, mask: np.ndarray, unasked: str) -> Loss:
     """Where no encoder can be asked."""
     inside = mask > 0.5
     own = made.luma[:, inside].astype(np.float32)
@@ -142,10 +156,7 @@ def _by_pictures(made: Probe, mask: np.ndarray) -> Loss:
     memory = float((own[1:] * own[:-1]).mean() / max(float((own**2).mean()), 1e-9))
     if equal < FRESH_PIXELS and abs(memory) < FRESH_NOISE:
         return Loss(1.0, FRESH)
-    why = (
-        f"may be smaller than it was: {equal:.0%} of its pixels repeat the frame before, and the file names no encoder "
-        "that can be tested"
-    )
+    why = f"may be smaller than it was: {equal:.0%} of its pixels repeat the frame before, and {unasked}"
     return Loss(float("nan"), float("nan"), why)
 
 
@@ -159,13 +170,6 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
     return groups
 
 
-def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The regions with what is around them and in no other."""
-    wide = [maximum_filter(mask, 2 * _AROUND_PX + 1) for mask in masks]
-    every = np.max(masks, axis=0)
-    return [np.where(every > 0, mask, own).astype(np.float32) for mask, own in zip(masks, wide, strict=True)]
-
-
 def _stored(tone: Tone, turns: int) -> Tone:
     """The tone in the picture as it is stored, before `turns` quarter turns counterclockwise."""
     right, down = tone.phasor
@@ -174,99 +178,12 @@ def _stored(tone: Tone, turns: int) -> Tone:
     return Tone(tone.frequency_hz, np.array([right, down]))
 
 
-def _through(
-    made: Probe, masks: Sequence[np.ndarray], tones: Sequence[Sequence[Tone]], times: np.ndarray, seed: int
-) -> list[list[tuple[float, float]]]:
-    """Gain and its standard error of each region's tones, after one encoding."""
-    rng, is_new = np.random.default_rng(seed), np.diff(times, prepend=-1) > 0
-    mean, height = made.planes.mean(0, dtype=np.float32), made.luma.shape[1]
-    down, right = np.gradient(mean[:height])
-    noise = _noise(made, mean)
-    moves = [np.stack([_series(own, times, axis) for axis in (0, 1)], 1) for own in tones]
-    soft = [gaussian_filter(mask, _EDGE_PX) for mask in _grown(masks)]
+def reported_deviation(amplitude: float, deviation: float, loss: Loss | None) -> float:
+    """Of an amplitude that stands as it was measured: what compression took may be missing; same units as given.
 
-    def pictures() -> Iterator[np.ndarray]:
-        for k in range(len(times)):
-            if is_new[k]:
-                shown = mean + noise * rng.standard_normal(mean.shape, dtype=np.float32)
-                for u, mask in zip(moves, soft, strict=True):
-                    shown[:height] -= mask * (u[k, 0] * right + u[k, 1] * down)
-            yield np.clip(np.rint(shown), 0, 255).astype(np.uint8)
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "test.mkv"
-        _encode(path, made, pictures())
-        seen = _decoded(path)[is_new]
-    return [
-        [gain_of(u, own, j, times[is_new]) for j in range(len(own))]
-        for own, u in ((own, shifts_of(seen, mask)) for own, mask in zip(tones, masks, strict=True))
-    ]
-
-
-def _noise(made: Probe, mean: np.ndarray) -> np.ndarray:
-    """[3 H / 2, W]: standard deviation of the key frames about the mean, smoothed, brightness and colours apart."""
-    n, height = len(made.planes), made.luma.shape[1]
-    keys = made.planes[made.is_key] if made.is_key.any() else made.planes[:1]
-    variance = (np.mean([(key - mean) ** 2 for key in keys], axis=0) * n / max(n - 1, 1)).astype(np.float32)
-    parts = variance[:height], variance[height:]
-    return np.sqrt(np.concatenate([gaussian_filter(part, _NOISE_PX) for part in parts]))
-
-
-def _series(tones: Sequence[Tone], times: np.ndarray, axis: int) -> np.ndarray:
-    """[F] pixels."""
-    waves = [(t.phasor[axis] * np.exp(2j * np.pi * t.frequency_hz * times)).real for t in tones]
-    return np.sum(waves, axis=0)
-
-
-def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
-    av = av_module()
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(made.encoder, rate=made.rate)
-        stream.height, stream.width = made.luma.shape[1:]
-        stream.pix_fmt = "yuv420p"
-        options = rate_options(made)
-        stream.codec_context.options = options
-        stream.codec_context.thread_count = 1
-        if "b" in options:
-            stream.bit_rate = round(made.bits)
-        for k, planes in enumerate(pictures):
-            frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
-            frame.pts, frame.time_base = k, 1 / made.rate
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-
-
-def _decoded(path: Path) -> np.ndarray:
-    """[F, H, W] uint8 luma."""
-    with av_module().open(str(path)) as container:
-        return np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
-
-
-def shifts_of(seen: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """[F, 2] pixels right and down of a region about its mean picture, by least squares (Lucas & Kanade 1981)."""
-    inside = mask > 0.5
-    mean = seen.mean(0, dtype=np.float32)
-    down, right = np.gradient(mean)
-    slopes = np.stack([right[inside], down[inside]])
-    slopes -= slopes.mean(1, keepdims=True)
-    changes = seen[:, inside].astype(np.float32) - mean[inside]
-    changes -= changes.mean(1, keepdims=True)
-    return np.linalg.lstsq((slopes @ slopes.T).astype(np.float64), -(slopes @ changes.T), rcond=None)[0].T
-
-
-def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:
-    """Of tone j in the shifts u [F, 2]: along its direction, with all tones fitted, and the error that noise makes."""
-    main = tones[j].phasor
-    waves = [f(2 * np.pi * t.frequency_hz * times) for t in tones for f in (np.cos, np.sin)]
-    design = np.stack([np.ones(len(times)), *waves], 1)
-    answer, *_ = np.linalg.lstsq(design, u, rcond=None)
-    phasor = answer[1 + 2 * j] - 1j * answer[2 + 2 * j]
-    size = float((np.abs(main) ** 2).sum())
-    gain = float((phasor @ main.conj()).real) / size
-    left = u - design @ answer
-    direction = np.abs(main) / np.sqrt(size)
-    spectrum = np.fft.rfft(left * np.hanning(len(left))[:, None], axis=0)
-    hz = np.arange(len(spectrum)) / (len(times) * (times[1] - times[0]))
-    near = np.argsort(np.abs(hz - tones[j].frequency_hz))[:16]
-    power = (np.abs(spectrum[near]) ** 2).mean(0) / (np.hanning(len(left)) ** 2).sum()
-    return gain, float(np.sqrt(2 / len(times) * (power * direction**2).sum() / size))
+    A marked one keeps its own: the true amplitude is larger by an amount that is not known.
+    """
+    if loss is None or loss.why:
+        return deviation
+    missing = max(1 / loss.gain - 1, 0.0)
+    return float(np.hypot(deviation, amplitude * np.hypot(missing, loss.deviation / loss.gain**2)))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import Look, LookLine, Tone
 from tg4mm.capture.look.movers import movers_of
@@ -37,7 +38,8 @@ def look(video: Path | str, fps: float | None = None) -> Look:
     series = read_cells(video_pictures(path, fps), str(path))
     if fps is None:
         series = replace(series, times_s=exact_times(path, series.times_s))
-    return look_at(series)
+    found = look_at(series)
+    return replace(found, lines=with_losses(found, path, found.rate))
 
 
 def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
@@ -57,7 +59,7 @@ def look_at(series: CellSeries) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    lines = marked(lines, 1 / scene.dt, scene.duration)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns)
     return _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
 
 
@@ -152,4 +154,5 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         times_s=series.times_s,
         cell_px=grid.size,
         size=series.size,
+        without_between=scene.treats_apart,
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.capture.look.model import LookLine
+from tg4mm.capture.look.scene import PATTERNS
 from tg4mm.capture.look.search import images
 
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
@@ -15,9 +16,11 @@ _MULTIPLES = (2, 3, 4)
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 
 
-def marked(lines: list[LookLine], rate: float, duration_s: float) -> list[LookLine]:
-    """The same lines, each with why it may be none of its own."""
-    return [replace(line, mark=_mark(line, lines, rate, duration_s)) for line in lines]
+def marked(
+    lines: list[LookLine], rate: float, duration_s: float, patterns: tuple[int, ...] = PATTERNS
+) -> list[LookLine]:
+    """The same lines, each with why it may be none of its own; patterns: of the codec's kinds of pictures."""
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns)) for line in lines]
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,9 @@ class _Near:
         return bool(abs(hz - self.line.hz) < max(0.5 * self.resolution_hz, known))
 
 
-def _mark(line: LookLine, lines: list[LookLine], rate: float, duration_s: float) -> str:
+def _mark(
+    line: LookLine, lines: list[LookLine], rate: float, duration_s: float, patterns: tuple[int, ...]
+) -> str:
     if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
     near = _Near(line, 1 / duration_s)
@@ -40,7 +45,7 @@ def _mark(line: LookLine, lines: list[LookLine], rate: float, duration_s: float)
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
                     return f"{n} × {other.hz:.3f} Hz"
-            if any(near(image, other) for image in images(other.hz, rate)):
+            if any(near(image, other) for image in images(other.hz, rate, patterns)):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
     for other in lines:
         if other.statistic > _WEAK * line.statistic:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,9 @@ class LookLine:
     statistic: float  # power over noise where it is strongest, mean 2 where nothing vibrates
     readout_s: float | None  # from the first row to the last, where phases rise with the row
     mark: str  # why it may be no vibration of its own; empty: it is one
+    kept: float | None = None  # share of the amplitude that compression let through; None: not known
+    kept_deviation: float | None = None
+    lost: str = ""  # why the true amplitude is larger than said, by more than the ±; empty: no test says so
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,9 @@ class Found:
     moves_by_itself: np.ndarray  # [rows, columns] bool
     cell_px: int
     size: tuple[int, int]  # of the picture
+    without_between: bool = field(
+        default=False, kw_only=True
+    )  # amplitudes are mostly of pictures other than B
 
     @property
     def vibrations(self) -> tuple[LookLine, ...]:
@@ -76,8 +82,12 @@ class Found:
 
     def mask(self) -> np.ndarray:
         """[H, W] bool: the pixels of what moves by itself."""
+        return self.pixels(self.moves_by_itself)
+
+    def pixels(self, cells: np.ndarray) -> np.ndarray:
+        """[H, W] bool: the pixels of cells [rows, columns]."""
         width, height = self.size
-        fine = np.kron(self.moves_by_itself, np.ones((self.cell_px, self.cell_px), bool))
+        fine = np.kron(cells, np.ones((self.cell_px, self.cell_px), bool))
         out = np.zeros((height, width), bool)
         out[: fine.shape[0], : fine.shape[1]] = fine[:height, :width]
         return out

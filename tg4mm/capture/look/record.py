@@ -28,6 +28,7 @@ def to_record(found: Found) -> dict[str, Any]:
         "grid": list(found.moves_by_itself.shape),
         "cell_px": found.cell_px,
         "size": list(found.size),
+        "without_between": found.without_between,
     }
 
 
@@ -55,6 +56,7 @@ def from_record(values: Mapping[str, Any]) -> Found:
         moves_by_itself=grid(values["moves_by_itself"]),
         cell_px=values["cell_px"],
         size=tuple(values["size"]),
+        without_between=values.get("without_between", False),
     )
 
 

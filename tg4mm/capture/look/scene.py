@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from tg4mm.capture.look.cells import Grid
-from tg4mm.capture.look.reading import BETWEEN, CellSeries, whole_shift
+from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, whole_shift
 from tg4mm.capture.look.spectra import step, tone, tones_of
 
 QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
@@ -21,6 +21,9 @@ _LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells not
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
 _FEWEST_OTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
+PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
+_REGULAR = 0.7  # share of key frames that must be equally far apart
+_LONGEST_PATTERN = 1 / 8  # of the pictures: images of a line by a longer one are everywhere
 _MINOR_LIGHT = 0.3  # of the strongest light line: what is weaker is an image of it by the codec
 _EVERYWHERE = 0.4  # of the median amplitude that every quarter of the picture must show of a light line
 _AGREES = 1.5  # times the typical ratio of scatter to noise: cells that do not move
@@ -75,6 +78,16 @@ class Scene:
     def between(self) -> np.ndarray:
         """[F] bool: B pictures."""
         return np.asarray(self.series.kinds == BETWEEN)
+
+    @property
+    def patterns(self) -> tuple[int, ...]:
+        """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular."""
+        keys = np.diff(np.flatnonzero(self.series.kinds == INTRA))
+        if len(keys) < 2:
+            return PATTERNS
+        usual = int(np.bincount(keys).argmax())
+        is_pattern = (keys == usual).mean() >= _REGULAR and 1 < usual <= _LONGEST_PATTERN * len(self.times_s)
+        return (*PATTERNS, usual) if is_pattern and usual not in PATTERNS else PATTERNS
 
     @property
     def treats_apart(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from tg4mm.capture.look.peaks import LOWEST, Candidates, Peak, Shape, beam_floor, shape_of
 from tg4mm.capture.look.pools import Pool, pools_of
 from tg4mm.capture.look.ringing import Vibration, fitted
-from tg4mm.capture.look.scene import Scene
+from tg4mm.capture.look.scene import PATTERNS, Scene
 from tg4mm.capture.look.spectra import LOG2, explained, spectrum
 
 MOST = 24  # lines
@@ -140,7 +140,7 @@ class Search:
             line.statistic > _IMAGE_SURE * statistic
             and any(
                 abs(image - hz) < 1 / self.scene.duration
-                for image in images(line.vibration.hz, 1 / self.scene.dt)
+                for image in images(line.vibration.hz, 1 / self.scene.dt, self.scene.patterns)
             )
             for line in self.lines
         )
@@ -225,9 +225,9 @@ class Search:
         return line.shape.series(pool.residual + own, pool.seen)
 
 
-def images(hz: float, rate: float) -> list[float]:
-    """Frequencies at which every second, third or fourth picture of another quality shows a line at hz."""
-    folded = (j * rate / n + sign * hz for n in (2, 3, 4) for j in range(1, n) for sign in (1, -1))
+def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list[float]:
+    """Frequencies at which every n-th picture of another quality shows a line at hz, n of `patterns`."""
+    folded = (j * rate / n + sign * hz for n in patterns for j in range(1, n) for sign in (1, -1))
     return [abs((f + rate / 2) % rate - rate / 2) for f in folded]
 
 

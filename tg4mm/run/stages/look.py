@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.look import Found, Picture, look_at_pictures
+from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import FEWEST, INTRA
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.capture.scene import picture_kinds
+from tg4mm.capture.scene import picture_kinds, video_file
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.run import Run
@@ -25,7 +27,12 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
     if capture.kind.sees_depth or capture.n_timesteps < FEWEST:
         return None
     if (kept := look_of(run)) is None:
-        kept = look_at_pictures(_pictures(capture, images), str(capture.root))
+        seen = look_at_pictures(_pictures(capture, images), str(capture.root))
+        video = video_file(capture.root)
+        kept = seen
+        if video is not None:
+            told = with_losses(seen, video.path, seen.rate, video.from_s, video.repeats, quick=False)
+            kept = replace(seen, lines=told)
         run.record(_STAGE, to_record(kept))
     return kept
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from tg4mm.capture.codec import Loss, Tone, codec_losses
+from tg4mm.capture.codec import Tone, codec_losses
 from tg4mm.capture.scene import video_file
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
@@ -50,14 +50,3 @@ def _region(scene: Prepared, result: SensorResult) -> np.ndarray:
     if away.all():
         return ~away
     return np.asarray(distance_transform_edt(away) <= _NEAR_PX)
-
-
-def reported_deviation(amplitude: float, deviation: float, loss: Loss | None) -> float:
-    """Of an amplitude that stands as it was measured: what compression took may be missing; same units as given.
-
-    A marked one keeps its own: the true amplitude is larger by an amount that is not known.
-    """
-    if loss is None or loss.why:
-        return deviation
-    missing = max(1 / loss.gain - 1, 0.0)
-    return float(np.hypot(deviation, amplitude * np.hypot(missing, loss.deviation / loss.gain**2)))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss
+from tg4mm.capture.codec import Loss, reported_deviation
 from tg4mm.core.lines import FEWEST, Line
-from tg4mm.show.measure.codec import reported_deviation
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.codec import reported_deviation
 from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases
-from tg4mm.show.measure.codec import reported_deviation
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above

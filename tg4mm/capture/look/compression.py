@@ -1,0 +1,60 @@
+"""What a video's compression took from the vibrations that a look found: in their ±, or said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.codec import Loss, Tone, codec_losses, reported_deviation
+from tg4mm.capture.look.model import Found, LookLine
+
+_DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, weighted as least squares does
+
+
+def with_losses(
+    found: Found,
+    video: Path,
+    fps: float,
+    start_s: float = 0.0,
+    repeats: Sequence[int] = (),
+    quick: bool = True,
+) -> tuple[LookLine, ...]:
+    """The lines, those without a mark with what compression let through of them (`codec_losses` says how)."""
+    lines = found.vibrations
+    if not lines:
+        return found.lines
+    regions = list({line.region.tobytes(): line.region for line in lines}.values())
+    own = [[line for line in lines if (line.region == region).all()] for region in regions]
+    masks = [found.pixels(region) for region in regions]
+    tones = [[_tone(line) for line in some] for some in own]
+    told = codec_losses(
+        *(video, masks, tones, fps, start_s, repeats),
+        quick=quick,
+        without_between=found.without_between,
+    )
+    known = {
+        id(line): loss
+        for some, losses in zip(own, told, strict=True)
+        for line, loss in zip(some, losses, strict=True)
+    }
+    return tuple(_with_loss(line, known[id(line)]) if id(line) in known else line for line in found.lines)
+
+
+def _tone(line: LookLine) -> Tone:
+    size = line.amplitude_px * (_DECAYING if line.damping is not None else 1.0)
+    return Tone(line.hz, size * np.array(line.direction) * np.exp(1j * line.phase_rad))
+
+
+def _with_loss(line: LookLine, loss: Loss) -> LookLine:
+    deviation = reported_deviation(line.amplitude_px, line.amplitude_deviation_px, loss)
+    is_known = bool(np.isfinite(loss.gain))
+    return replace(
+        line,
+        amplitude_deviation_px=deviation,
+        kept=loss.gain if is_known else None,
+        kept_deviation=loss.deviation if is_known else None,
+        lost=loss.why,
+    )
