@@ -16,6 +16,7 @@ from tg4mm.cli.demo import demo
 from tg4mm.cli.evaluate import evaluate
 from tg4mm.cli.export import export
 from tg4mm.cli.generate import generate
+from tg4mm.cli.look import look
 from tg4mm.cli.magnify import BandsCommand
 from tg4mm.cli.measure import measure
 from tg4mm.cli.render import render
@@ -64,6 +65,7 @@ _PASS_ALL = {
 }
 app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
+app.command()(look)
 app.command()(train)
 app.command()(measure)
 app.command()(convert)
@@ -86,8 +88,9 @@ def tg4mm(
 ) -> None:
     """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
-    sfm makes a dataset from videos or photographs, generate renders one in Blender. train fits a model to a dataset
-    and writes it to a run folder. render, view, measure, report and export use a run folder.
+    look tells in seconds what vibrates in a video. sfm makes a dataset from videos or photographs, generate renders one
+    in Blender. train fits a model to a dataset and writes it to a run folder. render, view, measure, report and export
+    use a run folder.
 
     Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
     (1 + α) δ.

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from tg4mm.capture.look import Found
 from tg4mm.core.pages.charts import CEILING, MUTED, OURS
 
 _EDGE = 720  # pixels of the longer side, about
 _TINT = 0.45
+_LABEL = 0.12  # of the axis: the width of a label
+_LETTER = 1 / 26  # of the shorter side: the height of a letter
 _STRIPES = 6  # pixels apart
 COLOURS = ((217, 72, 15), (25, 113, 194), (47, 158, 68), (156, 54, 181), (230, 119, 0))
 
@@ -20,17 +22,26 @@ def composite(axes: Any, found: Found) -> None:
     """Mean over cells of power over noise, the floor that noise exceeds once in a hundred recordings, and the lines."""
     axes.semilogy(found.hz[1:], np.maximum(found.composite[1:], 0.3), color=OURS, lw=1.2)
     axes.axhline(found.composite_floor, color=CEILING, lw=1, ls=(0, (4, 3)))
-    for line in found.vibrations:
+    taken: list[float] = []
+    for n, line in enumerate(found.vibrations):
         k = int(np.argmin(np.abs(found.hz - line.hz)))
+        top = max(found.composite[max(k - 1, 0) : k + 2].max(), 1.0)
+        colour = tuple(c / 255 for c in COLOURS[n % len(COLOURS)])
+        axes.plot([line.hz], [top], "o", color=colour, ms=4)
+        higher = sum(abs(line.hz - other) < _LABEL * found.hz[-1] for other in taken)
+        taken.append(line.hz)
         axes.annotate(
             f"{line.hz:.4g} Hz",
-            (line.hz, max(found.composite[max(k - 1, 0) : k + 2].max(), 1.0)),
-            ha="center",
-            xytext=(0, 6),
+            (line.hz, top),
+            ha="right" if line.hz > (1 - _LABEL / 2) * found.hz[-1] else "center",
+            xytext=(0, 6 + 12 * higher),
             textcoords="offset points",
         )
     for tone in found.light:
         axes.axvline(tone.hz, color=MUTED, lw=0.8, ls=":")
+        axes.annotate(
+            "light", (tone.hz, 0.98), xycoords=("data", "axes fraction"), va="top", rotation=90, color=MUTED
+        )
     axes.set(xlabel="frequency, Hz", ylabel="power / noise, mean of all cells", xlim=(0, found.hz[-1]))
     axes.set_ylim(0.3, 3 * max(float(found.composite[1:].max(initial=1.0)), found.composite_floor))
 
@@ -49,15 +60,24 @@ def region_picture(found: Found, picture: np.ndarray) -> np.ndarray:
     rows, columns = np.indices(moving.shape)
     shown[: moving.shape[0], : moving.shape[1]][moving & ((rows + columns) // _STRIPES % 2 == 0)] = 20
     out = Image.fromarray(shown.astype(np.uint8))
-    draw = ImageDraw.Draw(out)
+    draw, font = ImageDraw.Draw(out), ImageFont.load_default(max(12, round(_LETTER * min(out.size))))
+    written: list[tuple[float, float]] = []
     for k, line in enumerate(found.vibrations):
         x, y = (c * scale for c in line.centre_px)
         u, v = (0.05 * min(out.size) * d for d in line.direction)
         draw.line([(x - u, y - v), (x + u, y + v)], fill=COLOURS[k % len(COLOURS)], width=max(2, scale))
-        draw.text(
-            (x + 6, y + 4), f"{line.hz:.4g} Hz", fill=(255, 255, 255), stroke_width=2, stroke_fill=(0, 0, 0)
-        )
+        text = f"{line.hz:.4g} Hz"
+        left, upper, right, lower = draw.textbbox((0, 0), text, font=font)
+        at = (min(x + 6, out.width - right - 4), min(y + 4, out.height - lower - 4))
+        while any(abs(at[0] - x0) < right + 4 and abs(at[1] - y0) < lower for x0, y0 in written):
+            at = (at[0], at[1] - lower - 2)
+        written.append(at)
+        draw.text(at, text, font=font, fill=(255, 255, 255), stroke_width=2, stroke_fill=(0, 0, 0))
     for mover in found.movers:
         left, upper, right, lower = (c * scale for c in mover.box)
-        draw.rectangle((left, upper, right - 1, lower - 1), outline=(255, 255, 255), width=max(1, scale // 2))
+        draw.rectangle(
+            (left, upper, min(right, out.width) - 1, min(lower, out.height) - 1),
+            outline=(255, 255, 255),
+            width=max(1, scale // 2),
+        )
     return np.asarray(out)

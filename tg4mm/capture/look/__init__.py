@@ -7,7 +7,8 @@ for line in look("pump.mp4").vibrations:
 
 from tg4mm.capture.look.look import look, look_at_pictures
 from tg4mm.capture.look.model import Found, Look, LookLine, Mover, Tone
-from tg4mm.capture.look.reading import Picture, video_pictures
+from tg4mm.capture.look.reading import Picture
+from tg4mm.capture.look.recording import video_pictures
 
 __all__ = [
     "Found",

@@ -15,7 +15,8 @@ from tg4mm.capture.look.model import Look, LookLine, Tone
 from tg4mm.capture.look.movers import movers_of
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
-from tg4mm.capture.look.reading import CellSeries, Picture, exact_times, read_cells, video_pictures
+from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
+from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
@@ -29,17 +30,17 @@ _LEAST_STILL = 0.15  # of the usable cells that a background needs
 
 
 def look(video: Path | str, fps: float | None = None) -> Look:
-    """What vibrates in a video of a fixed camera, what moves by itself, what its light does.
+    """What vibrates in a recording of a fixed camera, what moves by itself, what its light does.
 
-    fps: pictures a second, where the file's own times are not the recording's (slow motion). Raises CaptureError where
-    the video cannot be decoded or is too short.
+    video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
+    recording's (slow motion); a folder needs it. Raises CaptureError where it cannot be decoded or is too short.
     """
     path = Path(video)
-    series = read_cells(video_pictures(path, fps), str(path))
-    if fps is None:
-        series = replace(series, times_s=exact_times(path, series.times_s))
-    found = look_at(series)
-    return replace(found, lines=with_losses(found, path, found.rate))
+    series, repeats = read_recording(path, fps)
+    found = replace(look_at(series), repeats=repeats)
+    if path.is_dir():
+        return found
+    return replace(found, lines=with_losses(found, path, found.rate, repeats=repeats))
 
 
 def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
@@ -154,5 +155,7 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         times_s=series.times_s,
         cell_px=grid.size,
         size=series.size,
+        smallest=search.smallest(),
+        first=series.first,
         without_between=scene.treats_apart,
     )

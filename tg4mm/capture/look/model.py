@@ -58,6 +58,15 @@ class Tone:
 
 
 @dataclass(frozen=True)
+class Smallest:
+    """The amplitude from which a steady vibration of something that large is found; compression may take more."""
+
+    across_px: int
+    amplitude_px: float  # along the better known direction; median over places and frequencies
+    best_px: float  # the same of the tenth of the places that has most texture
+
+
+@dataclass(frozen=True)
 class Found:
     """What one pass over a recording of a fixed camera finds; `record.py` writes and reads it."""
 
@@ -103,6 +112,9 @@ class Look(Found):
     shift_deviation_px: np.ndarray  # [rows, columns, 2] of one picture
     whole_px: np.ndarray  # [F, 2]
     times_s: np.ndarray  # [F]
+    smallest: tuple[Smallest, ...]  # motion that would be found, by the size of what moves
+    first: np.ndarray  # [H, W] uint8: the first picture
+    repeats: tuple[int, ...] = field(default=(), kw_only=True)  # frames that repeat the one before, left out
 
     @property
     def rate(self) -> float:

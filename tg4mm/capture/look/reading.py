@@ -6,17 +6,13 @@ camera was knocked for good, each resting place has a mean of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
 from tg4mm.capture.look.cells import Grid, Template
-from tg4mm.capture.sfm.clip import frame_rate, regular_times
-from tg4mm.capture.sfm.video import grey_frames, video_info
 from tg4mm.core.errors import CaptureError
 
 FEWEST = 24  # pictures: fewer hold no spectrum
@@ -55,24 +51,15 @@ class CellSeries:
     place: np.ndarray  # [F] which resting place of the camera
     grid: Grid
     size: tuple[int, int]  # width and height, pixels
+    first: np.ndarray  # [H, W] uint8: the first picture
 
-
-def video_pictures(path: Path, fps: float | None = None) -> Iterator[Picture]:
-    """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
-
-    Raises CaptureError where it cannot be decoded.
-    """
-    for k, frame in enumerate(grey_frames(path)):
-        kind = INTRA if frame.is_alone else BETWEEN if frame.is_between else FORWARD
-        yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
-
-
-def exact_times(path: Path, times_s: np.ndarray) -> np.ndarray:
-    """Times [F] of a video's pictures, those of its regular clock where they differ from it by rounding only."""
-    info = video_info(path)
-    times = [Fraction(t).limit_denominator(10_000_000) for t in times_s.tolist()]
-    regular = regular_times(times, frame_rate(path, times, info.rates, info.tick), info.tick)
-    return np.array([float(t) for t in regular])
+    def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> CellSeries:
+        """Those pictures alone, with these times."""
+        return replace(
+            self,
+            times_s=times_s,
+            **{name: getattr(self, name)[which] for name in ("kinds", "shift", "gain", "misfit", "place")},
+        )
 
 
 def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> CellSeries:
@@ -82,12 +69,14 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
     kinds: list[int] = []
     waiting: list[np.ndarray] = []
     shape: tuple[int, ...] | None = None
+    first: np.ndarray | None = None
     for picture in pictures:
         if shape is not None and picture.grey.shape != shape:
             raise CaptureError(
                 f"{where}: picture {len(times)} has {_size(picture.grey.shape)} pixels, the first {_size(shape)}"
             )
         shape = picture.grey.shape
+        first = np.array(picture.grey).astype(np.uint8) if first is None else first
         times.append(picture.time_s)
         kinds.append(picture.kind)
         waiting.append(picture.grey.copy())
@@ -96,7 +85,7 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
         ):
             reader.add(np.stack(waiting))
             waiting = []
-    if len(times) < FEWEST or shape is None:
+    if len(times) < FEWEST or shape is None or first is None:
         raise CaptureError(
             f"{where}: holds {len(times)} pictures; at least {FEWEST} are needed to look for vibrations"
         )
@@ -117,6 +106,7 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
             reader.grid,
             (shape[1], shape[0]),
         ),
+        first,
     )
 
 

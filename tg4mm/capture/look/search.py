@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
-from tg4mm.capture.look.peaks import LOWEST, Candidates, Peak, Shape, beam_floor, shape_of
+from tg4mm.capture.look.model import Smallest
+from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, beam_floor, shape_of
 from tg4mm.capture.look.pools import Pool, pools_of
 from tg4mm.capture.look.ringing import Vibration, fitted
 from tg4mm.capture.look.scene import PATTERNS, Scene
@@ -63,6 +65,18 @@ class Search:
 
     def bin_of(self, hz: float) -> int:
         return int(np.argmin(np.abs(self.hz - hz)))
+
+    def smallest(self) -> tuple[Smallest, ...]:
+        """What a steady line must have to pass the test, of each size of place."""
+        out = []
+        for pool in self.pools:
+            cut = 2 * stats.f.isf(CHANCE / max(self._tests, 1), 4, pool.freedom[self.allowed])
+            needed = np.sqrt(cut[:, None] * pool.floor[self.allowed][:, ::2])
+            if needed.size:
+                of_place = np.median(needed, 0)
+                across = pool.size * self.scene.grid.size
+                out.append(Smallest(across, float(np.median(of_place)), float(np.percentile(of_place, 10))))
+        return tuple(out)
 
     def columns(self, line: Vibration) -> np.ndarray:
         """[F, 2 or 4]: a line's; B pictures with a size of their own where they lose detail, as it makes images."""

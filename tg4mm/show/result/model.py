@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tg4mm.capture import Capture
 from tg4mm.core.choices import Kind
+from tg4mm.core.digits import value_with_deviation
 
 Band = tuple[float, float]  # low and high, Hz, both ends inside
 
@@ -184,16 +184,8 @@ def _row(name: str, text: str) -> str:
 
 
 def with_deviation(length: Length) -> str:
-    """`0.223 ± 0.008`: as many digits as the standard deviation has two of; four where there is none."""
-    value, deviation = length.value, length.deviation
-    if deviation is None or not math.isfinite(deviation) or deviation <= 0:
-        return f"{value:.4g}"
-    exponent = math.floor(math.log10(max(abs(value), deviation)))
-    power = exponent if exponent < -4 or exponent > 5 else 0
-    value, deviation = value / 10.0**power, deviation / 10.0**power
-    digits = max(0, 1 - math.floor(math.log10(deviation)))
-    text = f"{value:.{digits}f} ± {deviation:.{digits}f}"
-    return text if power == 0 else f"({text})e{power}"
+    """`0.223 ± 0.008`, as `tg4mm.core.digits`."""
+    return value_with_deviation(length.value, length.deviation)
 
 
 def unit_of(unit_scale_m: float | None) -> tuple[str, float]:

@@ -1,0 +1,106 @@
+"""A recording as a look takes it: the frames of a video, or a folder of numbered pictures; repeated frames left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
+from tg4mm.capture.sfm.clip import NAMES, VIDEO_SUFFIXES, frame_rate, is_regular, regular_times
+from tg4mm.capture.sfm.repeats import find_repeats
+from tg4mm.capture.sfm.video import grey_frames, video_info
+from tg4mm.capture.transforms import natural
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import decode
+from tg4mm.core.progress import Update, progress
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+_WATCHED = 30_000  # pixels, about, by which frames are compared with the one before
+_SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
+
+
+def read_recording(path: Path, fps: float | None = None) -> tuple[CellSeries, tuple[int, ...]]:
+    """Cells' series of a video or of a folder of pictures, and the frames that repeat the one before them.
+
+    fps: pictures a second; None: the video's own. Repeats are left out, and the others have their true times. Raises
+    CaptureError where there is nothing to decode, or no rate is known.
+    """
+    if not path.exists():
+        raise CaptureError(f"{path}: does not exist")
+    if path.is_dir():
+        return _folder(path, fps), ()
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
+    info, watched = video_info(path), _Watched()
+    with progress("regions", max(info.total, 1), "pictures", brief=True) as update:
+        series = read_cells(watched.passing(video_pictures(path, fps), update), str(path))
+    times = [Fraction(t).limit_denominator(10_000_000) for t in series.times_s.tolist()]
+    rate = Fraction(fps).limit_denominator(1001) if fps else frame_rate(path, times, info.rates, info.tick)
+    if fps or is_regular(times, rate, info.tick):
+        changes, small = np.array(watched.changes), np.stack(watched.small)
+        repeats = find_repeats(changes, small, series.kinds == BETWEEN, series.kinds == INTRA)
+        if repeats is not None:
+            new_times = np.array([float(t) for t in repeats.times(rate)])
+            return series.of_pictures(repeats.is_new, new_times), repeats.rows
+    if fps:
+        return series, ()
+    exact = np.array([float(t) for t in regular_times(times, rate, info.tick)])
+    return series.of_pictures(np.ones(len(exact), bool), exact), ()
+
+
+def video_pictures(path: Path, fps: float | None = None) -> Iterator[Picture]:
+    """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
+
+    Raises CaptureError where it cannot be decoded.
+    """
+    for k, frame in enumerate(grey_frames(path)):
+        kind = INTRA if frame.is_alone else BETWEEN if frame.is_between else FORWARD
+        yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
+
+
+@dataclass
+class _Watched:
+    """What tells repeats, of pictures that pass."""
+
+    changes: list[float] = field(default_factory=list)
+    small: list[np.ndarray] = field(default_factory=list)
+
+    def passing(self, pictures: Iterator[Picture], update: Update) -> Iterator[Picture]:
+        before: np.ndarray | None = None
+        for k, picture in enumerate(pictures, 1):
+            step = max(1, round((picture.grey.size / _WATCHED) ** 0.5))
+            now = picture.grey[::step, ::step].astype(np.int16)
+            self.changes.append(0.0 if before is None else float(np.abs(now - before).mean()))
+            self.small.append(now[::_SMALL, ::_SMALL].ravel().astype(float))
+            before = now
+            yield picture
+            update(k)
+
+
+def _folder(path: Path, fps: float | None) -> CellSeries:
+    files = sorted(
+        (f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES), key=lambda f: natural(f.name)
+    )
+    if not files:
+        raise CaptureError(f"{path}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
+    if fps is None:
+        raise CaptureError(f"{path}: a folder of pictures has no times; give --fps, pictures a second")
+
+    def pictures() -> Iterator[Picture]:
+        with progress("regions", len(files), "pictures", brief=True) as update:
+            for k, file in enumerate(files):
+                yield Picture(_grey(decode(file)), k / fps)
+                update(k + 1)
+
+    return read_cells(pictures(), str(path))
+
+
+def _grey(rgba: np.ndarray) -> np.ndarray:
+    """[H, W] float32, 0 to 255."""
+    scale = 255 / np.iinfo(rgba.dtype).max
+    return np.asarray((rgba[..., :3].astype(np.float32) @ _LUMA) * np.float32(scale))

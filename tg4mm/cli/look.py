@@ -1,0 +1,62 @@
+"""`tg4mm look`: what vibrates in a video, in seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tg4mm.core.errors import Tg4mmError
+
+
+def look(
+    video: Annotated[
+        Path,
+        typer.Argument(
+            metavar="VIDEO",
+            help="A video of a camera that stands still, or a folder of numbered PNG or JPEG pictures.",
+        ),
+    ],
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Pictures a second at which it was filmed, where the file says another rate (slow motion) or none "
+            "(a folder). [default: the file's own times]"
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for look.html, look.json and look.png.")] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(
+            help="The picture. [default: OUT/look.png, without --out NAME-look.png in the current folder]"
+        ),
+    ] = None,
+) -> None:
+    """Tell what vibrates in a video of a fixed camera, before any model is fitted: seconds.
+
+    The picture is cut into cells, the shift of every cell is measured in every picture (pixels), and lines (Hz) are
+    tested region by region, the strongest first. Printed are frequencies and amplitudes with their standard deviations
+    and where they are, what moves by itself, what the light does, how small a motion would be found, what the record
+    cannot tell, and the next command. A picture shows the regions on the first frame and the composite spectrum.
+    """
+    if fps is not None and not 0 < fps < 1e6:
+        raise Tg4mmError(f"--fps is {fps:g}; expected pictures a second, more than 0")
+    if png is not None and png.suffix.lower() != ".png":
+        raise Tg4mmError(f"--png {png}: expected a name that ends in .png")
+    from tg4mm.capture.look import look as looked
+    from tg4mm.show.look import Words, write_json_file, write_page, write_picture
+
+    if out is not None and out.exists() and not out.is_dir():
+        raise Tg4mmError(f"--out {out}: is a file; expected a folder")
+    words = Words(looked(video, fps), video, fps)
+    target = png or (Path(f"{video.resolve().stem}-look.png") if out is None else out / "look.png")
+    for folder in (out, target.parent):
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+    write_picture(words, target)
+    if out is not None:
+        write_json_file(words, out / "look.json")
+        write_page(words, out / "look.html")
+    shown = target if out is None else out / "look.html"
+    typer.echo("\n".join([*words.lines(), str(shown)]))

@@ -1,0 +1,210 @@
+"""What a look at a recording found, in words: the table on the terminal and its parts for the page and the JSON."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.look import Look, LookLine, Mover
+from tg4mm.capture.look.peaks import LOWEST
+from tg4mm.capture.look.record import to_record
+from tg4mm.core.digits import value_with_deviation
+from tg4mm.core.files import write_json
+
+HEADER = ("frequency, Hz", "amplitude, px", "direction", "around pixel", "change", "remark")
+_MOST_MOVERS = 5  # said one by one
+_MOVES_PX = 1.0  # of the whole picture: where the shift of a cell is no longer exact
+_LEAST_READOUT_S = 0.004  # cameras that read rows one after another take 8 to 25 ms
+_TEXTURE = 0.25  # of the cells that must have texture
+_CHANGES = {
+    "steady": "steady",
+    "grows": "grows",
+    "decays": "rings down",
+    "begins": "begins at {start:.2f} s",
+    "untold": "too faint to tell",
+}
+
+
+@dataclass(frozen=True)
+class Words:
+    """The parts of what is said of one recording."""
+
+    found: Look
+    source: Path
+    fps: float | None = None  # as asked for
+
+    @property
+    def head(self) -> str:
+        """Of the recording."""
+        f = self.found
+        return (
+            f"{self.source}: {len(f.times_s)} pictures of {f.size[0]}×{f.size[1]} at {f.rate:.4g} Hz, "
+            f"{f.duration_s:.3g} s; cells of {f.cell_px} px"
+        )
+
+    @property
+    def verdict(self) -> str:
+        """The strongest vibration, or that there is none."""
+        lines = self.found.vibrations
+        if not lines:
+            return "no vibration stands out of the noise"
+        first = lines[0]
+        many = f"{len(lines)} vibrations; the strongest" if len(lines) > 1 else "one vibration"
+        amplitude = value_with_deviation(first.amplitude_px, first.amplitude_deviation_px)
+        return (
+            f"{many}: {value_with_deviation(first.hz, first.hz_deviation)} Hz, {amplitude} px at {_at(first)}"
+        )
+
+    def rows(self) -> list[list[str]]:
+        """Of the table, under HEADER."""
+        return [_row(line) for line in self.found.lines]
+
+    def besides(self) -> list[tuple[str, str]]:
+        """(what, words): everything but the lines and the next command."""
+        f = self.found
+        out = [("moves by itself", _mover(m)) for m in f.movers[:_MOST_MOVERS]]
+        if more := len(f.movers) - _MOST_MOVERS:
+            out += [("", f"{more} more places")] if more > 0 else []
+        out += [
+            (
+                "light",
+                f"flickers at {value_with_deviation(t.hz, t.hz_deviation)} Hz, by {t.amplitude:.2g} of it",
+            )
+            for t in f.light
+        ]
+        out += [
+            (
+                "whole picture",
+                f"moves at {value_with_deviation(t.hz, t.hz_deviation)} Hz by {t.amplitude:.2g} px",
+            )
+            for t in f.whole
+        ]
+        out += [("smallest motion", text) for text in self._smallest()]
+        return out + [("cannot tell", text) for text in self.cannot()]
+
+    def _smallest(self) -> list[str]:
+        parts = [
+            f"{s.amplitude_px:.2g} px ({s.best_px:.2g} where texture is best) of something {s.across_px} px across"
+            for s in self.found.smallest[::2]
+        ]
+        return [f"a steady vibration is found from about {', '.join(parts)}"] if parts else []
+
+    def cannot(self) -> list[str]:
+        """What this recording does not tell."""
+        f = self.found
+        half = f.rate / 2
+        out = [
+            f"what is faster than {half:.4g} Hz from what is slower: it shows at an alias, |k × {f.rate:.4g} Hz ± its "
+            "frequency|",
+            f"frequencies under {LOWEST / f.duration_s:.2g} Hz, and two that are nearer than "
+            f"{1 / f.duration_s:.2g} Hz: the record covers {f.duration_s:.3g} s",
+        ]
+        if f.repeats:
+            out.append(
+                f"anything by {len(f.repeats)} pictures that repeat the one before them: they are left out, and the "
+                "others have the times that this tells"
+            )
+        if f.light:
+            out.append("vibrations at the frequencies of the light")
+        reach = float(np.ptp(f.whole_px, axis=0).max()) if len(f.whole_px) else 0.0
+        if reach > _MOVES_PX:
+            out.append(
+                f"amplitudes exactly: the camera itself moved by {reach:.1f} px; put it on a tripod, or use "
+                "tg4mm sfm --kind handheld"
+            )
+        if (share := float(f.usable.mean())) < _TEXTURE:
+            out.append(f"what moves where there is no texture: {share:.0%} of the picture can be used")
+        readouts = [line.readout_s for line in f.vibrations if abs(line.readout_s or 0.0) >= _LEAST_READOUT_S]
+        if readouts:
+            out.append(
+                f"phases at different heights: they rise with the row as if a picture were read over "
+                f"{1e3 * float(readouts[0] or 0):.1f} ms"
+            )
+        return out
+
+    def commands(self) -> list[tuple[str, str]]:
+        """(command, what it does) to go on with."""
+        name = shlex.quote(self.source.stem)
+        rate = f" --fps {self.fps:g}" if self.fps is not None else ""
+        if not self.found.vibrations:
+            return [
+                (
+                    f"tg4mm look LONGER{self.source.suffix}",
+                    "film longer, closer or with more light, and look again",
+                )
+            ]
+        return [
+            (
+                f"tg4mm sfm {shlex.quote(str(self.source))} --kind flat{rate} --out data/{name}",
+                "a dataset of it",
+            ),
+            (f"tg4mm train data/{name} --out runs/{name}", "its motion, to be magnified and measured"),
+        ]
+
+    def lines(self) -> list[str]:
+        """All of it as lines of text."""
+        out = [self.head]
+        if rows := self.rows():
+            widths = [max(len(cell) for cell in column) for column in zip(HEADER, *rows, strict=True)]
+            for row in [list(HEADER), *rows]:
+                out.append("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+        if not self.found.vibrations:
+            out.append(f"  {self.verdict}")
+        last = ""
+        for what, text in self.besides():
+            out.append(f"  {'' if what == last else what:<17}{text}")
+            last = what
+        return [*out, f"  {'next':<17}{' && '.join(command for command, _ in self.commands())}"]
+
+
+def _row(line: LookLine) -> list[str]:
+    right, down = line.direction
+    if (abs(down) > abs(right) and down > 0) or (abs(right) >= abs(down) and right < 0):
+        right, down = -right, -down
+    change = _CHANGES.get(line.change, line.change).format(start=line.start_s or 0.0)
+    if line.damping is not None:
+        percent = None if line.damping_deviation is None else 100 * line.damping_deviation
+        change += f", damping {value_with_deviation(100 * line.damping, percent)} %"
+    amplitude = value_with_deviation(line.amplitude_px, line.amplitude_deviation_px)
+    return [
+        value_with_deviation(line.hz, line.hz_deviation),
+        f"> {amplitude}" if line.lost else amplitude,
+        f"{right:+.2f} right {-down:+.2f} up".replace("-", "−"),
+        _at(line),
+        change,
+        line.mark or line.lost,
+    ]
+
+
+def _at(line: LookLine) -> str:
+    return f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})"
+
+
+def _mover(mover: Mover) -> str:
+    left, upper, right, lower = mover.box
+    where = f"({left}, {upper}) to ({right}, {lower})"
+    if mover.kind == "passes":
+        return f"{where}: something passes, {mover.from_s:.1f} to {mover.until_s:.1f} s; masked meanwhile"
+    rate = "" if mover.hz is None else f", periodically at {mover.hz:.4g} Hz or an alias of it"
+    return f"{where}{rate}; masked"
+
+
+def write_json_file(words: Words, path: Path) -> None:
+    """Everything that was found: pixels, Hz, seconds; cells by number, row by row (docs/your-video.md)."""
+    found = words.found
+    extra: dict[str, Any] = {
+        "format": "tg4mm",
+        "kind": "look",
+        "source": str(words.source),
+        "pictures": len(found.times_s),
+        "fps": found.rate,
+        "duration_s": found.duration_s,
+        "repeats": list(found.repeats),
+        "smallest": [asdict(s) for s in found.smallest],
+        "cannot_tell": words.cannot(),
+    }
+    write_json(path, extra | to_record(found))
