@@ -25,6 +25,8 @@ from tg4mm.show.look.figure import regions_on_first
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.regions import composite
 
+_STYLE = ".left2 td:last-child { white-space: normal; }"
+
 
 def write_page(words: Words, path: Path) -> None:
     """What was found, where, and what to do next."""
@@ -62,11 +64,11 @@ def write_page(words: Words, path: Path) -> None:
         sections=[
             Section("Vibrations", [*lines, spectrum]),
             Section("Beside them", [besides]),
-            Section("Go on", [Commands(words.commands())]),
+            Section("Go on", [Commands([(what, command) for command, what in words.commands()])]),
         ],
         footer=f"tg4mm {__version__}; {words.head}",
     )
-    write_atomic(path, lambda unfinished: unfinished.write_text(render_page(page), encoding="utf-8"))
+    write_atomic(path, lambda unfinished: unfinished.write_text(render_page(page, _STYLE), encoding="utf-8"))
 
 
 def _stats(words: Words) -> list[Stat]:

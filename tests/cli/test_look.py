@@ -1,0 +1,126 @@
+"""`tg4mm look`: what a video shows, in words, a picture, a page and JSON; what is no recording is said in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from tg4mm.capture.look.record import from_record
+from tg4mm.cli import main
+
+WIDTH, HEIGHT, FPS, FRAMES, HZ = 128, 96, 30, 120, 5.2
+PLATE = (32, 32, 96, 80)
+
+
+def film(size_px: float) -> Film:
+    """A plate that moves to the right and down before a wall that is still."""
+    rng = np.random.default_rng(3)
+    shape = np.broadcast_to([0.8 * size_px, 0.6 * size_px], (HEIGHT, WIDTH, 2))
+    mode = Mode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
+    wall, plate = (texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2))
+    return Film([Layer(wall, None, [], 0.6), Layer(plate, PLATE, [mode], 0.6)], FPS, FRAMES, 3.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("look") / "my pump.mp4"
+    write_video(path, film(0.2).pictures(), FPS, Coding("libx264", 1_500_000))
+    return path
+
+
+def test_a_video_is_told_in_words_and_drawn(
+    video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["look", str(video)]) == 0
+    said = capsys.readouterr().out
+    assert "120 pictures of 128×96 at 30 Hz, 4 s" in said
+    first = next(line for line in said.splitlines() if "right" in line)
+    assert float(first.split()[0]) == pytest.approx(HZ, abs=0.02)
+    right, up = (float(number.replace("−", "-")) for number in re.findall(r"(\S+) (?:right|up)", first))
+    assert (right, up) == pytest.approx((0.8, -0.6), abs=0.1)
+    assert "|k × 30 Hz ± its frequency|" in said
+    assert f"tg4mm sfm '{video}' --kind flat --out data/'my pump' && tg4mm train" in said
+    assert Image.open(tmp_path / "my pump-look.png").size[0] > 1000
+    assert [path.name for path in tmp_path.iterdir()] == ["my pump-look.png"]
+
+
+def test_a_page_and_json_go_to_a_folder(video: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+    assert main(["look", str(video), "--out", str(out), "--fps", "240"]) == 0
+    assert {path.name for path in out.iterdir()} == {"look.html", "look.json", "look.png"}
+    values = json.loads((out / "look.json").read_text())
+    (line,) = from_record(values).vibrations
+    assert line.hz == pytest.approx(8 * HZ, abs=0.2)
+    assert abs(line.amplitude_px - 0.2) < 3 * line.amplitude_deviation_px
+    assert line.kept is not None
+    assert values["fps"] == pytest.approx(240)
+    assert 0 < values["smallest"][0]["best_px"] <= values["smallest"][0]["amplitude_px"] < 0.2
+    page = (out / "look.html").read_text()
+    assert "one vibration" in page.lower()
+    assert "--fps 240" in page
+
+
+def test_a_folder_of_numbered_pictures_needs_its_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k, grey in enumerate(film(0.2).pictures()):
+        Image.fromarray(np.asarray(grey)).convert("L").save(folder / f"{k}.png")
+    assert main(["look", str(folder)]) == 2
+    assert "frames: a folder of pictures has no times; give --fps" in capsys.readouterr().err
+    assert main(["look", str(folder), "--fps", str(FPS)]) == 0
+    assert "rings down" not in (said := capsys.readouterr().out)
+    first = next(line for line in said.splitlines() if "right" in line)
+    assert float(first.split()[0]) == pytest.approx(HZ, abs=0.02)
+
+
+def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "still.mp4", film(0.0).pictures(), FPS, Coding("libx264", 1_500_000))
+    assert main(["look", "still.mp4"]) == 0
+    said = capsys.readouterr().out
+    assert "no vibration stands out of the noise" in said
+    assert "a steady vibration is found from about 0.0" in said
+    assert "film longer" not in said.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["gone.mp4"], "gone.mp4: does not exist"),
+        (["notes.txt"], "notes.txt: is neither a folder of pictures nor a video"),
+        (["noise.mp4"], "noise.mp4: is not a video that can be decoded"),
+        (["empty"], "empty: holds no pictures"),
+        (["noise.mp4", "--fps", "0"], "--fps is 0; expected pictures a second, more than 0"),
+        (["noise.mp4", "--png", "a.jpg"], "--png a.jpg: expected a name that ends in .png"),
+        (["noise.mp4", "--out", "notes.txt"], "--out notes.txt: is a file; expected a folder"),
+    ],
+)
+def test_what_is_no_recording_is_one_line(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("hello")
+    (tmp_path / "noise.mp4").write_bytes(bytes(500))
+    (tmp_path / "empty").mkdir()
+    before = sorted(tmp_path.iterdir())
+    assert main(["look", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
