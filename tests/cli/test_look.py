@@ -78,7 +78,8 @@ def test_a_folder_of_numbered_pictures_needs_its_rate(
     assert main(["look", str(folder)]) == 2
     assert "frames: a folder of pictures has no times; give --fps" in capsys.readouterr().err
     assert main(["look", str(folder), "--fps", str(FPS)]) == 0
-    assert "rings down" not in (said := capsys.readouterr().out)
+    said = capsys.readouterr().out
+    assert "rings down" not in said
     first = next(line for line in said.splitlines() if "right" in line)
     assert float(first.split()[0]) == pytest.approx(HZ, abs=0.02)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,6 +32,14 @@ def test_a_marked_line_is_no_vibration_and_the_notes_say_why() -> None:
     notes = looked_notes(marked)
     assert any("5.2 Hz (0.12 px at (40, 24)): 2 × 2.600 Hz" in note for note in notes)
     assert not any("5.2 Hz" in note for note in looked_notes(found()))
+
+
+def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger() -> None:
+    seen = found()
+    lost = replace(seen, lines=(replace(seen.lines[0], lost="smaller than the codec lets through"),))
+    said = "how much more than 0.12 px things move at 5.2 Hz at (40, 24): smaller than the codec lets through"
+    assert said in looked_notes(lost)
+    assert said not in looked_notes(seen)
 
 
 def test_what_moves_by_itself_and_the_light_are_said() -> None:

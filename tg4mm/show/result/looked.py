@@ -58,6 +58,11 @@ def looked_notes(found: Found) -> list[str]:
         for line in found.lines
         if line.mark
     ]
+    out += [
+        f"how much more than {line.amplitude_px:.2g} px things move at {line.hz:.4g} Hz at {_at(line)}: {line.lost}"
+        for line in found.vibrations
+        if line.lost
+    ]
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
