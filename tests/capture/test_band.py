@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tg4mm.core.band import check_band
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.magnification import check_band
 
 
 @given(st.floats(0, 1e6), st.floats(0, 1e6), st.floats(1e-3, 1e6))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tg4mm.capture.geometry import nearest_point_equations, optical_axes
+from tg4mm.capture.cameras import nearest_point_equations, optical_axes
 
 
 def test_axes_of_a_moved_and_turned_camera():

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm.capture.part_of import whole_dataset
 from tg4mm.capture.sfm.sources import find_sources
+from tg4mm.capture.transforms import whole_dataset
 from tg4mm.core.errors import CaptureError
 from tg4mm.run.train import _capture
 

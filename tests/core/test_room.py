@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.core.room import release, room
+from tg4mm.core.memory import mapped_zeros, release
 
 HOLD = """
 import numpy as np
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
-from tg4mm.core.room import release, room
-array = room((50, 2 << 20), np.float32, in_memory={limit})  # 400 MiB
+from tg4mm.core.memory import release, mapped_zeros
+array = mapped_zeros((50, 2 << 20), np.float32, in_memory={limit})  # 400 MiB
 before = peak_memory_mib()
 for k, row in enumerate(array):
     row[:] = k
@@ -45,7 +45,7 @@ def test_a_file_holds_what_memory_lets_go_of() -> None:
 
 @pytest.mark.parametrize("in_memory", [0, 1 << 20])
 def test_contents_stay_as_they_were_written(in_memory: int, tmp_path: Path) -> None:
-    array = room((3, 5), np.uint16, tmp_path, in_memory)
+    array = mapped_zeros((3, 5), np.uint16, tmp_path, in_memory)
     assert not array.any()
     array[1] = 7
     release(array[1])

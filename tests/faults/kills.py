@@ -25,7 +25,7 @@ import tg4mm.research.paper.motion
 import tg4mm.research.paper.space
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.run.train import train
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds

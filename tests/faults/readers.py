@@ -262,7 +262,7 @@ def _run(name: str) -> Callable[[Path], Path]:
 def _read_run(root: Path) -> None:
     """All that render, export and report read."""
     from tg4mm.run import Run
-    from tg4mm.run.model_hash import model_hash
+    from tg4mm.run.tensor_file import model_hash
     from tg4mm.show.report.closing import _stage
     from tg4mm.show.report.summary import total_seconds
 
@@ -439,7 +439,7 @@ def _read_length(root: Path) -> None:
 
 def _read_survey(root: Path) -> None:
     from tg4mm.capture.sfm.clip import WHOLE, Clip
-    from tg4mm.capture.sfm.spoilt import is_fixed, stretches_of
+    from tg4mm.capture.sfm.defects import is_fixed, stretches_of
     from tg4mm.capture.sfm.survey import survey_clip
 
     found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
@@ -449,14 +449,14 @@ def _read_survey(root: Path) -> None:
 
 
 def _request(root: Path) -> Path:
-    from tg4mm.capture.sfm.request import open_request
+    from tg4mm.capture.sfm.config import open_request
     from tg4mm.capture.sfm.sources import Sources
 
     return open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).folder / "request.json"
 
 
 def _read_request(root: Path) -> None:
-    from tg4mm.capture.sfm.request import open_request
+    from tg4mm.capture.sfm.config import open_request
     from tg4mm.capture.sfm.sources import Sources
 
     open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).finished()

@@ -25,9 +25,9 @@ from tests.faults.readers import READERS
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_json
-from tg4mm.core.room import room
+from tg4mm.core.memory import mapped_zeros
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.render.video import write_mp4
 
 TMPFS = ("-t", "tmpfs", "-o")
@@ -118,10 +118,10 @@ def test_temporary_arrays_are_refused_before_they_are_written(disk: Callable[[in
     """A mapped file that finds no room on its disk ends the process by a signal."""
     folder = disk(256)
     with pytest.raises(OSError, match=r"No space left[^\n]*temporary arrays") as refused:
-        room((1 << 20,), folder=folder, in_memory=0)
+        mapped_zeros((1 << 20,), folder=folder, in_memory=0)
     assert str(folder) in str(refused.value)
     assert os.listdir(folder) == []
-    assert room((1 << 14,), folder=folder, in_memory=0).sum() == 0
+    assert mapped_zeros((1 << 14,), folder=folder, in_memory=0).sum() == 0
 
 
 def test_the_generator_leaves_no_temporary_file(disk: Callable[[int], Path]) -> None:

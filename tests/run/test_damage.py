@@ -18,8 +18,7 @@ from safetensors.torch import save_file
 from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.core.errors import RunError
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
-from tg4mm.run.tensor_file import read_tensors, write_tensors
+from tg4mm.run.tensor_file import model_hash, read_tensors, write_tensors
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, safe_open
 from tests.helpers.runs import SETTINGS, gaussians, modal
 from tg4mm.core.errors import RunError
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 
 
 def written(folder: Path, settings: dict = SETTINGS, scale: float = 1.0, fps: float = 30.0) -> Path:

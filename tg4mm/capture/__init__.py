@@ -3,6 +3,6 @@
 from tg4mm.capture.images import ImageStack, load_images
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.readers import load_capture
-from tg4mm.core.band import check_band
+from tg4mm.core.magnification import check_band
 
 __all__ = ["Capture", "ImageStack", "SurfacePoints", "check_band", "load_capture", "load_images"]

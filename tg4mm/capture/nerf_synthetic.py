@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tg4mm.capture.model import Capture
-from tg4mm.capture.part_of import whole_dataset
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import SPLITS, assemble, read_views, timed
+from tg4mm.capture.transforms import SPLITS, assemble, read_views, timed, whole_dataset
 from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a NeRF-synthetic folder (transforms_train.json)"

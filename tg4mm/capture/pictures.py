@@ -1,7 +1,7 @@
 """A capture's pictures, in memory or on disk, as the motion stage reads them: a camera's distinct ones, by strips.
 
 From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes, of which more than
-256 MiB lie in a temporary file (`room.py`).
+256 MiB lie in a temporary file (`mapped_zeros`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 
 from tg4mm.capture import Capture, ImageStack, load_images
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.pictures.decode import THREADS, decode, image_header
-from tg4mm.core.room import release, room
 
 # Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
 IN_MEMORY = 2 << 30
@@ -82,7 +82,7 @@ class FilePictures:
         return (1 << bits) - 1
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        data = room((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
+        data = mapped_zeros((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
 
         def load(k: int) -> None:
             data[k] = self.stored(rows[k])

@@ -94,7 +94,7 @@ def render(
     asked = parse_bands(band)
     check_paired(alpha, asked)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.core.splatfile.source import parsed_frequencies
+    from tg4mm.core.splatfile.drawable import parsed_frequencies
     from tg4mm.fit.device import check_device
     from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
     from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence

@@ -65,8 +65,7 @@ def view(
 
 
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
-    from tg4mm.core.band import check_band
-    from tg4mm.core.magnification import Magnification
+    from tg4mm.core.magnification import Magnification, check_band
     from tg4mm.run import Run
     from tg4mm.show.view.painter import Look
     from tg4mm.show.view.scene import open_scene

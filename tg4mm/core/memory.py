@@ -1,9 +1,21 @@
-"""Peak memory of this process, so that every stage can say what it needed."""
+"""Memory: arrays that need not fit into it, and the most that this process has held.
+
+A large array lies in a temporary file of which few pages are held at a time. `release` lets go of the pages that were
+read or written, so that resident memory follows what is worked on. The file has no name in its folder and is gone with
+the array, also after a kill. The folder is $TMPDIR, else /var/tmp where that is there: /tmp lies in memory on many
+systems.
+"""
 
 from __future__ import annotations
 
+import mmap
+import os
 import sys
+import tempfile
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import DTypeLike
 
 
 def peak_memory_mib() -> float:
@@ -29,3 +41,59 @@ def reset_peak_memory() -> bool:
     except OSError:
         return False
     return True
+
+
+IN_MEMORY = 1 << 28  # bytes of an array: more lies in a file
+_ON_DISK = Path("/var/tmp")
+
+
+def mapped_zeros(
+    shape: tuple[int, ...],
+    dtype: DTypeLike = np.float32,
+    folder: Path | None = None,
+    in_memory: int | None = None,
+) -> np.ndarray:
+    """Zeros [*shape], in memory up to `in_memory` bytes (`IN_MEMORY`), else in a file of `folder`.
+
+    Raises OSError, with the folder, where the disk has no room for it.
+    """
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    if size <= (IN_MEMORY if in_memory is None else in_memory):
+        return np.zeros(shape, dtype)
+    where = folder or _folder() or Path(tempfile.gettempdir())
+    with tempfile.TemporaryFile(dir=where, prefix=".tg4mm") as file:
+        reserve(file.fileno(), size, where)
+        return np.asarray(np.memmap(file, dtype, "w+", shape=shape))
+
+
+def reserve(descriptor: int, size: int, where: Path) -> None:
+    """Give an open file its `size` bytes on disk. Raises OSError, which names `where`, if there is no room.
+
+    A file that is mapped without them kills the process where the disk turns out to be full (SIGBUS).
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+    except OSError as error:
+        message = f"{error.strerror} for {size / 2**20:,.0f} MiB of temporary arrays"
+        raise OSError(error.errno, message, str(where)) from None
+
+
+def release(array: np.ndarray) -> None:
+    """Let go of the pages held of an array that `mapped_zeros` made, or of a view of one; of others do nothing.
+
+    Its contents stay: they are read again from the file, or from the system's cache of it.
+    """
+    base = array.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
+
+
+def _folder() -> Path | None:
+    """None for the system's own choice."""
+    if "TMPDIR" in os.environ or not (_ON_DISK.is_dir() and os.access(_ON_DISK, os.W_OK)):
+        return None
+    return _ON_DISK

@@ -188,7 +188,7 @@ def _fresh(folder: Path, run: Path) -> Path:
 
     Only pictures and videos beside a render.json of ours are deleted; whatever else lies there stays.
     """
-    from tg4mm.run.model_hash import model_hash
+    from tg4mm.run.tensor_file import model_hash
     from tg4mm.show.render.sequence import FORMAT, RECORD
 
     try:

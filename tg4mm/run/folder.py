@@ -37,6 +37,8 @@ from tg4mm.run.checks import (
     check_uncertainty,
     clock_of,
     gaussians_of,
+    motion_of,
+    tensors_of,
 )
 from tg4mm.run.config import (
     VERSION,
@@ -48,7 +50,6 @@ from tg4mm.run.config import (
     work_folder,
 )
 from tg4mm.run.log import checked_log, with_figures
-from tg4mm.run.motion_file import motion_of, tensors_of
 from tg4mm.run.tensor_file import DIGEST, read_tensors, write_tensors
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md

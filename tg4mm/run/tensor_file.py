@@ -1,4 +1,4 @@
-"""Named tensors with a JSON header in one safetensors file, written whole or not at all, with a digest of both."""
+"""Named tensors with a JSON header in one safetensors file, whole or not at all; digests of a file and of a model."""
 
 from __future__ import annotations
 
@@ -120,3 +120,42 @@ def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+_FILES = ("space", "motion", "triplane")
+# The dataset's folder and the settings that led to it, and the digest, which those are in.
+_NOT_OF_THE_MODEL = ("config", "format", DIGEST)
+
+
+def model_hash(run_path: Path) -> str:
+    """SHA-256 over the tensors of a run's model files, with their names, types, shapes and headers; of a splat file
+    over its bytes.
+
+    Not over the files' bytes: safetensors writes its header in no fixed order. Motion triplanes of `paper` are in it by
+    the motion that they decode to. Raises RunError for a file that is torn.
+    """
+    if run_path.is_file():  # a splat file
+        with run_path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.sha256()
+    for name in _FILES:
+        path = run_path / f"{name}.safetensors"
+        if path.is_file():
+            digest.update(name.encode())
+            _update(digest, path)
+    return digest.hexdigest()
+
+
+def _update(digest: hashlib._Hash, path: Path) -> None:
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = {k: v for k, v in (file.metadata() or {}).items() if k not in _NOT_OF_THE_MODEL}
+            digest.update(json.dumps(header, sort_keys=True).encode())
+            for name in sorted(file.keys()):
+                tensor = np.ascontiguousarray(file.get_tensor(name))
+                digest.update(json.dumps([name, tensor.dtype.str, tensor.shape]).encode())
+                digest.update(tensor.data)
+    except Exception as error:  # the package reports damage by many types
+        raise RunError(
+            f"{path} is truncated or not a safetensors file: {' '.join(str(error).split())}"
+        ) from None

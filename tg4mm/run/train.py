@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture import Capture, load_capture, nerf_synthetic
-from tg4mm.capture.part_of import train_command, whole_dataset
 from tg4mm.capture.readers import READERS
+from tg4mm.capture.transforms import train_command, whole_dataset
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.settings import unknown
 from tg4mm.fit.device import check_device

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.scenes import intrinsics, orbit
-from tg4mm.capture.sfm.guided import ROWS, Features, essential, features_of, guided_matches
+from tg4mm.capture.sfm.triangulate import ROWS, Features, essential, features_of, guided_matches
 
 K = intrinsics(400, 300, 380.0)
 PIXEL = 1 / 380.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.scenes import CENTRE, orbit
-from tg4mm.capture.geometry import optical_axes
-from tg4mm.capture.sfm.orient import DISTANCE, Similarity, up_axis, world_of
+from tg4mm.capture.cameras import optical_axes
+from tg4mm.capture.sfm.points import DISTANCE, Similarity, up_axis, world_of
 
 
 def rotation(seed: int = 0) -> np.ndarray:

@@ -14,7 +14,7 @@ from PIL import Image
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, umeyama
 from tests.capture.sfm.videos import write_video
 from tg4mm.capture import Capture, load_capture
-from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.cameras import optical_axes
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, looked, still, texture, write_video
+from tg4mm.capture.sfm.defects import stretches_of, warn_clocks
 from tg4mm.capture.sfm.frozen import NoveltyMeter
-from tg4mm.capture.sfm.spoilt import stretches_of, warn_clocks
 from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
 
 RATES = [24, 24000 / 1001, 25, 30, 30000 / 1001, 48, 50, 60, 60000 / 1001, 90, 100, 120, 144, 200, 240]

@@ -13,7 +13,7 @@ import pytest
 from tests.capture.sfm.scenes import orbit
 from tg4mm.capture.sfm.config import SfmConfig, checked
 from tg4mm.capture.sfm.depth import CLICK_PX, triangulated
-from tg4mm.capture.sfm.orient import Similarity
+from tg4mm.capture.sfm.points import Similarity
 from tg4mm.capture.sfm.scale import Length, MeasuredLength, measured_length, read_length
 from tg4mm.capture.sfm.staging import Shot
 from tg4mm.cli import main

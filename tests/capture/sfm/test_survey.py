@@ -13,9 +13,9 @@ from tests.capture.sfm.scenes import save
 from tests.capture.sfm.videos import looked, still, texture, write_video
 from tg4mm.capture.sfm import survey as module
 from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.defects import check_usable, warn_clocks
 from tg4mm.capture.sfm.kind import kind_of
 from tg4mm.capture.sfm.sources import Sources
-from tg4mm.capture.sfm.spoilt import check_usable, warn_clocks
 from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
 from tg4mm.core.errors import CaptureError
 

@@ -31,7 +31,7 @@ def test_a_copy_inside_another_package_works(make, tmp_path):
     source = Path(tg4mm.__file__).parent / "core"
     target = tmp_path / "extension" / "core"
     shutil.copytree(source / "splatfile", target / "splatfile", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("errors.py", "temporary.py", "untrusted.py"):
+    for name in ("errors.py", "temporary.py", "untrusted.py", "values.py"):
         shutil.copy(source / name, target / name)
     (tmp_path / "extension" / "__init__.py").touch()
     (target / "__init__.py").touch()

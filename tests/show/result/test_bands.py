@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tg4mm.core.band import check_band
+from tg4mm.core.magnification import check_band
 from tg4mm.show.result.advice import suggested_bands
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
-from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames
-from tg4mm.capture.sfm.frames import save_png
+from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames, save_png
 from tg4mm.capture.sfm.undistort import Lens
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic, write_json

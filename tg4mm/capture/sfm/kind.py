@@ -1,12 +1,15 @@
-"""Which kind of capture a folder holds, and why it is taken for one."""
+"""Which kind of capture a folder holds, why it is taken for one, and which options such a one has no use for."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
-from tg4mm.capture.sfm.sources import Sources
-from tg4mm.capture.sfm.spoilt import is_fixed
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.defects import is_fixed
+from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
@@ -71,3 +74,59 @@ def _one_after_another(surveys: Sequence[Survey]) -> bool:
         spans.append((survey.created_s, survey.created_s + float(survey.times[-1])))
     spans.sort()
     return all(before[1] <= after[0] for before, after in pairwise(spans))
+
+
+def check_fits(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmConfig) -> None:
+    """Raise Tg4mmError for options that a capture of this kind has no use for."""
+    if config.test_every and not kind.holds_out:
+        raise Tg4mmError(f"--test-every is {config.test_every}, but {kind} has no camera to hold out")
+    if config.synchronous and not kind.together:
+        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind}")
+    if config.synchronous:
+        _check_as_long(surveys)
+
+
+def _check_as_long(surveys: Sequence[Survey]) -> None:
+    """Raise CaptureError where cameras that were started together hold different numbers of pictures."""
+    longest, shortest = max(surveys, key=len), min(surveys, key=len)
+    if len(longest) > len(shortest):
+        until = (
+            float(shortest.times[-1]) + 0.5 / float(shortest.fps) if shortest.times and shortest.fps else None
+        )
+        what = "leave out pictures" if until is None else f"--until {until:.3f} takes as many of each"
+        raise CaptureError(
+            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, and the cameras are "
+            f"said to be synchronous: {what}"
+        )
+
+
+def check_options(sources: Sources, config: SfmConfig) -> None:
+    """Options that what lies on disk has no use for."""
+    if sources.photographs is not None and config.fps is not None:
+        raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
+    if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
+        raise Tg4mmError(
+            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"
+        )
+    frames = [clip.name for clip in sources.clips if not clip.is_video]
+    if frames and config.fps is None and not (config.kind and Kind(config.kind).still):
+        raise Tg4mmError(
+            f"--fps is missing: the pictures in {', '.join(frames[:4])} need their frames per second"
+        )
+    moving = sources.sweep is not None and sources.sweep.is_video
+    if config.frames is not None and not moving and len(sources.clips) != 1:
+        raise Tg4mmError(
+            f"--frames is {config.frames}, but there is no video of a moving camera to take them from"
+        )
+
+
+def check_enough(sources: Sources) -> None:
+    """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
+    n = len(sources.clips)
+    if sources.sweep is None and 1 < n < FEWEST:
+        first = shlex.quote(str(sources.clips[0].path))
+        raise CaptureError(
+            f"{sources.path}: holds {n} recordings of fixed cameras, and nothing else: {n} views are too few "
+            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
+            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
+        )

@@ -9,38 +9,33 @@ OUT/…                  the dataset; scene.json, written last, says that it is 
 
 from __future__ import annotations
 
-import shlex
 import sys
 import warnings
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from tg4mm.capture.sfm.clip import WHOLE
-from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, checked
+from tg4mm.capture.sfm import mapping
+from tg4mm.capture.sfm.clip import KEYS, SWEEP_FRAMES, WHOLE, extract_frames, sharp_rows
+from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, Work, checked, open_request
 from tg4mm.capture.sfm.dataset import write_dataset
+from tg4mm.capture.sfm.defects import check_usable, motion_of, warn_bumps, warn_clocks
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.flat import write_flat
-from tg4mm.capture.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
-from tg4mm.capture.sfm.kind import check_kind, kind_of, possible_kinds
-from tg4mm.capture.sfm.kind import held as held_in
-from tg4mm.capture.sfm.mapping import (
-    check_registered,
-    find_poses,
-    registered,
-    save_model,
-    saved_model,
-    shown_names,
+from tg4mm.capture.sfm.kind import (
+    check_enough,
+    check_fits,
+    check_kind,
+    check_options,
+    kind_of,
+    possible_kinds,
 )
 from tg4mm.capture.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.capture.sfm.register import Workplace, register_frames
-from tg4mm.capture.sfm.request import Work, open_request
 from tg4mm.capture.sfm.scale import baseline_scale, measured_length
 from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources, find_sources
-from tg4mm.capture.sfm.spoilt import check_usable, motion_of, warn_bumps, warn_clocks
 from tg4mm.capture.sfm.staging import (
     Shot,
     camera_shots,
@@ -52,7 +47,6 @@ from tg4mm.capture.sfm.staging import (
     staged_name,
     sweep_shots,
 )
-from tg4mm.capture.sfm.straight import straightened
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
@@ -83,7 +77,7 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     config = checked(config)
     sources = find_sources(images)
     check_kind(sources, config.kind)
-    _check_options(sources, config)
+    check_options(sources, config)
     if sources.photographs is not None or sources.sweep is not None or len(sources.clips) > 1:
         colmap("tg4mm sfm")  # missing, it is said before minutes of decoding
     work = open_request(out, sources, asdict(config))
@@ -105,70 +99,20 @@ def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads
         check_usable(surveys, kind.fixed)
     if kind.fixed:
         warn_bumps(surveys)
-    if config.test_every and not kind.holds_out:
-        raise Tg4mmError(f"--test-every is {config.test_every}, but {kind} has no camera to hold out")
-    if config.synchronous and not kind.together:
-        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind}")
-    if config.synchronous:
-        _check_as_long(surveys)
+    check_fits(images, kind, surveys, config)
     job = _Job(work, sources, surveys, kind, config, threads)
     return _posed(job) if kind.sees_depth else _flat(job)
-
-
-def _check_as_long(surveys: Sequence[Survey]) -> None:
-    """Raise CaptureError where cameras that were started together hold different numbers of pictures."""
-    longest, shortest = max(surveys, key=len), min(surveys, key=len)
-    if len(longest) > len(shortest):
-        until = (
-            float(shortest.times[-1]) + 0.5 / float(shortest.fps) if shortest.times and shortest.fps else None
-        )
-        what = "leave out pictures" if until is None else f"--until {until:.3f} takes as many of each"
-        raise CaptureError(
-            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, and the cameras are "
-            f"said to be synchronous: {what}"
-        )
-
-
-def _check_options(sources: Sources, config: SfmConfig) -> None:
-    """Options that what lies on disk has no use for."""
-    if sources.photographs is not None and config.fps is not None:
-        raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
-    if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
-        raise Tg4mmError(
-            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held_in(sources)}"
-        )
-    frames = [clip.name for clip in sources.clips if not clip.is_video]
-    if frames and config.fps is None and not (config.kind and Kind(config.kind).still):
-        raise Tg4mmError(
-            f"--fps is missing: the pictures in {', '.join(frames[:4])} need their frames per second"
-        )
-    moving = sources.sweep is not None and sources.sweep.is_video
-    if config.frames is not None and not moving and len(sources.clips) != 1:
-        raise Tg4mmError(
-            f"--frames is {config.frames}, but there is no video of a moving camera to take them from"
-        )
-
-
-def _check_enough(sources: Sources) -> None:
-    """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
-    n = len(sources.clips)
-    if sources.sweep is None and 1 < n < FEWEST:
-        first = shlex.quote(str(sources.clips[0].path))
-        raise CaptureError(
-            f"{sources.path}: holds {n} recordings of fixed cameras, and nothing else: {n} views are too few "
-            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
-            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
-        )
 
 
 def _scene(job: _Job) -> dict[str, Any]:
     name = job.work.out.resolve().name
     scene: dict[str, Any] = {"scene": name, "kind": job.kind.value, "background": "as photographed"}
     periods = {survey.codec_period for survey in job.surveys}
-    scene |= {"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {}
-    return scene | (
-        {"picture_kinds": job.surveys[0].kinds} if len(job.surveys) == 1 and job.surveys[0].kinds else {}
-    )
+    if len(periods) == 1 and None not in periods:
+        scene["codec_period"] = periods.pop()
+    if len(job.surveys) == 1 and job.surveys[0].kinds:
+        scene["picture_kinds"] = job.surveys[0].kinds
+    return scene
 
 
 def _flat(job: _Job) -> dict[str, Any]:
@@ -202,7 +146,7 @@ def _posed(job: _Job) -> dict[str, Any]:
     clock = None if job.kind.still else clock_of(job.surveys, config.fps)
     taken = _pictures(job)
     model = _model(job, taken)
-    placed = registered(model)
+    placed = mapping.registered(model)
     _check_placed(job, taken, placed)
     placement = placed_tracks(job.kind, sources, taken, placed, model, clock, config.window)
     report = _report(job, model, taken, placed, placement)
@@ -254,9 +198,9 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     work, config = job.work.folder, job.config
     sparse = work / "sparse" / "0"
     if sparse.is_dir():
-        return saved_model(sparse)
+        return mapping.saved_model(sparse)
     check_sizes(taken)
-    _check_enough(job.sources)
+    check_enough(job.sources)
     if len(taken) < FEWEST:
         raise CaptureError(
             f"{len(taken)} pictures, at least {FEWEST} are needed; a {SWEEP}/ of further ones helps"
@@ -265,7 +209,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     database = make_database(taken, work, config.camera_model, config.focal_px)
     place = Workplace(database, work / "images", masks, config.seed, job.threads)
     model = _moving_model(job, taken, place) if job.kind.moving else _first_model(job, taken, place)
-    save_model(model, sparse)
+    mapping.save_model(model, sparse)
     return model
 
 
@@ -273,9 +217,11 @@ def _first_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
     names = [staged_name(shot) for shot in taken]
     pairs = _pairs(job, taken, names)
-    model = find_poses(place.database, place.images, place.masks, names, pairs, place.seed, job.threads)
-    _check_placed(job, taken, registered(model), quiet=True)
-    return straightened(model, job.threads)
+    model = mapping.find_poses(
+        place.database, place.images, place.masks, names, pairs, place.seed, job.threads
+    )
+    _check_placed(job, taken, mapping.registered(model), quiet=True)
+    return mapping.as_pinholes(model, job.threads)
 
 
 def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
@@ -296,13 +242,13 @@ def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     first = [shot for shot in taken if shot.clip == SWEEP or shot.index in keys]
     folder = job.work.folder / "sparse" / "keys"
     if folder.is_dir():
-        model = saved_model(folder)
+        model = mapping.saved_model(folder)
     else:
         try:
             model = _first_model(job, first, place)
         except CaptureError as error:
             raise CaptureError(f"{error}{_why_moving(job)}") from None
-        save_model(model, folder)
+        mapping.save_model(model, folder)
     names = [staged_name(shot) for shot in frames]
     register_frames(model, place, names, [staged_name(shot) for shot in first if shot.clip != SWEEP])
     return model
@@ -320,9 +266,9 @@ def _why_moving(job: _Job) -> str:
 def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: bool = False) -> None:
     """Raise CaptureError where too little was placed, else warn of what is left out."""
     needed = [staged_name(shot) for shot in taken if shot.clip != SWEEP]
-    missing = check_registered(needed, placed, job.kind.fewest_placed)
+    missing = mapping.check_registered(needed, placed, job.kind.fewest_placed)
     if missing and not quiet:
-        text = f"{len(missing)} pictures could not be placed and are left out: {shown_names(missing)}"
+        text = f"{len(missing)} pictures could not be placed and are left out: {mapping.shown_names(missing)}"
         warnings.warn(text, stacklevel=2)
     typical = int(median(image.num_points3D for image in placed.values()))
     if typical < FEW_POINTS and not quiet:

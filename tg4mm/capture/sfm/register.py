@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.sfm.engine import colmap, extract, match, opened
-from tg4mm.capture.sfm.straight import adjust
+from tg4mm.capture.sfm.mapping import adjust
 from tg4mm.core.progress import progress
 
 NEIGHBOURS = 3  # frames of the model on either side that a frame is matched with

@@ -12,7 +12,7 @@ import numpy as np
 
 from tg4mm.capture.sfm.dataset import Track
 from tg4mm.capture.sfm.depth import Sight, Spot, depth_among_points, triangulated
-from tg4mm.capture.sfm.orient import Similarity
+from tg4mm.capture.sfm.points import Similarity
 from tg4mm.capture.sfm.sources import SWEEP
 from tg4mm.capture.sfm.staging import Shot, staged_name
 from tg4mm.core.errors import Tg4mmError

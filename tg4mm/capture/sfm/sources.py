@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
-from tg4mm.capture.part_of import train_command, whole_dataset
 from tg4mm.capture.sfm.clip import NAMES, VIDEO_SUFFIXES, Clip
-from tg4mm.capture.transforms import natural
+from tg4mm.capture.transforms import natural, train_command, whole_dataset
 from tg4mm.core.errors import CaptureError
 
 SWEEP = "sweep"  # name of the folder or video of pictures of the scene at rest

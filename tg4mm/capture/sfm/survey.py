@@ -18,8 +18,7 @@ from scipy.ndimage import laplace
 
 from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, is_regular, regular_times
-from tg4mm.capture.sfm.frozen import NoveltyMeter
-from tg4mm.capture.sfm.repeats import Repeats
+from tg4mm.capture.sfm.frozen import NoveltyMeter, Repeats
 from tg4mm.capture.sfm.steadiness import PartMeter, reduced
 from tg4mm.capture.sfm.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError

@@ -12,9 +12,8 @@ import numpy as np
 
 from ..errors import SplatFileError
 from . import layout
-from .drawable import drawable
+from .drawable import Head, drawable
 from .model import SplatFile
-from .source import Head
 
 _RECORD = np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
 

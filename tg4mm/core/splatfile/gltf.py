@@ -17,10 +17,9 @@ from ..errors import SplatFileError
 from ..values import Number
 from .accessors import Document
 from .axes import TURN, transformed
-from .drawable import drawable
+from .drawable import Head, drawable
 from .model import SplatFile
-from .source import Head
-from .unspz import read_spz
+from .spz import read_spz
 
 EXTENSION = "KHR_gaussian_splatting"
 SPZ = tuple(f"{EXTENSION}_compression_spz{version}" for version in ("", "_2"))

@@ -11,11 +11,10 @@ import numpy as np
 
 from ..errors import SplatFileError
 from . import layout, supersplat
-from .drawable import drawable
+from .drawable import Head, Options, drawable
 from .header import ASCII, Element, Header, read_header
 from .model import SH_COUNTS, SplatFile
 from .rows import blocks, check_size, columns
-from .source import Head, Options
 
 MODE_NAME = re.compile(r"mode_[0-9]+_(re|im)_r?[xyz]")
 RGB = ("red", "green", "blue")

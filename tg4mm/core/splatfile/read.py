@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..errors import SplatFileError
-from . import accessors, unspz
+from . import accessors, spz
 from .antimatter import head_of_splat, read_antimatter
+from .drawable import Decode, Head, Options
 from .gltf import head_of_gltf, read_gltf
 from .model import SplatFile
 from .ply import head_of_ply, read_ply
 from .sog import head_of_sog, read_sog
-from .source import Decode, Head, Options
 
 ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".json")  # of files that can be read
 _OTHERS = {  # known, and not read
@@ -61,7 +61,7 @@ def read_splat(
         elif kind == "sog":
             splat = read_sog(path, options)
         elif kind == "spz":
-            splat = unspz.read_spz(path.read_bytes())
+            splat = spz.read_spz(path.read_bytes())
         else:
             with path.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
@@ -82,7 +82,7 @@ def read_head(path: str | Path) -> Head:
             return head_of_sog(path)
         with path.open("rb") as file:
             if kind == "spz":
-                return unspz.head_of_spz(file)
+                return spz.head_of_spz(file)
             return head_of_splat(os.fstat(file.fileno()).st_size) if kind == "splat" else head_of_ply(file)
 
 
@@ -102,7 +102,7 @@ def _kind(path: Path) -> str:
     """Which reader takes the file."""
     with path.open("rb") as file:
         start = file.read(64)
-    if start.startswith((unspz.GZIP, unspz.NGSP)):
+    if start.startswith((spz.GZIP, spz.NGSP)):
         return "spz"
     if start.startswith(accessors.MAGIC):
         return "gltf"

@@ -20,9 +20,8 @@ from ..untrusted import DEFLATE, parse_json
 from ..values import Number
 from . import layout
 from .accessors import beside
-from .drawable import drawable
+from .drawable import Decode, Head, Options, drawable
 from .model import SplatFile
-from .source import Decode, Head, Options
 from .supersplat import largest_put_in
 
 META = "meta.json"

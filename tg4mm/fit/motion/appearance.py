@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.core.room import release
+from tg4mm.core.memory import release
 from tg4mm.fit.motion.appearance_problem import HARMONIC, AppearanceProblem, appearance_views
 from tg4mm.fit.motion.jacobian.view import PosedView
 from tg4mm.fit.motion.linear_fit import Correction

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
-from tg4mm.core.room import release
 from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.operator import Fold, Operator

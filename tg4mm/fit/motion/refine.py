@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
-from tg4mm.core.room import release
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import moved
 from tg4mm.fit.motion.jacobian.view import PosedView

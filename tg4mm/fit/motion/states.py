@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from tg4mm.core.room import release, room
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import moved
 from tg4mm.fit.motion.observations import Observations, PosedFrames, strips
@@ -85,11 +85,11 @@ def most_states(n_views: int, size: tuple[int, int]) -> int:
 
 
 def state_pictures(observations: Observations, states: States) -> np.ndarray:
-    """[V, K, H, W, 3] float32 (`room`): mean over the timesteps of each state, by camera, over white."""
+    """[V, K, H, W, 3] float32 (`mapped_zeros`): mean over the timesteps of each state, by camera, over white."""
     width, height = observations.size
     share = np.zeros((len(states.gains), len(states.of)), np.float32)
     share[states.of, np.arange(len(states.of))] = 1 / states.count[states.of]
-    out = room((len(observations.frames), len(states.gains), height, width, 3))
+    out = mapped_zeros((len(observations.frames), len(states.gains), height, width, 3))
     for v, frames in enumerate(observations.frames):
         for rows, strip in strips(observations.pictures, frames):
             flat = share @ strip.reshape(len(strip), -1)
@@ -128,7 +128,7 @@ class StateObservations:
     ) -> StateObservations:
         """`used` [R]: which of the target images belong to the functions of time of `states`."""
         pictures = state_pictures(observations, states)
-        changes_within = room((len(pictures), len(used), *pictures.shape[2:]))
+        changes_within = mapped_zeros((len(pictures), len(used), *pictures.shape[2:]))
         for v, seen in enumerate(pictures):
             changes_within[v] = targets.of(v, used)
             _add(changes_within[v], -states.sums.T, seen)
@@ -188,9 +188,9 @@ def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
 
 @torch.no_grad()
 def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarray:
-    """[V, K, H, W, 3] float32 (`room`): what the cameras see of the Gaussians moved to every state, over white."""
+    """[V, K, H, W, 3] float32 (`mapped_zeros`): what cameras see of the Gaussians moved to every state, over white."""
     height, width = seen.pictures.shape[2:4]
-    there, out = gaussians.to(device), room(seen.pictures.shape)
+    there, out = gaussians.to(device), mapped_zeros(seen.pictures.shape)
     cameras = [[torch.from_numpy(a).to(device) for a in (c.viewmat, c.K)] for c in seen.cameras]
     for k, motion in enumerate(seen.motions):
         g = moved(there, torch.from_numpy(motion).to(device))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.core.room import release, room
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.motion.nuisance.first_look import FirstLook
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observations import Observations, Strips, watched
@@ -30,7 +30,7 @@ class TargetImages:
         np.ndarray
     )  # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
-    images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where C_v is the identity
+    images: np.ndarray  # [V, ρ, H, W, 3] float32, `mapped_zeros`; ρ = R where C_v is the identity
     residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
     rank: int  # of what residual and images hold together, functions of time
     mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
@@ -50,7 +50,7 @@ def projected(
     What the active nuisance columns explain is taken out.
     """
     width, height = observations.size
-    images = room((len(bases), len(bases[0]), height, width, 3))
+    images = mapped_zeros((len(bases), len(bases[0]), height, width, 3))
     total = np.stack(
         [
             t - n.energy(m, c)

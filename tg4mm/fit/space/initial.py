@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tg4mm.capture import SurfacePoints, geometry
+from tg4mm.capture import SurfacePoints, cameras
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.space.config import INITS
 from tg4mm.fit.space.targets import RestViews
@@ -38,7 +38,7 @@ class InitialPoints:
 
 def working_box(views: RestViews) -> tuple[np.ndarray, float]:
     """Centre [3] and half side (scene units) of the cube that the cameras look at together."""
-    return geometry.working_box(views.viewmats, views.Ks, views.size)
+    return cameras.working_box(views.viewmats, views.Ks, views.size)
 
 
 def _project(xyz: np.ndarray, views: RestViews, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

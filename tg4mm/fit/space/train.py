@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
-from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.cameras import optical_axes
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak

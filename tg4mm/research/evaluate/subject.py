@@ -19,8 +19,8 @@ from tg4mm.research.evaluate.scores import Method, Posing
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
-from tg4mm.run.model_hash import model_hash
 from tg4mm.run.poses import method_of, poses_of
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.weights import blending_weights
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"

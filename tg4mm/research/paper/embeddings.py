@@ -26,9 +26,9 @@ from filelock import FileLock, Timeout
 from tg4mm.core.files import give_back, write_json
 from tg4mm.core.filters import bins
 from tg4mm.core.magnification import Magnification
+from tg4mm.core.memory import reserve
 from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed
-from tg4mm.core.room import reserve
 from tg4mm.core.temporary import rename
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.magnify.linear import magnified_series
@@ -38,7 +38,7 @@ from tg4mm.research.paper.decoder import Decoder
 from tg4mm.research.paper.model import PaperModel, load_model, plane_video
 from tg4mm.research.paper.triplane import Cells
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 
 _VERSION = 1  # of how they are made: raise it when the same request would give other numbers
 _KEPT = 4

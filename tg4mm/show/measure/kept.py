@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike
 from tg4mm.core.errors import RunError
 from tg4mm.core.values import check_form
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.measure.sides import Sides, check_arrays
 
 PART = "residuals"

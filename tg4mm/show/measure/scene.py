@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture import Capture
-from tg4mm.core.room import room
+from tg4mm.core.memory import mapped_zeros
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.observations import Observations
@@ -67,4 +67,4 @@ class Prepared:
 def zeros_in_room(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:
     """Zeros [*shape] float32 to add to, beyond 1 GiB in a temporary file, of `folder` if that can be written."""
     where = folder if folder is not None and os.access(folder, os.W_OK) else None
-    return room(shape, np.float32, where, IN_MEMORY)
+    return mapped_zeros(shape, np.float32, where, IN_MEMORY)

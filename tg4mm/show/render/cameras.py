@@ -9,9 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
+from tg4mm.capture.cameras import (
+    nearest_point_equations,
+    optical_axes,
+    read_intrinsics,
+    read_pose,
+    world_to_camera,
+)
 from tg4mm.capture.confine import image_path
-from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.pictures.decode import image_header

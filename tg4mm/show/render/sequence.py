@@ -20,8 +20,8 @@ from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
 from tg4mm.run.poses import method_of, poses_of
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.export.lowpass import lacking
 from tg4mm.show.export.splat import smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json

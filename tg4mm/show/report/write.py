@@ -11,14 +11,13 @@ from typing import Any
 
 from tg4mm import __version__
 from tg4mm.capture import Capture, load_capture
-from tg4mm.core.band import check_band
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pages.page import Page, Section, render_page
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.measure import Sensor
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section

@@ -30,7 +30,7 @@ from tests.helpers.splat_files import (
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, read_head, read_splat
 from tg4mm.core.splatfile.axes import transformed
-from tg4mm.core.splatfile.source import Head
+from tg4mm.core.splatfile.drawable import Head
 
 # What a kind keeps: place (scene units), covariance (of the largest), opacity, constant and further coefficients.
 EXACT = (1e-6, 1e-5, 1e-6, 1e-6, 1e-6)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tg4mm.core.room import release, room
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import COLUMNS, DOF, jvp_rows, pack, unpack, vjp_rows
 from tg4mm.fit.motion.jacobian.projection import splat_jacobian
@@ -115,7 +115,7 @@ class ViewJacobian:
         self._gather(v_pairs, v_motions)
 
     def stored(self) -> ViewJacobian:
-        """The same with its arrays in a temporary file (`room.py`): `release` lets go of what a call has read."""
+        """The same with its arrays in a temporary file (`mapped_zeros`): `release` lets go of what a call has read."""
         bins = copy(self.bins)
         for name in _OF_BINS:
             setattr(bins, name, _stored(getattr(bins, name)))
@@ -142,7 +142,7 @@ class ViewJacobian:
 
 
 def _stored(array: np.ndarray) -> np.ndarray:
-    out = room(array.shape, array.dtype, in_memory=0) if array.size else array
+    out = mapped_zeros(array.shape, array.dtype, in_memory=0) if array.size else array
     out[...] = array
     release(out)
     return out

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tg4mm.core.room import release, room
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, without_colour
 
@@ -158,7 +158,9 @@ class Projection:
         weighted = columns if weights is None else columns * weights[..., None]
         gram = (weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T).astype(np.float64)
         root = _inverse_root(gram).astype(np.float32)
-        adjoint_columns = room((len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None)
+        adjoint_columns = mapped_zeros(
+            (len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None
+        )
         nuisance.view.vjp(np.ascontiguousarray(np.tensordot(root, weighted, 1)), adjoint_columns)
         return Projection(nuisance, mean, weights, root, adjoint_columns)
 

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tg4mm.core.errors import RunError
+from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
-from tg4mm.core.room import release, room
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
@@ -183,7 +183,7 @@ def _residual_problem(
     """
     views, projections, means = [], [], gaussians.means.numpy()
     n, (width, height) = len(observations.frames), observations.size
-    residuals = room((n, 1, height, width, 3))
+    residuals = mapped_zeros((n, 1, height, width, 3))
     with progress("residuals", n, "frames") as update:
         for k, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -232,7 +232,7 @@ def _refine_scene_and_poses(
             frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
         ) -> Arrays:
             width, height = observations.size
-            pictures = room((len(frames), height, width, 3))
+            pictures = mapped_zeros((len(frames), height, width, 3))
             new, _, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k, pictures)
             iterations = int(np.clip(4 * len(frames), 300, 1500))
             shown = refine_at_rest(gaussians, new, pictures, iterations, config.seed + k, device)

@@ -18,7 +18,7 @@ from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
 from tg4mm.research.evaluate.scores import Method, render_views
 from tg4mm.research.evaluate.subject import Subject, subject_of
 from tg4mm.run import Run
-from tg4mm.run.model_hash import model_hash
+from tg4mm.run.tensor_file import model_hash
 
 _CAMERAS_AT_ONCE = 8  # pictures held
 _VERSION = 1  # of how pictures are made of a model: raise it when the same model would give others

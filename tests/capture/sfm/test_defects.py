@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
-from tg4mm.capture.sfm.spoilt import check_usable, is_fixed, warn_bumps, warn_clocks
+from tg4mm.capture.sfm.defects import check_usable, is_fixed, warn_bumps, warn_clocks
 from tg4mm.capture.sfm.steadiness import find_bumps
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
