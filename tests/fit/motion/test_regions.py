@@ -15,9 +15,11 @@ from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
+from tg4mm.fit.motion.observation_model import ObservationModel
+from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.fit.motion.sinusoids import sinusoids
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
+from tg4mm.fit.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series, shift_series
 
 SIZE, POST = 64, 1
 
@@ -42,13 +44,14 @@ class Scene:
         motions[:, self.labels == region, :3] = (shifts @ self.axes)[:, None]
         return self.view.jvp(motions)
 
-    def regions(self, projection: Projection | None = None) -> RegionView:
-        return RegionView(self.view, self.camera, projection, self.labels)
+    def model(self, times_s: np.ndarray, projection: Projection | None = None) -> ObservationModel:
+        frames = PosedFrames("", self.camera.viewmat, self.camera.K, np.arange(len(times_s)), times_s)
+        return ObservationModel(frames, self.view, projection)
 
     def series(self, changes: np.ndarray, projection: Projection | None = None) -> RegionSeries:
-        times = np.arange(len(changes)) / 30
+        model = self.model(np.arange(len(changes)) / 30, projection)
         by_three = (changes[k : k + 3] for k in range(0, len(changes), 3))
-        return self.regions(projection).series(by_three, times)
+        return shift_series(model, self.labels, by_three)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +133,9 @@ def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene: Scene) -> None:
     changes = scene.shown(SHIFTS)
     fixed = scene.series(changes)
     n = len(changes)
-    moving = moving_camera_series([scene.regions()] * n, iter(changes), fixed.times_s)
+    models = [scene.model(fixed.times_s[k : k + 1]) for k in range(n)]
+    moving = moving_camera_series(models, iter(changes), scene.labels)
+    np.testing.assert_array_equal(moving.times_s, fixed.times_s)
     np.testing.assert_allclose(moving.sides, fixed.sides, atol=1e-4 * np.abs(fixed.sides).max())
     for k in range(n):
         np.testing.assert_allclose(moving.normals[k], fixed.normals[0], rtol=1e-4)

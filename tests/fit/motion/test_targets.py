@@ -18,7 +18,6 @@ from tg4mm.fit.motion.nuisance.first_look import first_look
 from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.fit.motion.sinusoids import sinusoids
-from tg4mm.fit.motion.targets import project
 from tg4mm.fit.motion.temporal.independent import sinusoid_targets
 from tg4mm.fit.motion.temporal.synchronous import kept_components, principal_components
 
@@ -138,11 +137,6 @@ class TestComponents:
                 for t in range(9):
                     brute += a[t] * (images.data[frames.rows[t], ..., :3] / 255.0)
                 np.testing.assert_allclose(found.images[v, r], brute, atol=1e-5)
-
-    def test_project_keeps_the_order_of_axes(self) -> None:
-        video = np.random.default_rng(0).normal(size=(5, 2, 3, 3)).astype(np.float32)
-        basis = np.eye(5)[[3, 1]]
-        np.testing.assert_array_equal(project(video, basis), video[[3, 1]])
 
     def test_pictures_that_never_change_give_no_motion(self) -> None:
         data, ids, times = moving_pictures(1, 5)

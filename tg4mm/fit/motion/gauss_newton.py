@@ -32,7 +32,7 @@ from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import LEAST, wiener_shrink
 from tg4mm.fit.motion.states import Errors, StateObservations, most_states, states_of
-from tg4mm.fit.motion.temporal.synchronous import Synchronous
+from tg4mm.fit.motion.temporal import TemporalModel
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
 _FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration tells less of them
@@ -77,7 +77,7 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
 class GaussNewton:
     """What all iterations share: pictures of states, components, folds, settings."""
 
-    def __init__(self, model: Synchronous, hyper: Hyperparameters, linear_fields: np.ndarray) -> None:
+    def __init__(self, model: TemporalModel, hyper: Hyperparameters, linear_fields: np.ndarray) -> None:
         """From the linear fit's fields [P, R', N, 6]."""
         self.used = used_components(hyper.is_noise)
         self.at_rest, self.targets, self.folds = model.problem, model.targets, model.folds
@@ -187,12 +187,12 @@ class GaussNewton:
 
 
 def gauss_newton(
-    model: Synchronous,
+    model: TemporalModel,
     hyper: Hyperparameters,
     folds: np.ndarray,
     judged: Sequence[int],
     checkpoint: Checkpoint,
-) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
+) -> tuple[TemporalModel, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
     """From the linear fit's fields [P, R', N, 6] on.
 
     Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],

@@ -35,7 +35,8 @@ class PosedFrames:
     viewmat: np.ndarray  # [4, 4] float32, world-to-camera, OpenCV axes
     K: np.ndarray  # [3, 3] float32, pixels
     rows: np.ndarray  # [F] of the capture's pictures
-    times_s: np.ndarray  # [F] float64, seconds on this camera's own clock
+    times_s: np.ndarray  # [F] float64, seconds on this camera's own clock, of the middle row
+    readout_s: float = 0.0  # from the first row to the last; 0: all rows at once
 
 
 @dataclass(frozen=True)

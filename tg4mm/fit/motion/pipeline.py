@@ -78,11 +78,8 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
     figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
-    # of several synchronous cameras, or one beside pictures of the scene from elsewhere
-    can_iterate = isinstance(model, Synchronous) and not model.observations.is_flat
-    iterates = can_iterate and pixels > ABOVE_PX and model.config.gauss_newton > 0
+    iterates = model.iterates and pixels > ABOVE_PX and model.config.gauss_newton > 0
     if iterates:
-        assert isinstance(model, Synchronous)
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
@@ -125,7 +122,7 @@ def _linear_fit(
     camera twice more, where only what was found to move may.
     """
     linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, checkpoint)
-    if not isinstance(model, Synchronous):
+    if not model.separates:
         last = linear.first_pass(model.first_iterations)
         for k in range(_SUPPORTS):
             support = model.support(np.stack([f["fields"] for f in last]))
@@ -143,14 +140,13 @@ def _linear_fit(
 
 def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
     """None where it was not asked for, or cameras are too few to tell it from noise."""
-    is_told = len(model.problem.views) >= LEAST and len(model.folds) == 2
-    if not (isinstance(model, Synchronous) and model.config.appearance and is_told):
+    is_observable = len(model.problem.views) >= LEAST and len(model.folds) == 2
+    if not (model.separates and model.config.appearance and is_observable):
         return None
     return AppearanceFit.of(model.problem, model.observations.frames, model.folds)
 
 
 def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual:
-    assert isinstance(model, Synchronous)
     return MotionResidual(model.problem, model.targets.images, model.fitted, fields)
 
 
@@ -208,13 +204,11 @@ def _result(
     figures: dict[str, Any],
 ) -> MotionFit:
     """With what is logged, and what cannot be told."""
-    observations, notes = model.observations, [*model.notes]
-    if isinstance(model, MovingCamera):
-        notes += model.unclear(fields)
+    observations, notes = model.observations, [*model.notes, *model.unclear(fields)]
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
-    if pixels > ABOVE_PX and (not isinstance(model, Synchronous) or observations.is_flat):
+    if pixels > ABOVE_PX and not model.iterates:
         notes.append(
             f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
             f"holds up to {ABOVE_PX} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
@@ -243,11 +237,9 @@ def without_motion(model: TemporalModel) -> MotionFit:
     note = "no frequency stands out of the noise: the run holds no motion"
     if hz := model.figures["frequencies_hz"]:
         named = ", ".join(f"{f:.4g}" for f in hz)
-        moving = model.observations.clock == "moving"
-        tripod = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
         note = (
             f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
-            f"motion; {tripod if moving else 'longer clips tell'}"
+            f"motion; {model.if_halves_disagree}"
         )
     figures = {"views": len(model.problem.views), **model.figures, "n_frequencies": 0}
     return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, note])

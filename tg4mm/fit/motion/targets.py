@@ -17,6 +17,7 @@ import numpy as np
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.motion.nuisance.first_look import FirstLook
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
+from tg4mm.fit.motion.observation_model import project
 from tg4mm.fit.motion.observations import Observations, Strips, watched
 
 _IMAGES = 4  # of one view that are worked on together
@@ -57,16 +58,16 @@ def projected(
             for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
         ]
     )
-    for v, _, pictures in watched("pictures, second pass", observations):
+    for v, frames, pictures in watched("pictures, second pass", observations):
         basis = bases[v]
         for rows, strip in look.cache.get(v) or _changes(pictures, look.mean[v]):
-            images[v, :, rows] = project(strip, basis)
+            images[v, :, rows] = project(frames, height, rows, strip, basis)
         for some in _at_once(len(basis)):
             images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
             for image in images[v, some]:
                 total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
             release(images)
-        nuisances[v].__dict__.pop("pose", None)
+        nuisances[v].release()
     return images, np.maximum(total, 0, out=total)
 
 
@@ -79,9 +80,3 @@ def _changes(pictures: Strips, mean: np.ndarray) -> Strips:
     for rows, strip in pictures:
         strip -= mean[rows]
         yield rows, strip
-
-
-def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Σ_t a_r(t) video[t]: [T, H, W, 3] and [R, T] -> [R, H, W, 3] float32."""
-    flat = basis.astype(np.float32) @ video.reshape(len(video), -1)
-    return flat.reshape(len(basis), *video.shape[1:])

@@ -31,6 +31,7 @@ from tg4mm.fit.motion.nuisance.projection import (
 )
 from tg4mm.fit.motion.nuisance.registration import stabilised
 from tg4mm.fit.motion.nuisance.shake import LEAST_PX, BlockShifts, own_rotations
+from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, watched
 from tg4mm.fit.motion.solver.problem import Problem
 
@@ -65,6 +66,10 @@ class FixedCameras:
     nuisances: list[Nuisance]
     figures: dict[str, Any]
     notes: list[str]
+
+    def model(self, v: int) -> ObservationModel:
+        """Of camera v, its pixels all of weight 1."""
+        return ObservationModel.of(self.observations.frames[v], self.nuisances[v], self.look.mean[v])
 
     def problem(self, config: MotionConfig, device: str) -> Problem:
         """The motion problem that they pose."""
@@ -177,7 +182,7 @@ def first_look(
         grams.append(gram)
         columns.append(products)
         column_grams.append(_column_gram(nuisances[v], mean[v]))
-        nuisances[v].__dict__.pop("pose", None)  # 72 bytes a pixel, made again where it is asked for
+        nuisances[v].release()
         if kept:
             cache[v] = kept
         if blocks is not None:

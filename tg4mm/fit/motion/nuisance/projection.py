@@ -39,7 +39,6 @@ class Nuisance:
     camera: PosedView
     means: np.ndarray  # [N, 3] float32, of the Gaussians at rest
     active: np.ndarray  # [12] bool
-    keeps: bool = True  # whether the columns of the pose stay in memory after `release`: 72 bytes a pixel
 
     def with_active(self, active: np.ndarray) -> Nuisance:
         return replace(self, active=active)
@@ -54,9 +53,8 @@ class Nuisance:
         return np.concatenate([without_colour(self.view).jvp(rotations), self.view.jvp(translations)])
 
     def release(self) -> None:
-        """Let go of what can be made again."""
-        if not self.keeps:
-            self.__dict__.pop("pose", None)
+        """Let go of the columns of the pose, 72 bytes a pixel: they are made again where they are asked for."""
+        self.__dict__.pop("pose", None)
 
     def columns(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
         """[k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""
@@ -148,10 +146,15 @@ class Projection:
     weights: np.ndarray | None  # [H, W]
     root: np.ndarray  # [k, columns] float32
     adjoint_columns: np.ndarray  # [k, N, 6] float32, L = Jᵀ W Q
+    keeps: bool = True  # whether the nuisance's columns stay in memory
 
     @staticmethod
     def of(
-        nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None, is_stored: bool = False
+        nuisance: Nuisance,
+        mean: np.ndarray,
+        weights: np.ndarray | None,
+        is_stored: bool = False,
+        keeps: bool = True,
     ) -> Projection:
         """weights [H, W] or None for 1; mean [H, W, 3]. Where it `is_stored`, L lies in a temporary file."""
         columns = nuisance.columns(mean)
@@ -162,12 +165,13 @@ class Projection:
             (len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None
         )
         nuisance.view.vjp(np.ascontiguousarray(np.tensordot(root, weighted, 1)), adjoint_columns)
-        return Projection(nuisance, mean, weights, root, adjoint_columns)
+        return Projection(nuisance, mean, weights, root, adjoint_columns, keeps)
 
     def release(self) -> None:
-        """Let go of memory: of the pages of a temporary file, and of columns that can be made again."""
+        """Let go of memory: of the pages of a temporary file, and of columns that it does not keep."""
         release(self.adjoint_columns)
-        self.nuisance.release()
+        if not self.keeps:
+            self.nuisance.release()
 
     def out_of(self, pictures: np.ndarray) -> np.ndarray:
         """Pictures [R, H, W, 3] with the columns projected out."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,20 @@ class TemporalModel(ABC):
     config: MotionConfig
     figures: dict[str, Any]  # for the log
     notes: Sequence[str]  # what cannot be told
+    fitted: np.ndarray  # [ρ'] which of the target images
+    if_halves_disagree: ClassVar[str] = (
+        "longer clips tell"  # on the motion at a frequency: what the user can do
+    )
+
+    @property
+    def separates(self) -> bool:
+        """Whether each function of time has target images of its own: then fields are solved for one by one."""
+        return self.problem.mixing is None
+
+    @property
+    def iterates(self) -> bool:
+        """Whether large motion can be fitted by Gauss-Newton: with several cameras, or pictures from elsewhere."""
+        return self.separates and not self.observations.is_flat
 
     @property
     def n_frames(self) -> int:
@@ -44,7 +58,7 @@ class TemporalModel(ABC):
 
     def images(self, v: int) -> np.ndarray:
         """[ρ, H, W, 3]: target images of view v that are fitted."""
-        return self.targets.of(v)
+        return self.targets.of(v, self.fitted)
 
     @abstractmethod
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -72,6 +86,10 @@ class TemporalModel(ABC):
 
         Functions that are no motion are let go, and what the cameras leave open is settled.
         """
+
+    def unclear(self, fields: np.ndarray) -> list[str]:
+        """What cannot be told of fields [R, N, 6]."""
+        return []
 
     @abstractmethod
     def pixels_moved(self, fields: np.ndarray) -> float:

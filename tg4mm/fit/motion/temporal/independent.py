@@ -72,8 +72,8 @@ class IndependentClocks(Steady):
             phases = region_phases(series, frequencies.hz, config.seed)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         model = IndependentClocks(
-            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, frequencies,
-            scale_of(observations), mixing, phases,
+            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes,
+            np.arange(targets.images.shape[1]), frequencies, scale_of(observations), mixing, phases,
         )  # fmt: skip
         return model.with_phases(phases)
 

@@ -29,6 +29,7 @@ from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
+from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames, whole_pictures
 from tg4mm.fit.motion.refine import refine_at_rest
 from tg4mm.fit.motion.sinusoids import polynomials, sinusoids
@@ -36,7 +37,7 @@ from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import folds_of
 from tg4mm.fit.motion.temporal.frequencies import Frequencies
-from tg4mm.fit.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
+from tg4mm.fit.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.fit.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
 _ALTERNATIONS = 3  # between poses and the scene at rest, at most
@@ -64,6 +65,7 @@ _ALL = np.ones(12, bool)
 class MovingCamera(Steady):
     """`TemporalModel` of one camera that moves."""
 
+    if_halves_disagree: ClassVar[str] = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
     min_reliability: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
 
     @staticmethod
@@ -100,8 +102,9 @@ class MovingCamera(Steady):
         folds = folds_of(len(frames), observations.size, True, config.split_half)
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(
-            gaussians, observations, problem, targets, folds, config, figures, notes, frequencies, scale
-        )
+            gaussians, observations, problem, targets, folds, config, figures, notes,
+            np.arange(targets.images.shape[1]), frequencies, scale,
+        )  # fmt: skip
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         """All functions together, in some of the frames."""
@@ -139,7 +142,7 @@ class MovingCamera(Steady):
         return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
     def unclear(self, fields: np.ndarray) -> list[str]:
-        """What cannot be told of fields [2 K, N, 6]: which part stands still, where most of the picture moves."""
+        """Of fields [2 K, N, 6]: which part stands still, where most of the picture moves."""
         amplitudes = np.sqrt((fields[0::2, :, :3] ** 2 + fields[1::2, :, :3] ** 2).sum(-1))
         seen = self._seen_weights
         largest = np.quantile(amplitudes[:, seen > 0], _LARGEST, axis=1, keepdims=True)
@@ -192,11 +195,11 @@ def _residual_problem(
             is_large = n * view.nbytes > VIEW_BYTES
             view = view.stored() if is_large else view
             shown = view.over_white
-            nuisance = Nuisance(view, frame, means, _ALL, keeps=False)
-            projection = Projection.of(nuisance, shown, None, is_large)
-            residuals[k] = projection.out_of((picture - shown)[None])
-            projection.release()
-            view.release()
+            nuisance = Nuisance(view, frame, means, _ALL)
+            projection = Projection.of(nuisance, shown, None, is_large, keeps=False)
+            model = ObservationModel(frame, view, projection)
+            residuals[k] = model.without_nuisance((picture - shown)[None])
+            model.release()
             views.append(view)
             projections.append(projection)
             update(k + 1)
@@ -210,9 +213,9 @@ def _series(
 
     def compute() -> Arrays:
         labels = labels_of(problem.aggregates)
-        each = zip(problem.views, observations.frames, problem.projections or (), strict=True)
-        regions = (RegionView(*own, labels) for own in each)
-        return moving_camera_series(regions, (np.array(own[0]) for own in residuals), times).arrays()
+        each = zip(observations.frames, problem.views, problem.projections or (), strict=True)
+        models = [ObservationModel(*own) for own in each]
+        return moving_camera_series(models, (np.array(own[0]) for own in residuals), labels).arrays()
 
     return RegionSeries.restored(times, checkpoint("regions", compute))
 

@@ -7,7 +7,7 @@ the camera's right and down axes. Nothing is smoothed over space or time, so its
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +15,8 @@ import numpy as np
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.fit.motion.nuisance.first_look import FixedCameras
-from tg4mm.fit.motion.nuisance.projection import Projection
+from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import PosedFrames, whole_pictures
 from tg4mm.fit.motion.sinusoids import constant_and_trend
 from tg4mm.fit.motion.solver.aggregates import Aggregates
@@ -71,13 +70,11 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
     """Every fixed camera's region shifts."""
     labels, out = labels_of(problem.aggregates), []
     with progress("region shifts", len(seen.views), "cameras") as update:
-        for v, (frames, view) in enumerate(zip(seen.observations.frames, seen.views, strict=True)):
+        for v, frames in enumerate(seen.observations.frames):
 
-            def compute(v: int = v, frames: PosedFrames = frames, view: ViewJacobian = view) -> Arrays:
-                mean, nuisance = seen.look.mean[v], seen.nuisances[v]
-                projection = Projection.of(nuisance, mean, None) if nuisance.active.any() else None
-                changes = (p - mean for p in whole_pictures(seen.observations, frames.rows))
-                return RegionView(view, frames, projection, labels).series(changes, frames.times_s).arrays()
+            def compute(v: int = v, frames: PosedFrames = frames) -> Arrays:
+                pictures = whole_pictures(seen.observations, frames.rows)
+                return shift_series(seen.model(v), labels, (p - seen.look.mean[v] for p in pictures)).arrays()
 
             out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
             update(v + 1)
@@ -89,62 +86,43 @@ def labels_of(aggregates: Aggregates) -> np.ndarray:
     return np.asarray(aggregates.tentative.indices)
 
 
-@dataclass(frozen=True)
-class RegionView:
-    """Regions of Gaussians as one camera sees them."""
+def shift_series(model: ObservationModel, labels: np.ndarray, changes: Iterable[np.ndarray]) -> RegionSeries:
+    """Of one pose's changes [f, H, W, 3], a few frames at a time; labels [N]: the region of every Gaussian."""
+    axes = model.frames.viewmat[:2, :3].astype(np.float64)
+    sides = [_summed(model.adjoint(some)[..., :3] @ axes.T, labels) for some in changes]
+    return RegionSeries(
+        model.frames.times_s, np.concatenate(sides), _normals(model, labels, axes)[None], axes[None]
+    )
 
-    view: ViewJacobian
-    camera: PosedView
-    projection: Projection | None  # of its nuisance; None: nothing is projected out
-    labels: np.ndarray  # [N] the region of every Gaussian
 
-    def series(self, changes: Iterable[np.ndarray], times_s: np.ndarray) -> RegionSeries:
-        """Of the camera's changes [f, H, W, 3], a few frames at a time."""
-        axes = self.camera.viewmat[:2, :3].astype(np.float64)
-        sides = np.concatenate([self._sides(axes, some) for some in changes])
-        return RegionSeries(times_s, sides, self._normals(axes)[None], axes[None])
-
-    def _sides(self, axes: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        if self.projection is not None:
-            changes = self.projection.out_of(changes)
-            if self.projection.weights is not None:
-                changes = changes * self.projection.weights[..., None]
-        out = np.zeros((len(changes), len(self.labels), DOF), np.float32)
-        self.view.vjp(np.ascontiguousarray(changes, np.float32), out)
-        return _summed(out[..., :3] @ axes.T, self.labels)
-
-    def _normals(self, axes: np.ndarray) -> np.ndarray:
-        """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
-        rng, count = np.random.default_rng(0), int(self.labels.max()) + 1
-        signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
-        motions = np.zeros((2 * _PROBES, len(self.labels), DOF), np.float32)
-        for p in range(_PROBES):
-            for a in range(2):
-                motions[2 * p + a, :, :3] = signs[p, self.labels, None] * axes[a]
-        out = np.zeros_like(motions)
-        weights = None if self.projection is None else self.projection.weights
-        self.view.gauss_newton_product(motions, weights, out)
-        if self.projection is not None:
-            self.projection.correct(motions, out)
-        sums = _summed(out[..., :3] @ axes.T, self.labels).reshape(_PROBES, 2, count, 2)
-        mean = (sums * signs[:, None, :, None]).mean(0).transpose(1, 0, 2)
-        values, vectors = np.linalg.eigh((mean + mean.transpose(0, 2, 1)) / 2)
-        return np.einsum("gij,gj,gkj->gik", vectors, np.maximum(values, 0), vectors)
+def _normals(model: ObservationModel, labels: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
+    rng, count = np.random.default_rng(0), int(labels.max()) + 1
+    signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
+    motions = np.zeros((2 * _PROBES, len(labels), DOF), np.float32)
+    for p in range(_PROBES):
+        for a in range(2):
+            motions[2 * p + a, :, :3] = signs[p, labels, None] * axes[a]
+    sums = _summed(model.normal(motions)[..., :3] @ axes.T, labels).reshape(_PROBES, 2, count, 2)
+    mean = (sums * signs[:, None, :, None]).mean(0).transpose(1, 0, 2)
+    values, vectors = np.linalg.eigh((mean + mean.transpose(0, 2, 1)) / 2)
+    return np.einsum("gij,gj,gkj->gik", vectors, np.maximum(values, 0), vectors)
 
 
 def moving_camera_series(
-    regions: Iterable[RegionView], changes: Iterable[np.ndarray], times_s: np.ndarray
+    models: Sequence[ObservationModel], changes: Iterable[np.ndarray], labels: np.ndarray
 ) -> RegionSeries:
-    """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own Jacobian."""
+    """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own model."""
+    times_s: list[np.ndarray] = []
     each: list[Arrays] = []
-    with progress("region shifts", len(times_s), "frames") as update:
-        for k, (own, change) in enumerate(zip(regions, changes, strict=True)):
-            each.append(own.series([change[None]], times_s[k : k + 1]).arrays())
-            own.view.release()
-            if own.projection is not None:
-                own.projection.release()
+    with progress("region shifts", len(models), "frames") as update:
+        for k, (model, change) in enumerate(zip(models, changes, strict=True)):
+            own = shift_series(model, labels, [change[None]])
+            each.append(own.arrays())
+            times_s.append(own.times_s)
+            model.release()
             update(k + 1)
-    return RegionSeries.restored(times_s, concatenated(each))
+    return RegionSeries.restored(np.concatenate(times_s), concatenated(each))
 
 
 def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:

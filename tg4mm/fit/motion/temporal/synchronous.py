@@ -41,8 +41,6 @@ _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave 
 class Synchronous(TemporalModel):
     """`TemporalModel` of cameras that film at the same times."""
 
-    fitted: np.ndarray  # [R] which of the components
-
     @staticmethod
     def of(
         gaussians: Gaussians,
@@ -64,9 +62,6 @@ class Synchronous(TemporalModel):
     def basis(self) -> np.ndarray:
         """[R, T]: the functions of time."""
         return self.targets.basis[self.fitted]
-
-    def images(self, v: int) -> np.ndarray:
-        return self.targets.of(v, self.fitted)
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         return self.targets.images[:, :1], self.problem, self.folds

@@ -1,0 +1,101 @@
+"""How the pictures of one pose show motion: which part of it, and when (docs/method.md, "Observation model").
+
+Of fields x the pictures show A x = (1 − Q Qᵀ W) J x: the Jacobian, less what nuisance explains. What pictures say of
+fields is Aᵀ W. Of a rolling shutter each row of a picture is read a little after the row above: it is the picture of
+another moment, so its changes are multiplied with the functions of time at that moment. Nothing else needs to know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection
+from tg4mm.fit.motion.observations import PosedFrames
+
+_TAPS = 32  # frames that an interpolated function of time takes part from; fewer miss what is near half the frame rate
+_BETA = 4.0  # of their Kaiser window
+
+
+@dataclass(frozen=True)
+class ObservationModel:
+    """Of one pose: what its pictures show of motion, and when they were taken."""
+
+    frames: PosedFrames
+    view: ViewJacobian
+    projection: (
+        Projection | None
+    )  # of its nuisance, in the metric of the weights; None: nothing is projected out
+    weights: np.ndarray | None = None  # W [H, W] of pixels; None: 1
+
+    @staticmethod
+    def of(
+        frames: PosedFrames, nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None = None
+    ) -> ObservationModel:
+        """With the active columns of the `nuisance` about the mean picture [H, W, 3] projected out."""
+        projection = Projection.of(nuisance, mean, weights) if nuisance.active.any() else None
+        return ObservationModel(frames, nuisance.view, projection, weights)
+
+    def without_nuisance(self, pictures: np.ndarray) -> np.ndarray:
+        """Pictures [R, H, W, 3] with the nuisance columns projected out."""
+        return pictures if self.projection is None else self.projection.out_of(pictures)
+
+    def apply(self, fields: np.ndarray) -> np.ndarray:
+        """A: the pictures [R, H, W, 3] of fields [R, N, 6]."""
+        return self.without_nuisance(self.view.jvp(fields))
+
+    def adjoint(self, pictures: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """Aᵀ W: what pictures [R, H, W, 3] say of R fields, [R, N, 6]; added to `out` where it is given."""
+        pictures = self.without_nuisance(pictures)
+        if self.weights is not None:
+            pictures = pictures * self.weights[..., None]
+        if out is None:
+            out = np.zeros((len(pictures), len(self.view.splats), DOF), np.float32)
+        self.view.vjp(np.ascontiguousarray(pictures, np.float32), out)
+        return out
+
+    def normal(self, fields: np.ndarray) -> np.ndarray:
+        """Aᵀ W A of fields [R, N, 6]."""
+        out = np.zeros_like(fields)
+        self.view.gauss_newton_product(fields, self.weights, out)
+        if self.projection is not None:
+            self.projection.correct(fields, out)
+        return out
+
+    def release(self) -> None:
+        """Let go of memory that is filled again where it is asked for."""
+        self.view.release()
+        if self.projection is not None:
+            self.projection.release()
+
+
+def project(
+    frames: PosedFrames, height: int, rows: slice, strip: np.ndarray, functions: np.ndarray
+) -> np.ndarray:
+    """Σ_f a_r(τ_f) strip[f], [R, rows, W, 3] float32: rows of all F pictures [F, rows, W, 3] of so many rows.
+
+    functions [R, F]: a_r at the times of the pictures' middle rows. τ_f is a row's own time.
+    """
+    if not frames.readout_s:
+        flat = functions.astype(np.float32) @ strip.reshape(len(strip), -1)
+        return flat.reshape(len(functions), *strip.shape[1:])
+    step = float(np.ptp(frames.times_s)) / (len(frames.times_s) - 1)
+    delays = frames.readout_s / step * ((np.arange(rows.start, rows.stop) + 0.5) / height - 0.5)
+    each = (delayed(functions, d).astype(np.float32) for d in delays)
+    return np.stack([np.tensordot(f, strip[:, k], 1) for k, f in enumerate(each)], axis=1)
+
+
+def delayed(functions: np.ndarray, frames: float) -> np.ndarray:
+    """[R, F]: functions [R, F] of regular times, so many frames later (Kaiser-windowed sinc; mirrored at the ends)."""
+    offsets = np.arange(-_TAPS // 2, _TAPS // 2 + 1)
+    away = frames - offsets
+    inside = np.clip(1 - (away / (_TAPS / 2 + 1)) ** 2, 0, None)
+    taps = np.sinc(away) * np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA)
+    n = functions.shape[1]
+    padded = np.pad(
+        functions, ((0, 0), (_TAPS // 2, _TAPS // 2)), "reflect" if n > _TAPS // 2 else "symmetric"
+    )
+    return np.stack([np.convolve(f, taps[::-1], "valid") for f in padded])
