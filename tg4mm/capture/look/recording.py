@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import NAMES, VIDEO_SUFFIXES, frame_rate, is_regular, regular_times
-from tg4mm.capture.sfm.repeats import find_repeats
+from tg4mm.capture.sfm.frozen import find_repeats
 from tg4mm.capture.sfm.video import grey_frames, video_info
 from tg4mm.capture.transforms import natural
 from tg4mm.core.errors import CaptureError
