@@ -11,8 +11,8 @@ from bpy_extras.io_utils import ImportHelper
 
 from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
+from ..core.splatfile.drawable import Options, parsed_frequencies
 from ..core.splatfile.read import ENDINGS
-from ..core.splatfile.source import Options, parsed_frequencies
 from ..nodes import drawing, receiving, scene
 from ..nodes.blending import true_colours
 from ..panels import showing

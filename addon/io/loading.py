@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import SplatFileError
 from ..core.splatfile import SplatFile, read_head, read_splat
-from ..core.splatfile.source import Options
+from ..core.splatfile.drawable import Options
 from ..nodes import scene
 from .numbered import as_sequence, missing_beside, name_of, run_around
 
