@@ -19,29 +19,11 @@ ALPHAS = (5, 10, 20, 50, 100)
 CLIPS = 7  # places that one camera films from, where --views does not say it
 # What an option is where neither the command line nor the preset says it.
 DEFAULTS: dict[str, Any] = {
-    "size": 128,
-    "timesteps": 30,
-    "fps": 30.0,
-    "cameras": "orbit",
-    "views": 30,
-    "test_views": 5,
-    "clock_offsets": 0.0,
-    "shake": 0.0,
-    "exposure_drift": 0.0,
-    "flicker": 0.0,
-    "flicker_hz": 100.0,
-    "codec": "none",
-    "crf": 20,
-    "samples": 96,
-    "seed": 0,
-    "points": 20000,
-    "alphas": ALPHAS,
-    "truth": "test",
-    "engine": "cycles",
-    "device": "cpu",
-    "images": "png8",
-    "background": "transparent",
-}
+    "size": 128, "timesteps": 30, "fps": 30.0, "cameras": "orbit", "views": 30, "test_views": 5,
+    "clock_offsets": 0.0, "shake": 0.0, "exposure_drift": 0.0, "flicker": 0.0, "flicker_hz": 100.0,
+    "codec": "none", "crf": 20, "samples": 96, "seed": 0, "points": 20000, "alphas": ALPHAS, "truth": "test",
+    "engine": "cycles", "device": "cpu", "images": "png8", "background": "transparent",
+}  # fmt: skip
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
         "size": 96,
@@ -54,22 +36,6 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "demo": {},
     "paper": {"size": 512, "test_views": 10, "samples": 128, "points": 50000},
-}
-_HELP = {
-    "size": "edge of the square images, pixels",
-    "timesteps": "number of timesteps",
-    "fps": "timesteps per second, Hz",
-    "views": f"number of training cameras (orbit, rig), photographs (sweep) or clips ({CLIPS} by default)",
-    "test_views": "number of test cameras; the published data have 10, flat has one",
-    "clock_offsets": "cameras start up to this long before or after the first one, seconds",
-    "shake": "every camera shakes (rotates at 1 … 10 Hz): rms shift of the picture, pixels",
-    "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
-    "flicker": "flicker of the light, percent peak to peak",
-    "flicker_hz": "with --flicker: its frequency, Hz",
-    "crf": "with --codec: rate factor, 0 … 51; larger is worse",
-    "samples": "light paths per pixel",
-    "seed": "seed of the renderer, the sensor noise, the points and the shake",
-    "points": "points in points3d.ply, 0 for none",
 }
 
 
@@ -88,18 +54,108 @@ def parser() -> argparse.ArgumentParser:
         epilog="A command that was stopped continues when it is given again with the same options.",
         allow_abbrev=False,
     )
-    p.add_argument(
-        "scene", metavar="SCENE", nargs="?", help=f"one of: {', '.join(NAMES)}; or {ALL} for all of them"
-    )
+    scenes = f"one of: {', '.join(NAMES)}; or {ALL} for all of them"
+    p.add_argument("scene", metavar="SCENE", nargs="?", help=scenes)
     p.add_argument("--out", type=Path, metavar="DIR", help="parent folder of the dataset")
     p.add_argument("--preset", choices=sorted(PRESETS), default="demo", help=_presets())
-    _source_options(p.add_argument_group("your own scene, instead of SCENE"))
-    _motion_options(p.add_argument_group("motion"))
-    _camera_options(p.add_argument_group("cameras"))
-    _picture_options(p.add_argument_group("pictures and truth"))
-    _effect_options(p.add_argument_group("effects of real cameras, on training pictures, all off by default"))
-    _work_options(p.add_argument_group("the work"))
+    for title, options in _groups().items():
+        group, exclusive = p.add_argument_group(title), None
+        for flag, about in options.items():
+            if flag in _EXCLUSIVE:
+                exclusive = exclusive or group.add_mutually_exclusive_group()
+            (exclusive if exclusive and flag in _EXCLUSIVE else group).add_argument(flag, **about)
     return p
+
+
+_EXCLUSIVE = ("--amplitude", "--amplitude-px", "--prepare", "--part", "--finish")  # within their group
+
+
+def _groups() -> dict[str, dict[str, dict[str, Any]]]:
+    """Keywords of `add_argument` by flag, by title of the group."""
+    return {
+        "your own scene, instead of SCENE": {
+            "--blend": _file("a .blend file; its scene at its current frame"),
+            "--mesh": _file("a glTF, OBJ, PLY, STL, USD or FBX file, scaled to the size of the built-in scenes"),
+            "--frame": {"type": int, "metavar": "N", "help": "with --blend: the frame (default: the file's)"},
+            "--scene": {
+                "dest": "blend_scene", "metavar": "NAME", "help": "with --blend: the scene (default: the file's)"
+            },
+            "--list": _flag(
+                "only list parts, boxes, vertex groups and scale, and with --motion the amplitudes; alone, the "
+                "built-in scenes; writes nothing"
+            ),
+            "--name": {"metavar": "NAME", "help": "first part of the folder's name (default: the file's)"},
+        },
+        "motion": {
+            "--motion": _file("YAML or JSON description (default: the scene's own)"),
+            "--frequency": _real(
+                "frequency of the first mode and of those that share it, Hz; below half of --fps"
+            ),
+            "--amplitude": _real(
+                "largest displacement of the first mode, scene units; modes of its frequency are scaled with it"
+            ),
+            "--amplitude-px": _real("the same in pixels of the first training camera"),
+            **_numbers({"timesteps": "number of timesteps", "fps": "timesteps per second, Hz"}),
+        },
+        "cameras": {
+            "--cameras": _choice("cameras", CAMERA_KINDS, (
+                "orbit: NeRF-synthetic's spiral; rig: fixed, around the scene; sweep: one fixed, after a handheld "
+                "round; handheld: one, all along; clips: one, from place after place; flat: one fixed; given: those "
+                "of the .blend file"
+            )),
+            **_numbers({
+                "views": f"number of training cameras (orbit, rig), photographs (sweep) or clips ({CLIPS} by default)",
+                "test_views": "number of test cameras; the published data have 10, flat has one",
+                "clock_offsets": "cameras start up to this long before or after the first one, seconds",
+            }),
+        },
+        "pictures and truth": {
+            **_numbers({
+                "size": "edge of the square images, pixels", "samples": "light paths per pixel",
+                "seed": "seed of the renderer, the sensor noise, the points and the shake",
+                "points": "points in points3d.ply, 0 for none",
+            }),
+            "--engine": _choice("engine", ENGINES, "Blender's renderer"),
+            "--device": _choice("device", DEVICES, "where Cycles runs"),
+            "--images": _choice("images", IMAGES, "8 or 16 bits, or linear EXR"),
+            "--background": _choice("background", BACKGROUNDS, "straight alpha, or white and opaque"),
+            "--sensor": {
+                "choices": ("none", *SENSORS), "help": "noise of a camera, new in every frame (default: none)"
+            },
+            "--jpeg": {"type": int, "metavar": "Q", "help": (
+                "with --sensor: JPEG of this quality, 1 … 100, in between; 0 for none (default: the sensor's own)"
+            )},
+            "--alphas": {"type": _alphas, "metavar": "A,A,…", "help": (
+                "magnification factors of the ground truth; a displacement grows to (1 + A) times its size (default: "
+                f"{','.join(map(str, ALPHAS))})"
+            )},
+            "--truth": _choice("truth", TRUTH, (
+                "splits with per-pixel depth, normal, position and displacement; 5 MB a view and distinct state at "
+                "512 px, so not all by default"
+            )),
+        },
+        "effects of real cameras, on training pictures, all off by default": {
+            **_numbers({
+                "shake": "every camera shakes (rotates at 1 … 10 Hz): rms shift of the picture, pixels",
+                "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
+                "flicker": "flicker of the light, percent peak to peak",
+                "flicker_hz": "with --flicker: its frequency, Hz",
+            }),
+            "--codec": _choice("codec", CODECS, "each camera's pictures go through a video"),
+            **_numbers({"crf": "with --codec: rate factor, 0 … 51; larger is worse"}),
+            "--keep-video": _flag("with --codec: keep the videos, in video/"),
+        },
+        "the work": {
+            "--processes": {
+                "type": int, "metavar": "N", "help": "number of render processes at once (default: one per core)"
+            },
+            "--save-blend": _file("only save the animated scene as a .blend file"),
+            "--prepare": _flag("only prepare rendering in parts, on many machines"),
+            "--part": {"type": _part, "metavar": "I/N", "help": "only render part I of N"},
+            "--finish": _flag("only finish the dataset, after all parts"),
+            "--parts": {"type": int, "metavar": "N", "help": "with --prepare: how many parts (default: by size)"},
+        },
+    }  # fmt: skip
 
 
 def _presets() -> str:
@@ -111,127 +167,34 @@ def _presets() -> str:
     )
 
 
-def _number(group: argparse._ArgumentGroup, name: str) -> None:
-    kind = type(DEFAULTS[name])
-    group.add_argument(
-        f"--{name.replace('_', '-')}",
-        type=kind,
-        metavar="N" if kind is int else "X",
-        help=f"{_HELP[name]} (default: {DEFAULTS[name]:g})",
-    )
+def _file(text: str) -> dict[str, Any]:
+    return {"type": Path, "metavar": "FILE", "help": text}
 
 
-def _choice(group: argparse._ArgumentGroup, name: str, choices: tuple[str, ...], text: str) -> None:
-    group.add_argument(f"--{name}", choices=choices, help=f"{text} (default: {DEFAULTS[name]})")
+def _flag(text: str) -> dict[str, Any]:
+    return {"action": "store_true", "help": text}
 
 
-def _source_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--blend", type=Path, metavar="FILE", help="a .blend file; its scene at its current frame"
-    )
-    group.add_argument(
-        "--mesh",
-        type=Path,
-        metavar="FILE",
-        help="a glTF, OBJ, PLY, STL, USD or FBX file, scaled to the size of the built-in scenes",
-    )
-    group.add_argument("--frame", type=int, metavar="N", help="with --blend: the frame (default: the file's)")
-    group.add_argument(
-        "--scene", dest="blend_scene", metavar="NAME", help="with --blend: the scene (default: the file's)"
-    )
-    group.add_argument(
-        "--list",
-        action="store_true",
-        help="only list parts, boxes, vertex groups and scale, and with --motion the amplitudes; alone, the built-in "
-        "scenes; writes nothing",
-    )
-    group.add_argument("--name", metavar="NAME", help="first part of the folder's name (default: the file's)")
+def _real(text: str) -> dict[str, Any]:
+    return {"type": float, "metavar": "X", "help": text}
 
 
-def _motion_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--motion", type=Path, metavar="FILE", help="YAML or JSON description (default: the scene's own)"
-    )
-    group.add_argument(
-        "--frequency",
-        type=float,
-        metavar="X",
-        help="frequency of the first mode and of those that share it, Hz; below half of --fps",
-    )
-    amount = group.add_mutually_exclusive_group()
-    amount.add_argument(
-        "--amplitude",
-        type=float,
-        metavar="X",
-        help="largest displacement of the first mode, scene units; modes of its frequency are scaled with it",
-    )
-    amount.add_argument(
-        "--amplitude-px", type=float, metavar="X", help="the same in pixels of the first training camera"
-    )
-    _number(group, "timesteps")
-    _number(group, "fps")
+def _numbers(texts: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Options of whole or real numbers, as their default is."""
+    made = {}
+    for name, text in texts.items():
+        kind = type(DEFAULTS[name])
+        about = {
+            "type": kind,
+            "metavar": "N" if kind is int else "X",
+            "help": f"{text} (default: {DEFAULTS[name]:g})",
+        }
+        made[f"--{name.replace('_', '-')}"] = about
+    return made
 
 
-def _camera_options(group: argparse._ArgumentGroup) -> None:
-    text = (
-        "orbit: NeRF-synthetic's spiral; rig: fixed, around the scene; sweep: one fixed, after a handheld round; "
-        "handheld: one, all along; clips: one, from place after place; flat: one fixed; given: those of the .blend file"
-    )
-    _choice(group, "cameras", CAMERA_KINDS, text)
-    for name in ("views", "test_views", "clock_offsets"):
-        _number(group, name)
-
-
-def _picture_options(group: argparse._ArgumentGroup) -> None:
-    for name in ("size", "samples", "seed", "points"):
-        _number(group, name)
-    _choice(group, "engine", ENGINES, "Blender's renderer")
-    _choice(group, "device", DEVICES, "where Cycles runs")
-    _choice(group, "images", IMAGES, "8 or 16 bits, or linear EXR")
-    _choice(group, "background", BACKGROUNDS, "straight alpha, or white and opaque")
-    group.add_argument(
-        "--sensor", choices=("none", *SENSORS), help="noise of a camera, new in every frame (default: none)"
-    )
-    group.add_argument(
-        "--jpeg",
-        type=int,
-        metavar="Q",
-        help="with --sensor: JPEG of this quality, 1 … 100, in between; 0 for none (default: the sensor's own)",
-    )
-    group.add_argument("--alphas", type=_alphas, metavar="A,A,…",
-                       help="magnification factors of the ground truth; a displacement grows to (1 + A) times "
-                            f"its size (default: {','.join(map(str, ALPHAS))})")  # fmt: skip
-    _choice(group, "truth", TRUTH, "splits with per-pixel depth, normal, position and displacement; 5 MB a view and "
-            "distinct state at 512 px, so not all by default")  # fmt: skip
-
-
-def _effect_options(group: argparse._ArgumentGroup) -> None:
-    for name in ("shake", "exposure_drift", "flicker", "flicker_hz"):
-        _number(group, name)
-    _choice(group, "codec", CODECS, "each camera's pictures go through a video")
-    _number(group, "crf")
-    group.add_argument("--keep-video", action="store_true", help="with --codec: keep the videos, in video/")
-
-
-def _work_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--processes",
-        type=int,
-        metavar="N",
-        help="number of render processes at once (default: one per core)",
-    )
-    group.add_argument(
-        "--save-blend", type=Path, metavar="FILE", help="only save the animated scene as a .blend file"
-    )
-    phase = group.add_mutually_exclusive_group()
-    phase.add_argument(
-        "--prepare", action="store_true", help="only prepare rendering in parts, on many machines"
-    )
-    phase.add_argument("--part", type=_part, metavar="I/N", help="only render part I of N")
-    phase.add_argument("--finish", action="store_true", help="only finish the dataset, after all parts")
-    group.add_argument(
-        "--parts", type=int, metavar="N", help="with --prepare: how many parts (default: by size)"
-    )
+def _choice(name: str, choices: tuple[str, ...], text: str) -> dict[str, Any]:
+    return {"choices": choices, "help": f"{text} (default: {DEFAULTS[name]})"}
 
 
 def _alphas(text: str) -> tuple[float, ...]:

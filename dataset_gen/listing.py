@@ -62,12 +62,8 @@ def _table(bodies: Sequence[Body]) -> list[str]:
         low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
         groups = [name if weights.any() else f"{name} (empty)" for name, weights in body.groups.items()]
         row = (
-            body.name,
-            f"{len(body.vertices):,}",
-            f"({_place(low)})",
-            f"({_place(high)})",
-            ", ".join(groups),
-        )
+            body.name, f"{len(body.vertices):,}", f"({_place(low)})", f"({_place(high)})", ", ".join(groups),
+        )  # fmt: skip
         rows.append(row)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

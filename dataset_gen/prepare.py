@@ -15,16 +15,15 @@ import numpy as np
 
 from tg4mm.core import events
 
-from . import processes, tree, true_cameras, truth
+from . import processes, tree, truth
 from .cameras import cameras_at
 from .cameras.framing import moving_points
 from .effects import codec
 from .errors import GenerateError, blender_remedy
 from .plan import Shot, shots
-from .quality import Quality
 from .scene import Scene
 from .scenes import SCENES
-from .settings import Settings, Source
+from .settings import Quality, Settings, Source
 from .vibration import Body, Motion, pixel_displacement, reach, solve
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def claim(job: Job) -> Job:
     tree.work_folder(root).claim(description)
     tree.write_poses(root, settings)
     truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
-    true_cameras.write_cameras(root, settings, motion)
+    tree.write_cameras(root, settings, motion)
     return job
 
 

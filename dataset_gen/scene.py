@@ -40,6 +40,11 @@ class Part:
     follow: np.ndarray  # [V] in 0..1; 1 goes along with the field of the mode, 0 is held still
 
 
+def part(name: str, mesh: Mesh, surface: Surface, follow: np.ndarray | float = 1.0) -> Part:
+    """A part that follows the modes wholly, or by as much as `follow` ([V] or a number) says."""
+    return Part(name, mesh, surface, np.broadcast_to(np.asarray(follow, float), (len(mesh.vertices),)))
+
+
 @dataclass(frozen=True)
 class AreaLight:
     """A soft box."""

@@ -7,6 +7,8 @@ alike.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 # A 5×7 font for engraved lettering: one string per row, '#' is ink.
@@ -33,6 +35,11 @@ _GLYPHS = {
     "-": "     |     |     |#####|     |     |     ",
     " ": "     |     |     |     |     |     |     ",
 }
+
+
+def seeded(*scene: int) -> Callable[[int], np.random.Generator]:
+    """A scene's generators, by number: patterns belong to the scene; the dataset's seed is the renderer's."""
+    return lambda number: np.random.default_rng([*scene, number])
 
 
 def flat(height: int, width: int, colour: tuple[float, float, float]) -> np.ndarray:

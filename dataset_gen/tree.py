@@ -10,14 +10,18 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tg4mm.core.temporary import replacing
 from tg4mm.core.work_folder import WorkFolder
 
 from . import exr
-from .cameras import cameras_at, clock_offsets, films, transforms
+from .cameras import Camera, cameras_at, clock_offsets, films, scene_time, transforms
+from .effects import Record
 from .errors import GenerateError
-from .plan import UNCODED, magnified_folder
+from .plan import UNCODED, magnified_folder, picture_path
 from .settings import Settings
+from .vibration import Motion
 
 FORMAT_VERSION = 1
 TIMING = {"pictures": int, "seconds": float, "processes": int}  # report/timing.json
@@ -75,32 +79,19 @@ def describe(
     """
     main = settings.motion.main
     return {
-        "format_version": FORMAT_VERSION,
-        "scene": settings.scene,
-        "kind": settings.cameras.capture_kind,
-        **({"clocks": "independent"} if any(clock_offsets(settings.cameras)) else {}),
-        "fps": settings.fps,
-        "n_timesteps": settings.timesteps,
-        "frequency_hz": main.frequency_hz,
-        "amplitude": amplitude,
-        "unit_scale_m": unit_scale_m,
-        "modes": settings.motion.to_json()["modes"],
-        "seed": settings.seed,
-        "engine": engine,
-        "alphas": list(settings.alphas),
-        "background": settings.pictures.background,
-        "images": settings.pictures.images,
-        "width": settings.size,
-        "height": settings.size,
-        "cameras": settings.cameras.to_json(),
-        "n_train": settings.cameras.n_train(0),
+        "format_version": FORMAT_VERSION, "scene": settings.scene, "kind": settings.cameras.capture_kind,
+        **({"clocks": "independent"} if any(clock_offsets(settings.cameras)) else {}), "fps": settings.fps,
+        "n_timesteps": settings.timesteps, "frequency_hz": main.frequency_hz, "amplitude": amplitude,
+        "unit_scale_m": unit_scale_m, "modes": settings.motion.to_json()["modes"], "seed": settings.seed,
+        "engine": engine, "alphas": list(settings.alphas), "background": settings.pictures.background,
+        "images": settings.pictures.images, "width": settings.size, "height": settings.size,
+        "cameras": settings.cameras.to_json(), "n_train": settings.cameras.n_train(0),
         "n_test": settings.cameras.n_test,
         "n_at_rest": settings.cameras.n_train(0) - 1 if settings.cameras.kind == "sweep" else 0,
-        "n_points": settings.points,
-        "truth": settings.truth,
+        "n_points": settings.points, "truth": settings.truth,
         "sensor": settings.sensor.to_json() if settings.sensor else None,
         "effects": settings.effects.to_json() if settings.effects.any else None,
-    }
+    }  # fmt: skip
 
 
 def work_folder(root: Path) -> WorkFolder:
@@ -120,3 +111,55 @@ def write_poses(root: Path, settings: Settings) -> None:
             for folder in folders if cameras else ():
                 data = transforms(cameras, split, t / settings.fps, size, size, suffix, still)
                 write_json(folder / f"transforms_{split}.json", data)
+
+
+CAMERAS = "truth/cameras.json"
+
+
+def write_cameras(root: Path, settings: Settings, motion: Motion) -> None:
+    """Writes the file, if there is anything to say: clocks that differ, shake, or gains."""
+    effects, setup = settings.effects, settings.cameras
+    frames = effects.shake_px > 0 or effects.gain
+    if not frames and not any(clock_offsets(setup)):
+        return
+    head = {
+        "clocks": "scene time = time in transforms_train.json + clock_offset_s; test views, truth/motion.npz and "
+        "magnified/ go by scene time",
+        "frequencies_hz": motion.frequencies_hz.tolist(),
+        "cameras": _clocks(settings, motion),
+    }
+    lines = _frames(settings) if frames else []
+    # One frame a line: thousands of matrices, spread over a line for each number, would be hard to look through.
+    text = json.dumps({**head, "frames": {}}, indent=2).removesuffix("{}\n}")
+    body = ",\n".join(f"    {json.dumps(name)}: {json.dumps(frame)}" for name, frame in lines)
+    write_bytes(root / CAMERAS, f"{text}{{\n{body}\n  }}\n}}\n".encode())
+
+
+def _filming(settings: Settings, timestep: int) -> list[Camera]:
+    return [c for c in cameras_at(settings.cameras, timestep)["train"] if films(settings.cameras, c)]
+
+
+def _clocks(settings: Settings, motion: Motion) -> dict[str, Any]:
+    """Per camera: `phases_rad`, one for each of `frequencies_hz`, by which a mode is ahead at the camera's time 0."""
+    found = {}
+    for camera in _filming(settings, 0):
+        offset = clock_offsets(settings.cameras)[camera.index]
+        phases = np.angle(np.exp(2j * np.pi * ((motion.frequencies_hz * offset) % 1.0)))
+        found[camera.name] = {"clock_offset_s": offset, "phases_rad": phases.tolist()}
+    return found
+
+
+def _frames(settings: Settings) -> list[tuple[str, dict[str, Any]]]:
+    record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
+    found = []
+    for t in range(settings.timesteps):
+        for camera in _filming(settings, t):
+            gain = record.gain("train", camera, t)
+            pose = record.true_camera("train", camera, t).camera_to_world
+            frame = {
+                "scene_time_s": scene_time(settings.cameras, camera, t),
+                "gain": [1.0, 1.0, 1.0] if gain is None else gain.tolist(),
+                "transform_matrix": pose.tolist(),
+            }
+            found.append((picture_path(settings, t, camera), frame))
+    return found

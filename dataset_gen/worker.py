@@ -27,9 +27,8 @@ from .painter import Painter
 from .plan import Picture, Shot, shots
 from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
-from .quality import Quality
-from .settings import Settings, Source
-from .sources.loaded import Loaded
+from .settings import Quality, Settings, Source
+from .sources.assemble import Loaded
 from .vibration import Body
 
 

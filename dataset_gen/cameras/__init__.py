@@ -14,30 +14,13 @@ from .camera import (
     look_at,
     look_at_origin,
     scene_cameras,
+    transforms,
 )
-from .clocks import clock_offsets, films, scene_time
-from .orbit import spiral, test_cameras, train_cameras
-from .setup import KINDS, SINGLE, CameraSetup, cameras_at
-from .transforms import transforms
+from .paths import spiral, test_cameras, train_cameras
+from .setup import KINDS, SINGLE, CameraSetup, cameras_at, clock_offsets, films, scene_time
 
 __all__ = [
-    "CAMERA_ANGLE_X",
-    "DISTANCE",
-    "KINDS",
-    "SINGLE",
-    "Aim",
-    "Camera",
-    "CameraSetup",
-    "cameras_at",
-    "clock_offsets",
-    "films",
-    "focal_length",
-    "look_at",
-    "look_at_origin",
-    "scene_cameras",
-    "scene_time",
-    "spiral",
-    "test_cameras",
-    "train_cameras",
-    "transforms",
-]
+    "CAMERA_ANGLE_X", "DISTANCE", "KINDS", "SINGLE", "Aim", "Camera", "CameraSetup", "cameras_at",
+    "clock_offsets", "films", "focal_length", "look_at", "look_at_origin", "scene_cameras", "scene_time",
+    "spiral", "test_cameras", "train_cameras", "transforms",
+]  # fmt: skip

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..errors import GenerateError
-from ..pinhole import project
 
 CAMERA_ANGLE_X = 0.6911112070083618  # NeRF-synthetic's horizontal field of view, radians
 DISTANCE = float(np.hypot(4.0, 0.5))  # of the original cameras from the origin, 4.0311 scene units
@@ -87,12 +86,9 @@ class Camera:
     def to_json(self) -> dict[str, Any]:
         """Plain data; `from_json` gives an equal camera."""
         return {
-            "index": self.index,
-            "camera_to_world": self.camera_to_world.tolist(),
-            "rotation": self.rotation,
-            "angle_x": self.angle_x,
-            "shift": list(self.shift),
-        }
+            "index": self.index, "camera_to_world": self.camera_to_world.tolist(), "rotation": self.rotation,
+            "angle_x": self.angle_x, "shift": list(self.shift),
+        }  # fmt: skip
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Camera:
@@ -189,3 +185,73 @@ def _rigid(index: int, pose: np.ndarray) -> np.ndarray:
     rigid[:3, :3] = np.column_stack([right, np.cross(back, right), back])
     rigid[:3, 3] = pose[:3, 3]
     return rigid
+
+
+def transforms(
+    cameras: Sequence[Camera],
+    split: str,
+    time_s: float,
+    width: int,
+    height: int,
+    suffix: str = "",
+    at_rest: Collection[Camera] = (),
+) -> dict[str, object]:
+    """Content of `transforms_<split>.json`: NeRF-synthetic's keys, time in seconds, intrinsics as extras.
+
+    Every frame has fl_x, fl_y, cx, cy, w, h (pixels); those on which all frames agree stand at the top
+    too. camera_angle_x, which plain loaders go by, is that of the first camera: with lenses that differ, only a
+    loader of the frames' own values is right. `suffix`: of the image files where it is not ".png". `at_rest`: cameras
+    whose pictures show the scene before it moves, and have no time.
+    """
+    if not cameras:
+        raise ValueError(f"no cameras for transforms_{split}.json")
+    frames = [
+        _frame(camera, split, None if camera in at_rest else time_s, width, height, suffix)
+        for camera in cameras
+    ]
+    shared = {
+        key: frames[0][key]
+        for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")
+        if all(frame[key] == frames[0][key] for frame in frames)
+    }
+    return {"camera_angle_x": cameras[0].angle_x, **shared, "frames": frames}
+
+
+def _frame(
+    camera: Camera, split: str, time_s: float | None, width: int, height: int, suffix: str
+) -> dict[str, Any]:
+    focal, (cx, cy) = camera.focal(width), camera.principal_point(width, height)
+    return {
+        "file_path": f"./{split}/{camera.name}{'' if suffix == '.png' else suffix}",
+        "rotation": camera.rotation, **({} if time_s is None else {"time": time_s}),
+        "transform_matrix": camera.camera_to_world.tolist(), "fl_x": focal, "fl_y": focal, "cx": cx, "cy": cy,
+        "w": width, "h": height,
+    }  # fmt: skip
+
+
+Intrinsics = tuple[float, float, float, float]  # fx, fy, cx, cy, pixels
+
+
+def project(
+    points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [..., 2] and planar depth [...] of world points [..., 3]; depth ≤ 0 is behind the camera.
+
+    Pose with OpenGL axes; the centre of pixel (column i, row j) lies at (i + 0.5, j + 0.5).
+    """
+    local = (points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
+    depth = -local[..., 2]
+    fx, fy, cx, cy = intrinsics
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = np.stack([fx * local[..., 0] / depth + cx, cy - fy * local[..., 1] / depth], -1)
+    return pixels, depth
+
+
+def unproject(depth: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """World points [H, W, 3] that pixel centres see at planar depths [H, W]."""
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape
+    x = (np.arange(width) + 0.5 - cx) / fx
+    y = (np.arange(height) + 0.5 - cy) / fy
+    rays = np.stack(np.broadcast_arrays(x[None], -y[:, None], -1.0), -1)
+    return depth[..., None] * rays @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]

@@ -14,9 +14,16 @@ from ..errors import GenerateError
 from ..limits import check_whole, check_within
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
 from .framing import farther
-from .handheld import beside_path, fixed_camera, handheld_camera, sweep_cameras
-from .orbit import test_cameras, train_cameras
-from .rig import clip_cameras, rig_cameras
+from .paths import (
+    beside_path,
+    clip_cameras,
+    fixed_camera,
+    handheld_camera,
+    rig_cameras,
+    sweep_cameras,
+    test_cameras,
+    train_cameras,
+)
 
 KINDS = ("orbit", "rig", "sweep", "handheld", "clips", "flat", "given")
 SINGLE = ("handheld", "flat", "given")  # kinds that take no number of views
@@ -210,3 +217,37 @@ def _test(setup: CameraSetup) -> tuple[Camera, ...]:
         duration = (setup.n_timesteps - 1) / setup.fps
         return tuple(beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
     return tuple(test_cameras(setup.test_views, setup.test_stand))
+
+
+_SHORTEST_PAUSE, _LONGEST_PAUSE = 2.0, 10.0  # seconds between clips: the camera is carried to its next place
+_DIGITS = 6  # of a second
+
+
+def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | None:
+    """Seconds on the scene's clock at which a training camera takes this picture; None: the scene is at rest."""
+    if not films(setup, camera):
+        return None
+    return timestep / setup.fps + clock_offsets(setup)[camera.index]
+
+
+def films(setup: CameraSetup, camera: Camera) -> bool:
+    """Whether a training camera records over time; the pictures of a sweep show the scene before it moves."""
+    return setup.kind != "sweep" or camera.index == 0
+
+
+@functools.lru_cache(maxsize=64)
+def clock_offsets(setup: CameraSetup) -> tuple[float, ...]:
+    """Seconds from the scene's clock to that of each camera that films, the first 0.
+
+    Cameras that were not started together differ by up to `clock_offsets` either way. Clips follow one another
+    with pauses of 2 to 10 seconds, so that each has a phase of its own at every frequency.
+    """
+    count = 1 if setup.kind == "sweep" else setup.n_train(0)
+    rng = np.random.default_rng([setup.seed, 0xC10C])
+    if setup.kind == "clips":
+        length = setup.n_timesteps / setup.fps
+        pauses = rng.uniform(_SHORTEST_PAUSE, _LONGEST_PAUSE, count - 1)
+        offsets = np.cumsum([0.0, *(length + pauses)])
+    else:
+        offsets = np.array([0.0, *rng.uniform(-setup.clock_offset_s, setup.clock_offset_s, count - 1)])
+    return tuple((offsets.round(_DIGITS) + 0.0).tolist())

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..cameras import Camera, CameraSetup, cameras_at, clock_offsets, films
+from ..cameras.paths import Tremor, rotation_matrix
 from .describe import Effects
-from .gains import drift_gains, flicker_gains
-from .shake import largest_shift, turned, turns
+from .warp import pixels_before
 
 _KERNEL = 3  # pixels that the interpolation reaches beyond the picture
 
@@ -71,3 +71,74 @@ class Record:
             times_s = np.arange(n) / fps + clock_offsets(self.setup)[camera.index]
             gains *= flicker_gains(effects.flicker, effects.flicker_hz, times_s, phase)[:, None]
         return gains
+
+
+_TONES = 3
+_SLOWEST, _FASTEST = 0.3, 1.5  # cycles over the record
+_LIMIT_HZ = 1.0  # a camera's own control is no faster
+
+
+def drift_gains(percent: float, n_timesteps: int, fps: float, rng: np.random.Generator) -> np.ndarray:
+    """Gains [T, 3] of red, green and blue: exposure by `percent` peak to peak, red and blue by a third more each."""
+    exposure, red, blue = (slow_curve(n_timesteps, fps, rng) for _ in range(3))
+    gains = np.repeat(1.0 - 0.01 * percent * exposure[:, None], 3, axis=1)
+    gains[:, 0] *= 1.0 - 0.01 / 3 * percent * red
+    gains[:, 2] *= 1.0 - 0.01 / 3 * percent * blue
+    return gains
+
+
+def slow_curve(n_timesteps: int, fps: float, rng: np.random.Generator) -> np.ndarray:
+    """[T] from 0 to 1, both reached: a few cycles over the record at most, and none faster than 1 Hz."""
+    seconds = n_timesteps / fps
+    cycles = np.minimum(rng.uniform(_SLOWEST, _FASTEST, _TONES), _LIMIT_HZ * seconds)
+    phases, sizes = rng.uniform(0.0, 2 * np.pi, _TONES), rng.uniform(0.5, 1.0, _TONES)
+    turns = 2 * np.pi * np.outer(np.arange(n_timesteps) / n_timesteps, cycles)
+    curve = np.sin(turns + phases) @ sizes
+    return np.asarray((curve - curve.min()) / np.ptp(curve))
+
+
+def flicker_gains(percent: float, hz: float, times_s: np.ndarray, phase: float) -> np.ndarray:
+    """Gains [T] of light that flickers by `percent` peak to peak, at times on the scene's clock.
+
+    The shutter is short and global: no bands run over the picture.
+    """
+    turns = (hz * np.asarray(times_s, np.float64)) % 1.0
+    return 1.0 - 0.005 * percent * (1.0 - np.cos(2 * np.pi * turns + phase))
+
+
+BAND_HZ = (1.0, 10.0)  # of hands and floors
+_GRID = 16  # places per side of the picture at which shifts are measured
+
+
+def turns(camera: Camera, size: int, shake_px: float, n_timesteps: int, fps: float, seed: int) -> np.ndarray:
+    """Rotation vectors [T, 3], radians, camera axes (x right, y up, z back), of mean 0 over the record.
+
+    The rms over the record and the picture of the shift that they cause is `shake_px`, for a picture `size` wide.
+    Tremor as that of hands, in 1 … 10 Hz: its power falls as 1/f². Every camera index has its own.
+    """
+    tremor = Tremor.of((seed, 0x54A6, camera.index), fps, BAND_HZ)
+    vectors = np.array([tremor.at(t / fps)[1] for t in range(n_timesteps)])
+    vectors -= vectors.mean(0)
+    small = 1e-3 / camera.focal(size)  # shifts are linear in turns as small as these
+    shifts = np.array([_shift(camera, size, vector) for vector in small * np.eye(3)]) / small
+    rms = np.sqrt((np.tensordot(vectors, shifts, 1) ** 2).sum(-1).mean())
+    return np.asarray(shake_px / rms * vectors)
+
+
+def largest_shift(camera: Camera, size: int, vectors: np.ndarray) -> float:
+    """How far any place of the picture goes at most, pixels."""
+    return max(float(np.linalg.norm(_shift(camera, size, vector), axis=-1).max()) for vector in vectors)
+
+
+def turned(camera: Camera, vector: np.ndarray) -> Camera:
+    """The camera turned about its own centre by a rotation vector [3] in its own axes."""
+    pose = camera.camera_to_world.copy()
+    pose[:3, :3] = pose[:3, :3] @ rotation_matrix(vector)
+    return replace(camera, camera_to_world=pose)
+
+
+def _shift(camera: Camera, size: int, vector: np.ndarray) -> np.ndarray:
+    """[G, 2] pixels, over a grid of the picture up to its edges."""
+    edge = np.linspace(0.0, size, _GRID)
+    places = np.stack(np.meshgrid(edge, edge), -1).reshape(-1, 2)
+    return pixels_before(camera, size, vector, places) - places

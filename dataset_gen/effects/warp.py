@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..cameras import Camera
-from ..cameras.hand import rotation_matrix
+from ..cameras.paths import rotation_matrix
 
 FINENESS = 2  # fine pixels per pixel along an edge
 FILTER_PX = 3.0  # full width of the filter of plain pictures (render.py: setting 1.5)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,6 @@ from tg4mm.core.values import Number, require
 
 from ..errors import GenerateError
 from ..options import parser, request_from
-from .commands import Commands, commands
 
 _KEYS = {"python": str, "out": str, "parts": int, "threads": int, "mem_mb": int, "minutes": int, "options": str,
          "sets": dict}  # fmt: skip
@@ -119,3 +118,33 @@ def main() -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+MODULE = "dataset_gen"
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Argument lists; the first element is the program."""
+
+    prepare: tuple[str, ...]
+    parts: tuple[tuple[str, ...], ...]  # in any order, at once, on any machine that sees the folder
+    finish: tuple[str, ...]
+
+
+def commands(python: str, arguments: Sequence[str], out: str, parts: int, processes: int = 0) -> Commands:
+    """Commands of the set that `python -m dataset_gen ARGUMENTS --out OUT` makes in one go, in `parts` parts.
+
+    `processes`: render processes at once in each part, 0 for one per core of its machine.
+    """
+    if parts < 1:
+        raise ValueError(f"parts {parts} is below 1")
+    if processes < 0:
+        raise ValueError(f"processes {processes} is below 0")
+    base = (python, "-m", MODULE, *arguments, "--out", out)
+    work = ("--processes", str(processes))
+    return Commands(
+        prepare=(*base, "--prepare", "--parts", str(parts)),
+        parts=tuple((*base, "--part", f"{i}/{parts}", *work) for i in range(1, parts + 1)),
+        finish=(*base, "--finish"),
+    )

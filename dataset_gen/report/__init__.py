@@ -6,13 +6,12 @@ Everything is read from the files of the finished folder, so a report can be mad
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import TypeVar
 
 from ..errors import GenerateError
 
-_Result = TypeVar("_Result")
+__all__ = ["write_overview", "write_report"]
 
 
 def write_report(root: Path) -> Path:
@@ -21,13 +20,7 @@ def write_report(root: Path) -> Path:
     Returns the page. What the folder lacks (test views, truth, ground truth at an α, second renders) is said
     to be absent. Raises GenerateError if a package is not installed, or for a folder that is no dataset.
     """
-
-    def write() -> Path:
-        from .write import write_report as implementation
-
-        return implementation(Path(root))
-
-    return _with_packages(write)
+    return _written("write", "write_report", root)
 
 
 def write_overview(parent: Path) -> Path:
@@ -36,23 +29,14 @@ def write_overview(parent: Path) -> Path:
     Reads what `write_report` left; a dataset without a report is listed as such. Raises GenerateError if a
     package is not installed or there is no dataset in `parent`.
     """
-
-    def write() -> Path:
-        from .overview import write_overview as implementation
-
-        return implementation(Path(parent))
-
-    return _with_packages(write)
+    return _written("overview", "write_overview", parent)
 
 
-def _with_packages(write: Callable[[], _Result]) -> _Result:
+def _written(module: str, function: str, folder: Path) -> Path:
     try:
-        return write()
+        return Path(getattr(import_module(f"{__name__}.{module}"), function)(Path(folder)))
     except ModuleNotFoundError as error:
         raise GenerateError(
             f"the report needs the package {error.name}, which this Python lacks: pip install "
             "'.[generate]' in a copy of the repository, then python -m dataset_gen.report FOLDER"
         ) from error
-
-
-__all__ = ["write_overview", "write_report"]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tg4mm.core.pages.page import Block, Section, Table, Text
@@ -12,22 +14,12 @@ from tg4mm.core.records import read_formed
 from ..tree import TIMING
 from .noise_floor import FloorRow
 from .sections import Findings
-from .sizes import shares
 from .text import decibel, plural, similarity
 
 _SETTINGS = (
-    "engine",
-    "images",
-    "sensor",
-    "seed",
-    "background",
-    "kind",
-    "cameras",
-    "effects",
-    "blender_version",
-    "package_version",
-    "source",
-)
+    "engine", "images", "sensor", "seed", "background", "kind", "cameras", "effects", "blender_version",
+    "package_version", "source",
+)  # fmt: skip
 
 
 def floor_section(f: Findings) -> Section:
@@ -46,12 +38,8 @@ def floor_section(f: Findings) -> Section:
         for label, score, style in own:
             if score is not None:
                 cells = [
-                    f"{row.alpha:g}",
-                    label,
-                    decibel(score.psnr_db),
-                    similarity(score.ssim),
-                    str(score.n),
-                ]
+                    f"{row.alpha:g}", label, decibel(score.psnr_db), similarity(score.ssim), str(score.n),
+                ]  # fmt: skip
                 rows.append(cells)
                 styles.append(style)
         if row.pair is not None:
@@ -154,3 +142,59 @@ def size_text(size: int) -> str:
         if size >= factor:
             return f"{number(size / factor)} {unit}"
     return f"{size} B"
+
+
+KINDS = (
+    "training pictures", "test pictures", "magnified ground truth", "per-pixel truth", "exact motion",
+    "videos", "surface points", "description and poses",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Share:
+    """One kind of file."""
+
+    kind: str
+    names: int
+    files: int  # distinct
+    on_disk: int  # bytes of the distinct files
+    as_named: int  # bytes if every name were a file of its own
+
+
+def shares(root: Path) -> list[Share]:
+    """The kinds that are present, in the order of `KINDS`; the report's own folder does not count.
+
+    A file with names of several kinds (a rest picture serves every α) is counted where it comes up first.
+    """
+    found: dict[str, list[tuple[tuple[int, int], int]]] = {kind: [] for kind in KINDS}
+    for path in sorted(root.rglob("*")):
+        relative = path.relative_to(root)
+        if path.is_file() and relative.parts[0] != "report" and not relative.name.startswith("."):
+            stat = path.stat()
+            found[_kind(relative)].append(((stat.st_dev, stat.st_ino), stat.st_size))
+    seen: set[tuple[int, int]] = set()
+    result = []
+    for kind, entries in found.items():
+        own = {key: size for key, size in entries if key not in seen}
+        seen |= own.keys()
+        if entries:
+            total = sum(size for _, size in entries)
+            result.append(Share(kind, len(entries), len(own), sum(own.values()), total))
+    return result
+
+
+def _kind(relative: Path) -> str:
+    parts = relative.parts
+    if relative.suffix == ".json":
+        return "description and poses"
+    if parts[0] == "video":
+        return "videos"
+    if parts[0] == "truth":
+        return "exact motion" if relative.name == "motion.npz" else "per-pixel truth"
+    if parts[0] == "magnified":
+        return "magnified ground truth"
+    if relative.suffix == ".ply":
+        return "surface points"
+    if len(parts) > 1 and parts[1] == "test":
+        return "test pictures"
+    return "training pictures" if len(parts) > 1 else "description and poses"

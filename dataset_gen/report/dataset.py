@@ -141,16 +141,10 @@ def read_dataset(root: Path) -> Dataset:
     motion = _motion(root, len(folders), fps)
     alphas = tuple(a for a in scene.get("alphas") or () if isinstance(a, int | float))
     return Dataset(
-        root=root,
-        scene=scene,
-        fps=fps,
-        n_timesteps=len(folders),
-        views=views,
-        motion=motion,
-        unit_scale_m=described.unit_scale_m,
-        alphas=alphas,
+        root=root, scene=scene, fps=fps, n_timesteps=len(folders), views=views, motion=motion,
+        unit_scale_m=described.unit_scale_m, alphas=alphas,
         strength=tuple(motion.size(t) for t in range(len(folders))) if motion else (),
-    )
+    )  # fmt: skip
 
 
 def read_picture(path: Path) -> np.ndarray:

@@ -34,14 +34,9 @@ from .write import FORMAT, save
 
 _SCORE = {"alpha": float, **dict.fromkeys(("still_psnr_db", "perfect_psnr_db"), Maybe(float))}
 _SUMMARY = {
-    "format": Just(FORMAT),
-    "scene": str,
-    "frequencies_hz": [Maybe(float)],
-    "amplitude": float,
-    "bytes": int,
-    "scores": [_SCORE],
-    **dict.fromkeys(("pixels_max", "pixels_p95", "still_area"), Maybe(float)),
-}
+    "format": Just(FORMAT), "scene": str, "frequencies_hz": [Maybe(float)], "amplitude": float, "bytes": int,
+    "scores": [_SCORE], **dict.fromkeys(("pixels_max", "pixels_p95", "still_area"), Maybe(float)),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,16 +129,9 @@ def _table(entries: list[Entry]) -> Table:
         "nothing moving (with noise of its own) and of a perfect method, limited by the noise of the truth alone."
     )
     header = [
-        "set",
-        "frequency",
-        "amplitude (units)",
-        "max (px)",
-        "95 % (px)",
-        "still",
-        "α",
-        "nothing moves",
+        "set", "frequency", "amplitude (units)", "max (px)", "95 % (px)", "still", "α", "nothing moves",
         "perfect",
-    ]
+    ]  # fmt: skip
     return Table(header, rows, caption)
 
 
@@ -152,16 +140,11 @@ def _row(entry: Entry) -> list[str]:
     score = s["scores"][-1] if s["scores"] else {}
     still = score.get("still_psnr_db")
     return [
-        _link(entry),
-        hertz([f for f in s["frequencies_hz"] if f] or [0.0]),
-        number(s["amplitude"]),
-        _number(s["pixels_max"]),
-        _number(s["pixels_p95"]),
+        _link(entry), hertz([f for f in s["frequencies_hz"] if f] or [0.0]), number(s["amplitude"]),
+        _number(s["pixels_max"]), _number(s["pixels_p95"]),
         "–" if s["still_area"] is None else percent(s["still_area"]),
-        "–" if not score else f"{score['alpha']:g}",
-        decibel(still),
-        decibel(score.get("perfect_psnr_db")),
-    ]
+        "–" if not score else f"{score['alpha']:g}", decibel(still), decibel(score.get("perfect_psnr_db")),
+    ]  # fmt: skip
 
 
 def _number(value: float | None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tg4mm.core.errors import CaptureError
 
-from .. import pinhole
+from ..cameras import camera as pinhole
 from ..errors import GenerateError
 from .dataset import Dataset, MotionTruth, View, displacement_of, evenly
 
@@ -98,12 +98,9 @@ def seen_motion(dataset: Dataset, views: list[View], most: int = _MOST_TIMES) ->
         moved.append(np.where(sees, projected_motion(position, passes["Displacement"], view), np.nan))
     fixed = all(np.allclose(v.camera_to_world, views[0].camera_to_world, atol=1e-9) for v in views)
     return Seen(
-        view=chosen[0][0],
-        timesteps=tuple(view.timestep for view, _ in chosen),
-        fixed=fixed,
-        displacement=np.stack(displaced).astype(np.float32),
-        pixels=np.stack(moved).astype(np.float32),
-    )
+        view=chosen[0][0], timesteps=tuple(view.timestep for view, _ in chosen), fixed=fixed,
+        displacement=np.stack(displaced).astype(np.float32), pixels=np.stack(moved).astype(np.float32),
+    )  # fmt: skip
 
 
 def motion_from_truth(seen: Seen, amplitude: float) -> ViewMotion:

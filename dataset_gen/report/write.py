@@ -15,14 +15,13 @@ from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
 
 from ..tree import whole
-from .closing import floor_section, making_section, size_text
+from .closing import floor_section, making_section, shares, size_text
 from .dataset import Dataset, evenly, read_dataset, read_picture
 from .modes import still_area, summarise, track_point
 from .noise_floor import noise_floor
 from .pictures import contact_rows, resized, sheet
 from .pixels import Seen, ViewMotion, motion_from_truth, motion_from_vertices, seen_motion
 from .sections import Findings, motion_section, pictures_section, pixels_section
-from .sizes import shares
 from .text import hertz, length, plural
 
 FORMAT = "tg4mm-dataset-summary"

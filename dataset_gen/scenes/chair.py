@@ -11,13 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from .. import meshes as m
-from ..patterns.unroll import of_grid
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..patterns.solid import of_grid
+from ..scene import AreaLight, Gradient, Part, Scene, part
 from ..shapes import cushion as c
-from ..shapes.carving import leaf, shell, volute
 from ..shapes.patch import both
 from ..shapes.scatter import copies
-from ..shapes.sheet import edged, puff, puff_points, rounded
+from ..shapes.sheet import edged, leaf, puff, puff_points, rounded, shell, volute
 from . import chair_surfaces as paint
 
 GROUND = -1.06
@@ -46,10 +45,6 @@ def build() -> Scene:
         lights=(AreaLight((3.4, -2.2, 3.6), 3.0, 190.0, (1.0, 0.95, 0.87)),),
         sky=Gradient(((0.3, 0.27, 0.24), (0.52, 0.5, 0.49), (0.85, 0.93, 1.08))),
     )
-
-
-def _part(name: str, mesh: m.Mesh, surface: Surface) -> Part:
-    return Part(name, mesh, surface, np.ones(len(mesh.vertices)))
 
 
 def _on_seat(points: np.ndarray, z: float = RAIL[1]) -> np.ndarray:
@@ -83,19 +78,13 @@ def _legs() -> list[Part]:
     knee = leaf(0.3, 0.17, 0.02, -0.01).moved(
         m.frame((0.583, 0.563, -0.235), (0.74, 0.67, -0.22), (0.6, -0.75, 0.0))
     )
-    feet = [m.revolve(_FOOT, 28).moved(_at(p[-1] * [1, 1, 0] + [0, 0, GROUND])) for p in (fore, hind)]
+    feet = [m.revolve(_FOOT, 28).moved(m.shift(p[-1] * [1, 1, 0] + [0, 0, GROUND])) for p in (fore, hind)]
     legs = m.join([front, rear])
     return [
-        _part("legs", both(legs), paint.legs()),
-        _part("knees", both(knee), paint.gilt("knees", 3)),
-        _part("feet", both(m.join(feet)), paint.brass("feet")),
+        part("legs", both(legs), paint.legs()),
+        part("knees", both(knee), paint.gilt("knees", 3)),
+        part("feet", both(m.join(feet)), paint.brass("feet")),
     ]
-
-
-def _at(point: np.ndarray) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, 3] = point
-    return out
 
 
 def _dome(radius: float, segments: int) -> m.Mesh:
@@ -137,19 +126,15 @@ def _seat() -> list[Part]:
         m.frame((front, 0.0, (low + high) / 2 - 0.015), (1, 0, 0), (0, 1, 0))
     )
     return [
-        _part("seat_rail", rail, paint.rail("seat_rail", 4.0, 1)),
-        _part("seat_shell", apron, paint.gilt("seat_shell", 1)),
-        _part(
-            "seat_cushion", puff(middle, above, below), paint.brocade("seat_cushion", texels, 0, 1, pulled)
-        ),
-        _part("seat_cord", cord, paint.cord("seat_cord", 130)),
-        _part("seat_gimp", gimp, paint.cord("seat_gimp", 90)),
-        _part("seat_nails", _nails(spots, outward, 0.0125), paint.brass("seat_nails")),
-        _part(
-            "seat_buttons", _nails(knobs, np.tile([0.0, 0.0, 1.0], (len(knobs), 1)), 0.021), paint.button()
-        ),
-        _part("seat_fringe", _fringe(low), paint.fringe()),
-    ]
+        part("seat_rail", rail, paint.rail("seat_rail", 4.0, 1)),
+        part("seat_shell", apron, paint.gilt("seat_shell", 1)),
+        part("seat_cushion", puff(middle, above, below), paint.brocade("seat_cushion", texels, 0, 1, pulled)),
+        part("seat_cord", cord, paint.cord("seat_cord", 130)),
+        part("seat_gimp", gimp, paint.cord("seat_gimp", 90)),
+        part("seat_nails", _nails(spots, outward, 0.0125), paint.brass("seat_nails")),
+        part("seat_buttons", _nails(knobs, np.tile([0.0, 0.0, 1.0], (len(knobs), 1)), 0.021), paint.button()),
+        part("seat_fringe", _fringe(low), paint.fringe()),
+    ]  # fmt: skip
 
 
 def _fringe(top: float) -> m.Mesh:
@@ -173,7 +158,7 @@ def _fringe(top: float) -> m.Mesh:
         if np.linalg.norm(feet - spot[:2], axis=1).min() < 0.125:
             continue
         if k % 11 == 0:
-            made.append(tassel.moved(_at(spot)))
+            made.append(tassel.moved(m.shift(spot)))
             continue
         sway = rng.normal(0.0, 0.004, (4, 3)) * np.array([0.0, 0.3, 0.7, 1.0])[:, None]
         path = spot + sway + np.array([0.0, -0.025, -0.05, -0.072])[:, None] * [0.0, 0.0, 1.0]
@@ -210,13 +195,13 @@ def _back() -> list[Part]:
         stile, c.bead_section(0.095, 0.095, 6, 0.2), np.linspace(1.0, 0.86, len(stile)), (1.0, 0.0, 0.0)
     )
     return [
-        _part("back_frame", frame, paint.rail("back_frame", 2.9, 4)),
-        _part("back_stiles", both(stiles), paint.stiles()),
-        _part("back_pad", puff(middle, above, below), paint.brocade("back_pad", texels, 1, 2, pulled)),
-        _part("back_cord", cord, paint.cord("back_cord", 100)),
-        _part("back_nails", _nails(nails, facing, 0.0125), paint.brass("back_nails")),
-        _part("back_buttons", _nails(spots, outward, 0.019), paint.button()),
-        _part("back_crest", _crest(), paint.gilt("back_crest", 2)),
+        part("back_frame", frame, paint.rail("back_frame", 2.9, 4)),
+        part("back_stiles", both(stiles), paint.stiles()),
+        part("back_pad", puff(middle, above, below), paint.brocade("back_pad", texels, 1, 2, pulled)),
+        part("back_cord", cord, paint.cord("back_cord", 100)),
+        part("back_nails", _nails(nails, facing, 0.0125), paint.brass("back_nails")),
+        part("back_buttons", _nails(spots, outward, 0.019), paint.button()),
+        part("back_crest", _crest(), paint.gilt("back_crest", 2)),
     ]
 
 
@@ -271,9 +256,9 @@ def _arms() -> list[Part]:
     support = m.sweep(post, section, thick, (1.0, 0.0, 0.0))
     pad, texels = _arm_pad(np.array(along[1:]))
     return [
-        _part("arm_wood", both(m.join([arm, support])), paint.rail("arm_wood", 1.6, 7)),
-        _part("arm_eyes", both(m.join(eyes)), paint.brass("arm_eyes")),
-        _part("arm_pads", both(pad), paint.brocade("arm_pads", texels, 0, 3)),
+        part("arm_wood", both(m.join([arm, support])), paint.rail("arm_wood", 1.6, 7)),
+        part("arm_eyes", both(m.join(eyes)), paint.brass("arm_eyes")),
+        part("arm_pads", both(pad), paint.brocade("arm_pads", texels, 0, 3)),
     ]
 
 

@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from .. import textures as t
-from ..patterns import unroll
+from ..patterns import solid as unroll
 from ..patterns.brocade import cord as twisted
 from ..patterns.brocade import damask, velvet
 from ..patterns.solid import fractal, mix, noise, ramp, step, unit
-from ..patterns.timber import HONEY, wood
+from ..patterns.wood import HONEY, wood
 from ..scene import Surface
 
 _GREEN = ((0.045, 0.20, 0.12), (0.20, 0.47, 0.30))
 _GOLD = ((0.52, 0.36, 0.10), (0.96, 0.82, 0.46))
 
-
-def _rng(number: int) -> np.random.Generator:
-    return np.random.default_rng([2027, number])
+_rng = t.seeded(2027)
 
 
 def brocade(name: str, texels: np.ndarray, up: int, seed: int, pulled: np.ndarray | None = None) -> Surface:
@@ -65,14 +63,9 @@ def _timber(name: str, length: float, seed: int, carving: int, height: int = 768
         relief = unit(0.25 + 0.6 * cut - 0.1 * pores)
     worn = fractal(points, 8.0, 3, seed + 5)
     return Surface(
-        name,
-        unit(image * (1.0 + 0.07 * worn[..., None])),
-        relief,
-        0.007,
-        roughness=0.38,
-        coat=0.3,
+        name, unit(image * (1.0 + 0.07 * worn[..., None])), relief, 0.007, roughness=0.38, coat=0.3,
         coat_roughness=0.15,
-    )
+    )  # fmt: skip
 
 
 def legs() -> Surface:

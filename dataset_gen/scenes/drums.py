@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import meshes as m
 from ..meshes import Mesh
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..scene import AreaLight, Gradient, Scene, Surface, part
 from ..shapes import drums as d
 from ..shapes import solids as s
 from ..shapes import tubes as tb
@@ -40,10 +40,7 @@ def build() -> Scene:
     parts = [*_bass(), *_toms(), *_snare(), *hw.cymbals(), *hw.stands(), *hw.pedal(), *hw.throne(), _rug()]
     return Scene(
         name="drums",
-        parts=tuple(
-            Part(name, mesh.moved(PLACE), surface, np.ones(len(mesh.vertices)))
-            for name, mesh, surface in parts
-        ),
+        parts=tuple(part(name, mesh.moved(PLACE), surface) for name, mesh, surface in parts),
         lights=(
             AreaLight((2.4, 3.0, 3.8), 3.2, 170.0, (1.0, 0.95, 0.88)),
             AreaLight((-3.4, -1.2, 2.6), 3.0, 55.0, (0.86, 0.92, 1.0)),
@@ -66,7 +63,7 @@ def _metal(mesh: Mesh) -> Mesh:
 def _bass() -> list[tuple[str, Mesh, Surface]]:
     """The bass drum lies on its spurs; its front head is at z = 0 of the frame."""
     at = _at(BASS_FRONT, _BASS_AXIS)
-    back = m.join([d.head(BASS.radius, up=False).moved(d.shifted(0.0, 0.0, -BASS.depth))])
+    back = m.join([d.head(BASS.radius, up=False).moved(m.shift((0.0, 0.0, -BASS.depth)))])
     spurs, tips = [], []
     for side in (-1.0, 1.0):
         top = np.array([side * 0.35, 0.2, FLOOR + 0.33])
@@ -78,15 +75,11 @@ def _bass() -> list[tuple[str, Mesh, Surface]]:
     return [
         ("bass_shell", d.shell(BASS, _TILE).moved(at), paint.shells()),
         ("bass_hoops", d.hoops(BASS).moved(at), paint.bass_hoops()),
-        (
-            "bass_fittings",
-            _metal(m.join([d.fittings(BASS).moved(at), *spurs])),
-            paint.chrome("bass_fittings"),
-        ),
+        ("bass_fittings", _metal(m.join([d.fittings(BASS).moved(at), *spurs])), paint.chrome("bass_fittings")),
         ("bass_front", d.head(BASS.radius, True, 36, 96).moved(at), paint.front_head()),
         ("bass_batter", back.moved(at), paint.batter("bass_batter", 1)),
         ("bass_feet", s.cube_mapped(m.join(tips), 0.2), paint.rubber("bass_feet")),
-    ]
+    ]  # fmt: skip
 
 
 def _toms() -> list[tuple[str, Mesh, Surface]]:
@@ -96,7 +89,7 @@ def _toms() -> list[tuple[str, Mesh, Surface]]:
         shells.append(d.shell(drum, _TILE).moved(at))
         fittings += [d.hoops(drum).moved(at), d.fittings(drum).moved(at)]
         heads.append(d.head(drum.radius, True).moved(at))
-        below.append(d.head(drum.radius, False, 3).moved(d.shifted(0.0, 0.0, -drum.depth)).moved(at))
+        below.append(d.head(drum.radius, False, 3).moved(m.shift((0.0, 0.0, -drum.depth))).moved(at))
     for angle in np.radians([20.0, 140.0, 260.0]):
         leg, bracket, foot = hw.floor_leg(TOMS[2][1], TOMS[2][0].radius, angle)
         fittings += [leg, bracket]
@@ -132,7 +125,7 @@ def _snare() -> list[tuple[str, Mesh, Surface]]:
         ("snare_head", d.head(drum.radius, True, 28, 84).moved(at), paint.batter("snare_head", 3)),
         (
             "snare_below",
-            d.head(drum.radius, False, 3).moved(d.shifted(0.0, 0.0, -drum.depth)).moved(at),
+            d.head(drum.radius, False, 3).moved(m.shift((0.0, 0.0, -drum.depth))).moved(at),
             paint.resonant(),
         ),
         ("snare_rubber", s.cube_mapped(rubber, 0.2), paint.rubber("snare_rubber")),
@@ -148,12 +141,9 @@ def _flat_on(where: tuple, normal: tuple) -> np.ndarray:
 def _rug() -> tuple[str, Mesh, Surface]:
     edge, thick = 1.15, 0.012
     outline = [
-        (0.0, -thick),
-        (edge, -thick),
-        (edge + 0.006, -0.006),
-        (edge, 0.0),
+        (0.0, -thick), (edge, -thick), (edge + 0.006, -0.006), (edge, 0.0),
         *((r, 0.0) for r in (0.8, 0.4, 0.0)),
-    ]
+    ]  # fmt: skip
     mesh = m.revolve(outline, 128)
     flat = 0.5 + 0.5 * mesh.vertices[mesh.triangles][..., :2] / (edge + 0.01)
     lying = Mesh(mesh.vertices + [0.0, 0.0, FLOOR], mesh.triangles, flat)

@@ -228,12 +228,9 @@ def floor_leg(where: tuple, radius: float, angle: float) -> tuple[Mesh, Mesh, Me
     out = np.array([np.cos(angle), np.sin(angle), 0.0])
     centre = np.array([where[0], where[1], 0.0])
     bend = [
-        (0.03, where[2] - 0.1),
-        (0.03, FLOOR + 0.34),
-        (0.035, FLOOR + 0.28),
-        (0.06, FLOOR + 0.16),
+        (0.03, where[2] - 0.1), (0.03, FLOOR + 0.34), (0.035, FLOOR + 0.28), (0.06, FLOOR + 0.16),
         (0.06, FLOOR + 0.02),
-    ]
+    ]  # fmt: skip
     points = [centre + out * (radius + o) + [0, 0, z] for o, z in bend]
     leg = m.sweep(m.spline(points, 6), m.circle(0.0085, 12))
     bracket = s.block((-0.006, -0.026, -0.035), (0.045, 0.026, 0.035), 0.006).moved(

@@ -12,10 +12,7 @@ from ..scene import Surface
 
 _IVORY = (0.88, 0.84, 0.74)
 
-
-def _rng(number: int) -> np.random.Generator:
-    """Patterns belong to the scene, not to the dataset's seed: that one is the renderer's."""
-    return np.random.default_rng([2025, 200, number])
+_rng = t.seeded(2025, 200)
 
 
 def shells() -> Surface:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..scene import AreaLight, Gradient, Part, Scene, Surface, part
 from ..shapes import growth, leaf
-from ..shapes.pebbles import pebbles
+from ..shapes.scatter import pebbles
 from . import ficus_surfaces as paint
 
 FLOOR = -1.10
@@ -50,7 +50,7 @@ def build() -> Scene:
     for number, (stem, (_, _, count, first)) in enumerate(zip(stems, _STEMS, strict=True)):
         limbs += growth.limbs(stem, count, first, (0.78, 0.36), rng, turn=2.1 * number)
     surface = paint.foliage_strips()
-    leaves = [_part(f"leaves_{k:02d}", _cluster(limb, rng), surface) for k, limb in enumerate(limbs)]
+    leaves = [part(f"leaves_{k:02d}", _cluster(limb, rng), surface) for k, limb in enumerate(limbs)]
     return Scene(
         name="ficus",
         parts=(*_pot(rng, surface), _trunk(stems), *leaves),
@@ -59,16 +59,12 @@ def build() -> Scene:
     )
 
 
-def _part(name: str, mesh: m.Mesh, surface: Surface) -> Part:
-    return Part(name, mesh, surface, np.ones(len(mesh.vertices)))
-
-
 def _trunk(stems: list[growth.Axis]) -> Part:
     tubes = []
     for stem in stems:
         tube = m.sweep(stem.path, m.circle(1.0, 18), stem.radius, up=(1.0, 0.0, 0.0))
         tubes.append(tube)
-    return _part("trunk", m.join(tubes), paint.bark())
+    return part("trunk", m.join(tubes), paint.bark())
 
 
 def _woody(axes: list[growth.Axis], sides: int) -> m.Mesh:
@@ -123,11 +119,11 @@ def _pot(rng: np.random.Generator, foliage: Surface) -> tuple[Part, ...]:
     """Pot, saucer, soil, pebbles, and some fallen leaves: all still."""
     pot, saucer = (m.revolve([(r, z + FLOOR) for r, z in outline], 96) for outline in (_POT, _SAUCER))
     return (
-        _part("pot", pot, paint.pot()),
-        _part("saucer", saucer, paint.saucer()),
-        _part("soil", _soil(), paint.soil()),
-        _part("pebbles", _stones(rng), paint.pebbles()),
-        _part("fallen", _fallen(rng), foliage),
+        part("pot", pot, paint.pot()),
+        part("saucer", saucer, paint.saucer()),
+        part("soil", _soil(), paint.soil()),
+        part("pebbles", _stones(rng), paint.pebbles()),
+        part("fallen", _fallen(rng), foliage),
     )
 
 
@@ -165,11 +161,8 @@ def _fallen(rng: np.random.Generator) -> m.Mesh:
     frames = np.tile(np.eye(4), (n, 1, 1))
     turn = rng.uniform(0.0, 2.0 * np.pi, n)
     frames[:, 0, 0], frames[:, 1, 0], frames[:, 0, 1], frames[:, 1, 1] = (
-        np.cos(turn),
-        np.sin(turn),
-        -np.sin(turn),
-        np.cos(turn),
-    )
+        np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn),
+    )  # fmt: skip
     x, y = r * np.cos(angle), r * np.sin(angle)
     frames[:, :3, 3] = np.column_stack([x, y, ground(x, y) + 0.022])
     ones = np.ones(n)

@@ -23,10 +23,7 @@ _GREENS = (
     ((0.33, 0.40, 0.11), (0.46, 0.48, 0.26), (0.64, 0.62, 0.34)),
 )
 
-
-def _rng(number: int) -> np.random.Generator:
-    """Patterns belong to the scene, not to the dataset's seed: that one is the renderer's."""
-    return np.random.default_rng([2032, number])
+_rng = t.seeded(2032)
 
 
 def foliage_strips() -> Surface:
@@ -43,12 +40,8 @@ def foliage_strips() -> Surface:
     relief.append(height)
     rough.append(np.full((_STRIP, _WIDTH), 0.85))
     return Surface(
-        "foliage",
-        np.concatenate(colour),
-        np.concatenate(relief),
-        0.003,
-        roughness=np.concatenate(rough),
-    )
+        "foliage", np.concatenate(colour), np.concatenate(relief), 0.003, roughness=np.concatenate(rough),
+    )  # fmt: skip
 
 
 def bark() -> Surface:
@@ -75,14 +68,9 @@ def pot() -> Surface:
     image = t.paint(image, 0.8 * inside, (0.22, 0.15, 0.11))
     rough = 0.32 + 0.2 * (1.0 - over)
     return Surface(
-        "pot",
-        np.clip(image, 0, 1),
-        np.clip(relief, 0, 1),
-        0.004,
-        roughness=rough,
-        coat=0.4,
+        "pot", np.clip(image, 0, 1), np.clip(relief, 0, 1), 0.004, roughness=rough, coat=0.4,
         coat_roughness=0.15,
-    )
+    )  # fmt: skip
 
 
 def saucer() -> Surface:

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import meshes as m
-from ..patterns.solid import fractal, noise
-from ..patterns.unroll import of_grid
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..patterns.solid import fractal, noise, of_grid
+from ..scene import AreaLight, Gradient, Part, Scene, part
 from ..shapes.scatter import copies, on_surface
 from ..shapes.sheet import edged, puff, puff_points, rounded
 from . import hotdog_surfaces as paint
@@ -59,7 +58,7 @@ _DOGS = (_Dog("left", 0.37, np.radians(3.5), 1), _Dog("right", -0.37, np.radians
 
 def build() -> Scene:
     """The hot dogs at rest."""
-    parts = [_part("plate", m.revolve(PLATE, 144), paint.plate(PLATE))]
+    parts = [part("plate", m.revolve(PLATE, 144), paint.plate(PLATE))]
     for dog in _DOGS:
         parts += _hot_dog(dog)
     return Scene(
@@ -68,10 +67,6 @@ def build() -> Scene:
         lights=(AreaLight((2.6, -2.4, 3.8), 2.6, 150.0, (1.0, 0.95, 0.86)),),
         sky=Gradient(((0.3, 0.26, 0.22), (0.5, 0.49, 0.48), (0.85, 0.92, 1.05))),
     )
-
-
-def _part(name: str, mesh: m.Mesh, surface: Surface) -> Part:
-    return Part(name, mesh, surface, np.ones(len(mesh.vertices)))
 
 
 def _spine(x: np.ndarray) -> np.ndarray:
@@ -97,7 +92,7 @@ def _hot_dog(dog: _Dog) -> list[Part]:
     ]
     sauces = (f"mustard_{dog.name}", sauce, paint.mustard()), (f"ketchup_{dog.name}", sauce, paint.ketchup())
     made.append(sauces[0] if dog.name == "left" else sauces[1])
-    return [_part(name, mesh.moved(dog.placed), surface) for name, mesh, surface in made]
+    return [part(name, mesh.moved(dog.placed), surface) for name, mesh, surface in made]
 
 
 def _flattened(points: np.ndarray) -> np.ndarray:
@@ -192,15 +187,9 @@ def _seeds(bun: m.Mesh, rng: np.random.Generator) -> m.Mesh:
     high = np.clip((centres[:, 2] - FLOOR - 0.16) / 0.2, 0.0, 1.0)
     points, up = on_surface(bun, 210, rng, 0.033, outside * high * (0.4 + rng.random(len(high))))
     drop = [
-        (0.0, -0.5),
-        (0.2, -0.47),
-        (0.36, -0.35),
-        (0.43, -0.15),
-        (0.4, 0.08),
-        (0.27, 0.33),
-        (0.12, 0.48),
+        (0.0, -0.5), (0.2, -0.47), (0.36, -0.35), (0.43, -0.15), (0.4, 0.08), (0.27, 0.33), (0.12, 0.48),
         (0.0, 0.5),
-    ]
+    ]  # fmt: skip
     seed = m.revolve(drop, 10, 180.0)
     lying = m.Mesh(
         seed.vertices[:, [2, 0, 1]] * [0.044, 0.027, 0.017] + [0.0, 0.0, 0.004], seed.triangles, seed.uv
@@ -223,17 +212,12 @@ def _on_the_plate() -> tuple[Part, ...]:
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
     crumbs = copies(_crumb(), points[:110], up[:110], rng, (0.25, 1.0))
     drops = copies(
-        m.revolve(
-            [(0.0, -0.004), (1.0, -0.003), (1.04, 0.1), (0.9, 0.33), (0.5, 0.48), (0.0, 0.52)], 28, 180.0
-        ),
-        points[110:122],
-        up[:12],
-        rng,
-        (0.018, 0.042),
-    )
+        m.revolve([(0.0, -0.004), (1.0, -0.003), (1.04, 0.1), (0.9, 0.33), (0.5, 0.48), (0.0, 0.52)], 28, 180.0),
+        points[110:122], up[:12], rng, (0.018, 0.042),
+    )  # fmt: skip
     return (
-        _part("crumbs", crumbs, paint.crumb()),
-        _part("drops", drops, paint.ketchup()),
+        part("crumbs", crumbs, paint.crumb()),
+        part("drops", drops, paint.ketchup()),
     )
 
 

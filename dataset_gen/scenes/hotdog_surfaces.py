@@ -7,13 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import textures as t
-from ..patterns import unroll
+from ..patterns import solid as unroll
 from ..patterns.solid import fractal, mix, noise, ramp, spots, step, unit
 from ..scene import Surface
 
-
-def _rng(number: int) -> np.random.Generator:
-    return np.random.default_rng([2026, number])
+_rng = t.seeded(2026)
 
 
 def bun(texels: np.ndarray, axis_height: float, seed: int) -> Surface:
@@ -79,14 +77,9 @@ def _sauce(name: str, number: int, low: tuple, high: tuple, grain: tuple, rough:
     spot, _ = spots(p, 45.0, number)
     image = mix(image, grain, 0.8 * step(spot, 0.32, 0.15))
     return Surface(
-        name,
-        unit(image),
-        unit(0.5 + 0.2 * flow + 0.1 * fine),
-        0.004,
-        roughness=rough,
-        coat=0.35,
+        name, unit(image), unit(0.5 + 0.2 * flow + 0.1 * fine), 0.004, roughness=rough, coat=0.35,
         coat_roughness=0.15,
-    )
+    )  # fmt: skip
 
 
 def mustard() -> Surface:
@@ -130,13 +123,9 @@ def plate(outline: Sequence[Sequence[float]]) -> Surface:
     image = mix(image, ramp(cloud + 0.6 * fine, [(-1.2, (0.09, 0.16, 0.42)), (1.2, (0.25, 0.4, 0.7))]), ink)
     image = mix(image, (0.62, 0.43, 0.2), 0.85 * step(radius, 1.222, 1.232))
     return Surface(
-        "plate",
-        unit(image),
-        unit(0.5 + 0.1 * cloud + 0.06 * fine - 0.2 * ink),
-        0.003,
-        roughness=0.22,
+        "plate", unit(image), unit(0.5 + 0.1 * cloud + 0.06 * fine - 0.2 * ink), 0.003, roughness=0.22,
         coat=0.4,
-    )
+    )  # fmt: skip
 
 
 def _rim(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:

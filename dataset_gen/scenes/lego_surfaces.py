@@ -30,10 +30,7 @@ _COLOURS = {
 _PLASTIC = {name: colour for colour, names in _COLOURS.items() for name in names}
 _STUDS = ("base", "chassis", "body", "fender", "cab", "blade", "grey", "frame", "cab_trim", "lights")
 
-
-def _rng(number: int) -> np.random.Generator:
-    """Patterns belong to the scene, not to the dataset's seed: that one is the renderer's."""
-    return np.random.default_rng([2025, 100, number])
+_rng = t.seeded(2025, 100)
 
 
 @cache

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..patterns.unroll import of_grid
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..patterns.solid import of_grid
+from ..scene import AreaLight, Gradient, Part, Scene, part
 from ..shapes.cushion import Outline, bead_section, frames_on, moulding
 from ..shapes.sheet import puff, puff_points, rounded
 from . import materials_surfaces as paint
@@ -50,17 +50,13 @@ def build() -> Scene:
     )
 
 
-def _part(name: str, mesh: m.Mesh, surface: Surface) -> Part:
-    return Part(name, mesh, surface, np.ones(len(mesh.vertices)))
-
-
 def _ball(name: str, place: np.ndarray, number: int) -> Part:
     """A ball whose poles lie aslant, each its own way."""
     arc = [(RADIUS * np.cos(a), RADIUS * np.sin(a)) for a in np.linspace(-np.pi / 2, np.pi / 2, 49)]
     arc[0], arc[-1] = (0.0, -RADIUS), (0.0, RADIUS)
     heading, tilt = 2.4 * number + 0.5, np.radians(38.0 + 9.0 * (number % 4))
     axis = (np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt))
-    return _part(f"ball_{name}", m.revolve(arc, 80).moved(m.frame(place, axis)), paint.BALLS[name]())
+    return part(f"ball_{name}", m.revolve(arc, 80).moved(m.frame(place, axis)), paint.BALLS[name]())
 
 
 def _tray() -> list[Part]:
@@ -79,22 +75,16 @@ def _tray() -> list[Part]:
     )
     feet = [(0.0, -0.058), (0.05, -0.058), (0.062, -0.045), (0.055, -0.02), (0.045, 0.0), (0.0, 0.0)]
     corners = [
-        m.revolve(feet, 28).moved(_at((x, y, BOARD - 0.05))) for x in (-0.92, 0.92) for y in (-0.66, 0.66)
+        m.revolve(feet, 28).moved(m.shift((x, y, BOARD - 0.05))) for x in (-0.92, 0.92) for y in (-0.66, 0.66)
     ]
     turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     circle = RING * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
     ring = m.sweep(circle, m.circle(WIRE, 16), closed=True)
-    rings = [ring.moved(_at((place[0], place[1], _RING_Z))) for place in places().values()]
+    rings = [ring.moved(m.shift((place[0], place[1], _RING_Z))) for place in places().values()]
     return [
-        _part("board", puff(middle, above, below), paint.board(texels, list(places().values()))),
-        _part("rim", rim, paint.rim()),
-        _part("rim_bead", bead, paint.bead("rim_bead", 150.0)),
-        _part("feet", m.join(corners), paint.bead("feet", 8.0)),
-        _part("rings", m.join(rings), paint.bead("rings", 18.0)),
+        part("board", puff(middle, above, below), paint.board(texels, list(places().values()))),
+        part("rim", rim, paint.rim()),
+        part("rim_bead", bead, paint.bead("rim_bead", 150.0)),
+        part("feet", m.join(corners), paint.bead("feet", 8.0)),
+        part("rings", m.join(rings), paint.bead("rings", 18.0)),
     ]
-
-
-def _at(point: tuple[float, float, float]) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, 3] = point
-    return out

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from .. import textures as t
-from ..patterns import minerals, skins, unroll
+from ..patterns import minerals
+from ..patterns import solid as unroll
 from ..patterns.brocade import damask
+from ..patterns.minerals import Painted
 from ..patterns.solid import fractal, mix, noise, ramp, step, unit
-from ..patterns.timber import HONEY, WALNUT, wood
+from ..patterns.wood import HONEY, WALNUT, wood
 from ..scene import Surface
 
 _SIZE = (256, 544)
@@ -20,49 +24,14 @@ def _directions() -> np.ndarray:
     return unroll.of_ball(*_SIZE)
 
 
-def _gold() -> Surface:
-    image, relief, rough = minerals.hammered(_directions(), 1)
-    return Surface("gold", image, relief, 0.02, metallic=0.95, roughness=rough)
-
-
-def _steel() -> Surface:
-    image, relief, rough = minerals.brushed(_directions(), 2)
-    return Surface("steel", image, relief, 0.003, metallic=0.9, roughness=rough)
-
-
-def _copper() -> Surface:
-    image, relief, rough = minerals.patina(_directions(), 3)
-    return Surface("copper", image, relief, 0.008, metallic=0.55, roughness=rough)
-
-
-def _marble() -> Surface:
-    image, relief, rough = minerals.marble(_directions(), 4)
-    return Surface("marble", image, relief, 0.002, roughness=rough, coat=0.5)
-
-
-def _clay() -> Surface:
-    image, relief, rough = minerals.clay(_directions(), 5)
-    return Surface("clay", image, relief, 0.012, roughness=rough)
-
-
-def _leopard() -> Surface:
-    image, relief, rough = skins.leopard(_directions(), 6)
-    return Surface("leopard", image, relief, 0.006, roughness=rough, sheen=0.3)
-
-
-def _leather() -> Surface:
-    image, relief, rough = skins.leather(_directions(), 7)
-    return Surface("leather", image, relief, 0.010, roughness=rough, coat=0.1, coat_roughness=0.3)
-
-
-def _paint() -> Surface:
-    image, _, rough = skins.flakes(_directions(), 8)
-    return Surface("paint", image, metallic=0.35, roughness=rough, coat=1.0)
-
-
-def _glass() -> Surface:
-    image, _, rough = skins.swirl(_directions(), 9)
-    return Surface("glass", image, roughness=rough, coat=1.0, coat_roughness=0.0)
+def _stuff(
+    name: str, pattern: Callable[[np.ndarray, int], Painted], seed: int, depth: float = 0.0, **more: Any
+) -> Surface:
+    """Of a pattern of the unit ball: colour, relief (left out at a depth of 0) and roughness."""
+    image, relief, rough = pattern(_directions(), seed)
+    if not depth:
+        return Surface(name, image, roughness=rough, **more)
+    return Surface(name, image, relief, depth, roughness=rough, **more)
 
 
 def _wood() -> Surface:
@@ -79,13 +48,9 @@ def _checker() -> Surface:
     dark = ramp(0.5 + 0.3 * worn + 0.15 * fine, [(0.0, (0.04, 0.05, 0.09)), (1.0, (0.22, 0.24, 0.34))])
     light = ramp(0.5 + 0.25 * worn + 0.15 * fine, [(0.0, (0.82, 0.76, 0.64)), (1.0, (0.99, 0.96, 0.9))])
     return Surface(
-        "checker",
-        unit(mix(dark, light, squares)),
-        unit(0.45 + 0.1 * squares),
-        0.003,
-        roughness=0.22,
+        "checker", unit(mix(dark, light, squares)), unit(0.45 + 0.1 * squares), 0.003, roughness=0.22,
         coat=0.3,
-    )
+    )  # fmt: skip
 
 
 def _velvet() -> Surface:
@@ -96,19 +61,25 @@ def _velvet() -> Surface:
     pile = ramp(0.5 + 0.25 * nap + 0.12 * fine, [(0.0, (0.24, 0.04, 0.28)), (1.0, (0.55, 0.16, 0.56))])
     raised = ramp(0.5 + 0.2 * nap + 0.15 * fine, [(0.0, (0.66, 0.36, 0.66)), (1.0, (0.93, 0.72, 0.86))])
     return Surface(
-        "velvet",
-        unit(mix(pile, raised, figure)),
-        unit(0.4 + 0.06 * fine + 0.3 * figure),
-        0.006,
-        roughness=0.9,
-        sheen=0.8,
-    )
+        "velvet", unit(mix(pile, raised, figure)), unit(0.4 + 0.06 * fine + 0.3 * figure), 0.006,
+        roughness=0.9, sheen=0.8,
+    )  # fmt: skip
 
 
 BALLS: dict[str, Callable[[], Surface]] = {
-    "gold": _gold, "steel": _steel, "copper": _copper, "marble": _marble, "clay": _clay, "leopard": _leopard,
-    "leather": _leather, "paint": _paint, "glass": _glass, "wood": _wood, "checker": _checker, "velvet": _velvet,
-}  # fmt: skip
+    "gold": partial(_stuff, "gold", minerals.hammered, 1, 0.02, metallic=0.95),
+    "steel": partial(_stuff, "steel", minerals.brushed, 2, 0.003, metallic=0.9),
+    "copper": partial(_stuff, "copper", minerals.patina, 3, 0.008, metallic=0.55),
+    "marble": partial(_stuff, "marble", minerals.marble, 4, 0.002, coat=0.5),
+    "clay": partial(_stuff, "clay", minerals.clay, 5, 0.012),
+    "leopard": partial(_stuff, "leopard", minerals.leopard, 6, 0.006, sheen=0.3),
+    "leather": partial(_stuff, "leather", minerals.leather, 7, 0.010, coat=0.1, coat_roughness=0.3),
+    "paint": partial(_stuff, "paint", minerals.flakes, 8, metallic=0.35, coat=1.0),
+    "glass": partial(_stuff, "glass", minerals.swirl, 9, coat=1.0, coat_roughness=0.0),
+    "wood": _wood,
+    "checker": _checker,
+    "velvet": _velvet,
+}
 
 
 def board(texels: np.ndarray, centres: Sequence[np.ndarray]) -> Surface:
@@ -131,14 +102,9 @@ def board(texels: np.ndarray, centres: Sequence[np.ndarray]) -> Surface:
     inlay = step(np.abs(near - 0.165), 0.012, 0.008)
     image = mix(image, (0.93, 0.88, 0.76), 0.9 * inlay)
     return Surface(
-        "board",
-        unit(image),
-        unit(0.6 - 0.3 * joint - 0.2 * pores),
-        0.003,
-        roughness=0.45,
-        coat=0.15,
+        "board", unit(image), unit(0.6 - 0.3 * joint - 0.2 * pores), 0.003, roughness=0.45, coat=0.15,
         coat_roughness=0.2,
-    )
+    )  # fmt: skip
 
 
 def rim() -> Surface:

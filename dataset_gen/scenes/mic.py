@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import AreaLight, Gradient, Part, Scene, Surface
+from ..scene import AreaLight, Gradient, Part, Scene, part
 from . import mic_surfaces as paint
 
 FLOOR = -0.86
@@ -88,21 +88,17 @@ def build() -> Scene:
     )
 
 
-def _part(name: str, mesh: m.Mesh, surface: Surface, follow: np.ndarray | float = 1.0) -> Part:
-    return Part(name, mesh, surface, np.broadcast_to(np.asarray(follow, float), (len(mesh.vertices),)))
-
-
 def _microphone() -> tuple[Part, ...]:
     """Body, collar, grille, capsule and switch, along the tilted axis."""
     at = m.frame(PIVOT, AXIS)
     on_top = m.frame(PIVOT + at[:3, 0] * (RADIUS - 0.008) + AXIS * 0.02, at[:3, 0], AXIS)
     rings = m.join([m.revolve(_COLLAR, 72), m.revolve(_RIM, 72)])
     return (
-        _part("body", m.revolve(_BODY, 72).moved(at), paint.body()),
-        _part("collar", rings.moved(at), paint.brass()),
-        _part("grille", m.join([*_weave(), *_dome()]).moved(at), paint.wire()),
-        _part("core", m.revolve(_CORE, 48).moved(at), paint.foam()),
-        _part("switch", m.revolve(_KNOB, 24).moved(on_top), paint.switch()),
+        part("body", m.revolve(_BODY, 72).moved(at), paint.body()),
+        part("collar", rings.moved(at), paint.brass()),
+        part("grille", m.join([*_weave(), *_dome()]).moved(at), paint.wire()),
+        part("core", m.revolve(_CORE, 48).moved(at), paint.foam()),
+        part("switch", m.revolve(_KNOB, 24).moved(on_top), paint.switch()),
     )
 
 
@@ -162,9 +158,9 @@ def _stand() -> tuple[Part, ...]:
     saddle = m.sweep(path, m.rounded_rectangle(0.13, 0.03, 0.012), up=_UP).moved(m.frame(PIVOT, AXIS))
     swivel = m.join([block, ball, m.revolve(_BOLT, 24).moved(screw), saddle])
     return (
-        _part("rod", m.revolve(_ROD, 24), paint.rod()),
-        _part("swivel", swivel, paint.casting()),
-        _part("thumb_screw", m.revolve(_THUMB, 32).moved(screw), paint.thumb_screw()),
+        part("rod", m.revolve(_ROD, 24), paint.rod()),
+        part("swivel", swivel, paint.casting()),
+        part("thumb_screw", m.revolve(_THUMB, 32).moved(screw), paint.thumb_screw()),
     )
 
 
@@ -178,9 +174,9 @@ def _tripod() -> tuple[Part, ...]:
         legs.append(m.sweep(path, m.rounded_rectangle(0.05, 0.075, 0.014), np.linspace(1.15, 0.75, 18)))
         feet.append(m.revolve(_FOOT, 28).moved(m.frame(out * FOOT_RADIUS + [0, 0, FLOOR], _UP, out)))
     return (
-        _part("hub", m.revolve(_HUB, 48), paint.hub(), 0.0),
-        _part("legs", m.join(legs), paint.legs(), 0.0),
-        _part("feet", m.join(feet), paint.rubber(), 0.0),
+        part("hub", m.revolve(_HUB, 48), paint.hub(), 0.0),
+        part("legs", m.join(legs), paint.legs(), 0.0),
+        part("feet", m.join(feet), paint.rubber(), 0.0),
     )
 
 
@@ -194,6 +190,6 @@ def _cable() -> tuple[Part, ...]:
     follow = hanging**2 * (3.0 - 2.0 * hanging)  # smooth at both ends
     nearest = np.argmin(np.linalg.norm(cable.vertices[:, None] - path[None], axis=2), axis=1)
     return (
-        _part("plug", m.revolve(_PLUG, 32).moved(m.frame(PIVOT, AXIS)), paint.plug()),
-        _part("cable", cable, paint.cable(), follow[nearest]),
+        part("plug", m.revolve(_PLUG, 32).moved(m.frame(PIVOT, AXIS)), paint.plug()),
+        part("cable", cable, paint.cable(), follow[nearest]),
     )

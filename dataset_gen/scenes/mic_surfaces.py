@@ -10,10 +10,7 @@ from ..scene import Surface
 _IVORY = (0.93, 0.9, 0.82)
 _RED = (0.82, 0.12, 0.1)
 
-
-def _rng(number: int) -> np.random.Generator:
-    """Patterns belong to the scene, not to the dataset's seed: that one is the renderer's."""
-    return np.random.default_rng([2025, number])
+_rng = t.seeded(2025)
 
 
 def body() -> Surface:

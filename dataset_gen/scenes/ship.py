@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene import AreaLight, Gradient, Part, Scene
+from ..scene import AreaLight, Gradient, Part, Scene, part
 from ..shapes import ocean
 from . import ship_fittings as fittings
 from . import ship_hull as hull
@@ -46,7 +46,7 @@ def _sea() -> tuple[Part, ...]:
     stations = np.linspace(0.0, 1.0, 80)
     waterline = (HULL.side(stations, HULL.level(stations, WATER)) + _SHIFT) * _SCALE
     surface = paint.water(ocean.swell(x, y, _swell()), ocean.distance_to(waterline[:, :2], x, y))
-    return hull.rigid("water", top, surface), hull.rigid("sea_body", body, paint.sea_body())
+    return part("water", top, surface), part("sea_body", body, paint.sea_body())
 
 
 def _swell() -> np.random.Generator:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import Part
+from ..scene import Part, part
 from ..shapes import hull as lines
 from ..shapes import joinery as j
 from ..shapes import rig
 from ..shapes.patch import both, shifted, slab
 from . import ship_surfaces as paint
-from .ship_hull import rigid
 from .ship_plan import HULL, deck_at, deck_z
 
 _CAPSTAN = [
@@ -55,11 +54,11 @@ def _deck_work() -> tuple[Part, ...]:
     binnacle = deck_at("quarterdeck", -0.43)
     work.append(slab(binnacle + [-0.012, -0.02, -0.006], binnacle + [0.012, 0.02, 0.04], 0.2))
     steering = j.wheel(m.frame(helm + [0.0, 0.0, 0.045], (1.0, 0.0, 0.0)), 0.038)
-    casks = [j.barrel(_at(deck_at("waist", x, y) - [0.0, 0.0, 0.003]), 0.042) for x, y in _CASKS]
+    casks = [j.barrel(m.shift(deck_at("waist", x, y) - [0.0, 0.0, 0.003]), 0.042) for x, y in _CASKS]
     return (
-        rigid("hatches", m.join(work), paint.joinery()),
-        rigid("capstan", m.join([*_capstan(deck_at("waist", 0.2)), steering]), paint.turned()),
-        rigid("casks", m.join(casks), paint.cask()),
+        part("hatches", m.join(work), paint.joinery()),
+        part("capstan", m.join([*_capstan(deck_at("waist", 0.2)), steering]), paint.turned()),
+        part("casks", m.join(casks), paint.cask()),
     )
 
 
@@ -71,12 +70,6 @@ def _capstan(spot: np.ndarray) -> list[m.Mesh]:
         bar = np.linspace(0.03 * out, 0.075 * out, 3) + spot + [0.0, 0.0, 0.066]
         made.append(m.sweep(bar, m.circle(0.0035, 6)))
     return made
-
-
-def _at(point: np.ndarray) -> np.ndarray:
-    at = np.eye(4)
-    at[:3, 3] = point
-    return at
 
 
 def _boat() -> tuple[Part, ...]:
@@ -95,7 +88,7 @@ def _boat() -> tuple[Part, ...]:
     chocks = [slab((x, -0.03, -0.012), (x + 0.012, 0.03, 0.012), 0.1) for x in (-0.05, 0.04)]
     spot = deck_at("waist", 0.10) + [0.0, 0.0, 0.028]
     wood = m.join([rail, *benches, *oars, *chocks])
-    return rigid("boat", shifted(skin, spot), paint.boat()), rigid(
+    return part("boat", shifted(skin, spot), paint.boat()), part(
         "boat_wood", shifted(wood, spot), paint.joinery()
     )
 
@@ -136,7 +129,7 @@ def _anchors() -> tuple[Part, ...]:
     tie = rig.rope(ring, outboard + [0.0, -0.07, 0.0], 0.0035)
     cable = rig.line(m.spline([ring, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6), 0.005, 6)
     return (
-        rigid("anchors", both(iron), paint.iron()),
-        rigid("catheads", both(m.join([cathead, stock])), paint.oak()),
-        rigid("anchor_cables", both(m.join([tie, cable])), paint.rope("cable", (0.62, 0.5, 0.33), 29)),
+        part("anchors", both(iron), paint.iron()),
+        part("catheads", both(m.join([cathead, stock])), paint.oak()),
+        part("anchor_cables", both(m.join([tie, cable])), paint.rope("cable", (0.62, 0.5, 0.33), 29)),
     )

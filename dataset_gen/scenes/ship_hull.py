@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import Part, Surface
+from ..scene import Part, part
 from ..shapes import hull as lines
 from ..shapes import joinery as j
 from ..shapes.patch import both, box, patch, slab, tiled
@@ -21,11 +21,6 @@ def parts() -> tuple[Part, ...]:
     return (*_hull(), *_bulwarks(), *_decks(), *_stern(), *_head(), *_guns())
 
 
-def rigid(name: str, mesh: m.Mesh, surface: Surface) -> Part:
-    """A part that goes along with the ship."""
-    return Part(name, mesh, surface, np.ones(len(mesh.vertices)))
-
-
 def _hull() -> tuple[Part, ...]:
     """Skin, keel with stem and sternpost, wales."""
     s = np.linspace(0.0, 1.0, 24)
@@ -37,9 +32,9 @@ def _hull() -> tuple[Part, ...]:
     wales = [lines.strip(HULL, (0.0, 0.995), h, heavy) for h in (-0.085, -0.125)]
     wales += [lines.strip(HULL, (0.0, 0.995), h, light) for h in (-0.028, 0.0)]
     return (
-        rigid("hull", lines.planking(HULL), paint.hull()),
-        rigid("keel", keel, paint.oak()),
-        rigid("wales", m.join(wales), paint.wale()),
+        part("hull", lines.planking(HULL), paint.hull()),
+        part("keel", keel, paint.oak()),
+        part("wales", m.join(wales), paint.wale()),
     )
 
 
@@ -50,11 +45,11 @@ def _bulwarks() -> tuple[Part, ...]:
         made[name] = lines.bulwark(HULL, ends, low, high, _WALL, LINING[name])
         rails.append(lines.strip(HULL, ends, high, m.rounded_rectangle(0.012, 0.022, 0.004), -0.005, 50))
     return (
-        rigid("waist", made["waist"], paint.upper_works("waist", _GREEN, 41)),
-        rigid("forecastle", made["forecastle"], paint.upper_works("forecastle", _BROWN, 43)),
-        rigid("quarterdeck", made["quarterdeck"], paint.upper_works("quarterdeck", _BROWN, 45)),
-        rigid("poop", made["poop"], paint.upper_works("poop", _GREEN, 47)),
-        rigid("rails", m.join(rails), paint.gilt("rails")),
+        part("waist", made["waist"], paint.upper_works("waist", _GREEN, 41)),
+        part("forecastle", made["forecastle"], paint.upper_works("forecastle", _BROWN, 43)),
+        part("quarterdeck", made["quarterdeck"], paint.upper_works("quarterdeck", _BROWN, 45)),
+        part("poop", made["poop"], paint.upper_works("poop", _GREEN, 47)),
+        part("rails", m.join(rails), paint.gilt("rails")),
     )
 
 
@@ -75,11 +70,11 @@ def _decks() -> tuple[Part, ...]:
     walls, openings, tops = zip(*(_bulkhead(*which) for which in _BREAKS), strict=True)
     frames, panes = zip(*(piece for wall in openings for piece in wall), strict=True)
     return (
-        rigid("decks", decks, paint.deck()),
-        rigid("bulkheads", m.join(walls), paint.bulkhead()),
-        rigid("doors", m.join(frames), paint.gilt("doors")),
-        rigid("door_panes", m.join(panes), paint.glass("door_panes", (0.22, 0.2, 0.16), 61)),
-        rigid("balusters", m.join([piece for top in tops for piece in top]), paint.turned()),
+        part("decks", decks, paint.deck()),
+        part("bulkheads", m.join(walls), paint.bulkhead()),
+        part("doors", m.join(frames), paint.gilt("doors")),
+        part("door_panes", m.join(panes), paint.glass("door_panes", (0.22, 0.2, 0.16), 61)),
+        part("balusters", m.join([piece for top in tops for piece in top]), paint.turned()),
     )
 
 
@@ -125,13 +120,13 @@ def _stern() -> tuple[Part, ...]:
         np.linspace(1.25, 0.75, 12), up=(1.0, 0.0, 0.0),
     )  # fmt: skip
     return (
-        rigid("transom", lines.transom(HULL, top), paint.transom()),
-        rigid("stern_windows", m.join(frames), paint.gilt("stern_windows")),
-        rigid("stern_panes", m.join(panes), paint.glass("stern_panes", (0.3, 0.36, 0.38), 62)),
-        rigid("carving", m.join([*_mouldings(), *_crown(), *_gallery()]), paint.gilt("carving")),
-        rigid("lanterns", m.join(metal), paint.gilt("lanterns")),
-        rigid("lantern_panes", m.join(lamps), paint.glass("lamp", (0.9, 0.72, 0.35), 63)),
-        rigid("rudder", rudder, paint.wale()),
+        part("transom", lines.transom(HULL, top), paint.transom()),
+        part("stern_windows", m.join(frames), paint.gilt("stern_windows")),
+        part("stern_panes", m.join(panes), paint.glass("stern_panes", (0.3, 0.36, 0.38), 62)),
+        part("carving", m.join([*_mouldings(), *_crown(), *_gallery()]), paint.gilt("carving")),
+        part("lanterns", m.join(metal), paint.gilt("lanterns")),
+        part("lantern_panes", m.join(lamps), paint.glass("lamp", (0.9, 0.72, 0.35), 63)),
+        part("rudder", rudder, paint.wale()),
     )
 
 
@@ -211,7 +206,7 @@ def _head() -> tuple[Part, ...]:
         m.sweep(body, m.circle(0.001, 14), girth, up=(1.0, 0.0, 0.0)),
         both(m.sweep(arm, m.circle(0.006, 7))),
     ]
-    return rigid("head_rails", m.join(wood), paint.wale()), rigid("figurehead", m.join(figure), paint.gilt())
+    return part("head_rails", m.join(wood), paint.wale()), part("figurehead", m.join(figure), paint.gilt())
 
 
 def _port_frames() -> list[np.ndarray]:
@@ -248,7 +243,7 @@ def _guns() -> tuple[Part, ...]:
         back[2, 3] = -0.05
         barrels.append(j.cannon(level @ back, 0.095))
     return (
-        rigid("ports", both(m.join(lids)), paint.port()),
-        rigid("port_holes", both(m.join(holes)), paint.dark()),
-        rigid("guns", both(m.join(barrels)), paint.iron()),
+        part("ports", both(m.join(lids)), paint.port()),
+        part("port_holes", both(m.join(holes)), paint.dark()),
+        part("guns", both(m.join(barrels)), paint.iron()),
     )

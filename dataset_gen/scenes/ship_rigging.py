@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import Part
+from ..scene import Part, part
 from ..shapes import rig
 from ..shapes.patch import both, shifted, slab
 from . import ship_surfaces as paint
-from .ship_hull import rigid
 from .ship_plan import BOWSPRIT, BULWARKS, FORE, HULL, MAIN, MASTS, MIZZEN, MastPlan
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -106,9 +105,9 @@ def _spars() -> tuple[Part, ...]:
     yards.append(rig.spar(*_lateen(), (0.005, 0.009, 0.009, 0.005), 10))
     yards.append(rig.spar(*_spritsail(), (0.004, 0.007, 0.008, 0.007, 0.004), 10))
     return (
-        rigid("masts", m.join(masts), paint.mast()),
-        rigid("tops", m.join(tops), paint.joinery()),
-        rigid("yards", m.join(yards), paint.mast()),
+        part("masts", m.join(masts), paint.mast()),
+        part("tops", m.join(tops), paint.joinery()),
+        part("yards", m.join(yards), paint.mast()),
     )
 
 
@@ -131,8 +130,8 @@ def _sails() -> tuple[Part, ...]:
         rolls.append(canvas)
         ties.append(tie)
     return (
-        rigid("sails", m.join(rolls), paint.canvas()),
-        rigid("gaskets", m.join(ties), paint.rope("gaskets", (0.45, 0.34, 0.22), 28)),
+        part("sails", m.join(rolls), paint.canvas()),
+        part("gaskets", m.join(ties), paint.rope("gaskets", (0.45, 0.34, 0.22), 28)),
     )
 
 
@@ -157,10 +156,10 @@ def _standing() -> tuple[Part, ...]:
     sides = [_shrouds(plan, count) for plan, count in zip(MASTS, (6, 7, 5), strict=True)]
     dark, rungs, eyes, boards = (both(m.join(pieces)) for pieces in zip(*sides, strict=True))
     return (
-        rigid("shrouds", m.join([dark, *_stays()]), paint.rope("shrouds", (0.27, 0.2, 0.14), 24)),
-        rigid("ratlines", rungs, paint.rope("ratlines", (0.52, 0.42, 0.29), 30)),
-        rigid("deadeyes", eyes, paint.joinery()),
-        rigid("channels", boards, paint.oak()),
+        part("shrouds", m.join([dark, *_stays()]), paint.rope("shrouds", (0.27, 0.2, 0.14), 24)),
+        part("ratlines", rungs, paint.rope("ratlines", (0.52, 0.42, 0.29), 30)),
+        part("deadeyes", eyes, paint.joinery()),
+        part("channels", boards, paint.oak()),
     )
 
 
@@ -242,7 +241,7 @@ def _running() -> tuple[Part, ...]:
         )
     foot, _ = _lateen()
     ropes.append(rig.rope(foot, np.array([-0.22, -0.12, -0.06]), _THIN))
-    return (rigid("running", m.join(ropes), paint.rope("running", (0.66, 0.55, 0.37), 31)),)
+    return (part("running", m.join(ropes), paint.rope("running", (0.66, 0.55, 0.37), 31)),)
 
 
 def _flags() -> tuple[Part, ...]:
@@ -262,8 +261,8 @@ def _flags() -> tuple[Part, ...]:
     jack = rig.flag(BOWSPRIT[1] + [-0.02, 0, 0.155], (0.11, 0.075), wind, 1.2)
     red, white, blue = (0.70, 0.12, 0.1), (0.9, 0.88, 0.82), (0.12, 0.22, 0.45)
     return (
-        rigid("staffs", m.join(staffs), paint.gilt("staffs")),
-        rigid("pennants", m.join(cloths), paint.flag("pennants", (red, white), 71)),
-        rigid("ensign", m.join([ensign]), paint.flag("ensign", (red, white, blue), 72)),
-        rigid("jack", m.join([jack]), paint.flag("jack", (red, white, blue), 73)),
+        part("staffs", m.join(staffs), paint.gilt("staffs")),
+        part("pennants", m.join(cloths), paint.flag("pennants", (red, white), 71)),
+        part("ensign", m.join([ensign]), paint.flag("ensign", (red, white, blue), 72)),
+        part("jack", m.join([jack]), paint.flag("jack", (red, white, blue), 73)),
     )

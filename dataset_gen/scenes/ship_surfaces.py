@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .. import textures as t
-from ..patterns import cloth, wood
+from ..patterns import brocade, wood
 from ..scene import Rgb, Surface
 
 _GILT = (0.62, 0.45, 0.20)
 
-
-def _rng(number: int) -> np.random.Generator:
-    """Patterns belong to the scene, not to the dataset's seed: that one is the renderer's."""
-    return np.random.default_rng([2031, number])
+_rng = t.seeded(2031)
 
 
 def hull() -> Surface:
@@ -134,13 +131,13 @@ def gilt(name: str = "gilt") -> Surface:
 
 def rope(name: str, colour: Rgb, number: int) -> Surface:
     """Laid rope."""
-    image, height = cloth.laid(128, 32, colour, _rng(number))
+    image, height = brocade.laid(128, 32, colour, _rng(number))
     return Surface(name, image, height, 0.002, roughness=0.85)
 
 
 def canvas() -> Surface:
     """Flax sails, rolled: folds run along the yard."""
-    image, height = cloth.canvas(384, 384, (0.87, 0.80, 0.66), _rng(23), 5, (7, 16))
+    image, height = brocade.canvas(384, 384, (0.87, 0.80, 0.66), _rng(23), 5, (7, 16))
     return Surface("canvas", image, height, 0.01, roughness=0.85, sheen=0.15)
 
 
@@ -176,7 +173,7 @@ def glass(name: str, colour: Rgb, number: int) -> Surface:
 def flag(name: str, bands: tuple[Rgb, ...], number: int) -> Surface:
     """Bunting in bands across the hoist, with a seam every panel."""
     h, w = 192, 384
-    weave, height = cloth.canvas(h, w, (1.0, 1.0, 1.0), _rng(number), 6, (4, 10))
+    weave, height = brocade.canvas(h, w, (1.0, 1.0, 1.0), _rng(number), 6, (4, 10))
     rows = (np.arange(h) * len(bands) // h)[::-1]
     return Surface(name, weave * np.array(bands)[rows][:, None], height, 0.003, roughness=0.8, sheen=0.2)
 

@@ -60,11 +60,8 @@ def _hole_cell(height: float, points: int = 16) -> tuple[np.ndarray, np.ndarray]
 def _quarters(first: float, second: float) -> list[tuple[float, float]]:
     """Angles of the four corners of a rectangle, as spans; from (−, −) counter-clockwise."""
     return [
-        (first, second),
-        (second, -second),
-        (-second, np.pi + second),
-        (np.pi + second, 2 * np.pi + first),
-    ]
+        (first, second), (second, -second), (-second, np.pi + second), (np.pi + second, 2 * np.pi + first),
+    ]  # fmt: skip
 
 
 def _end(x0: float, x1: float, height: float) -> Mesh:

@@ -65,14 +65,7 @@ def hoops(drum: Drum) -> Mesh:
     """Both hoops."""
     one = _wooden_hoop(drum.radius) if drum.wooden_hoops else _steel_hoop(drum.radius)
     other = s.mirrored(one, 2)
-    return m.join([one, other.moved(shifted(0.0, 0.0, -drum.depth))])
-
-
-def shifted(x: float, y: float, z: float) -> np.ndarray:
-    """[4, 4] that moves by (x, y, z)."""
-    out = np.eye(4)
-    out[:3, 3] = x, y, z
-    return out
+    return m.join([one, other.moved(m.shift((0.0, 0.0, -drum.depth)))])
 
 
 def fittings(drum: Drum) -> Mesh:
@@ -88,12 +81,9 @@ def _lug(drum: Drum, top: bool) -> Mesh:
     r, out = drum.radius, drum.radius + 0.026
     inset = min(0.1, 0.36 * drum.depth)
     body = m.sweep(
-        np.array(
-            [(r - 0.004, 0, -inset), (r + 0.008, 0, -inset), (r + 0.018, 0, -inset), (r + 0.024, 0, -inset)]
-        ),
-        m.rounded_rectangle(0.068, 0.034, 0.012, 4),
-        np.array([1.0, 1.0, 0.86, 0.5]),
-    )
+        np.array([(r - 0.004, 0, -inset), (r + 0.008, 0, -inset), (r + 0.018, 0, -inset), (r + 0.024, 0, -inset)]),
+        m.rounded_rectangle(0.068, 0.034, 0.012, 4), np.array([1.0, 1.0, 0.86, 0.5]),
+    )  # fmt: skip
     barrel = _turned_rod(0.0105, -inset - 0.01, -inset + 0.046, out)
     reach = 0.03 if drum.wooden_hoops else 0.02
     parts = [body, barrel, _turned_rod(0.0052, -inset + 0.04, reach, out)]
@@ -104,13 +94,13 @@ def _lug(drum: Drum, top: bool) -> Mesh:
     else:
         parts.append(_turned_rod(0.011, -0.014, 0.0, out))
     mesh = m.join(parts)
-    return mesh if top else s.mirrored(mesh, 2).moved(shifted(0.0, 0.0, -drum.depth))
+    return mesh if top else s.mirrored(mesh, 2).moved(m.shift((0.0, 0.0, -drum.depth)))
 
 
 def _turned_rod(radius: float, z0: float, z1: float, x: float) -> Mesh:
     b = 0.15 * radius
     outline = [(0.0, z0), (radius - b, z0), (radius, z0 + b), (radius, z1 - b), (radius - b, z1), (0.0, z1)]
-    return m.revolve(outline, 12).moved(shifted(x, 0.0, 0.0))
+    return m.revolve(outline, 12).moved(m.shift((x, 0.0, 0.0)))
 
 
 def cymbal(radius: float, bell: float, bow: float, segments: int = 96) -> Mesh:

@@ -49,3 +49,51 @@ def copies(
         copy = template.moved(matrix)
         made.append(Mesh(copy.vertices, copy.triangles, copy.uv + [rng.random(), 0.0]))
     return join(made)
+
+
+def pebbles(
+    places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, rings: int = 7, segments: int = 10
+) -> Mesh:
+    """N stones at places [N, 3] (their middles) of sizes [N] (half the longest axis)."""
+    count = len(places)
+    lat = np.linspace(-0.5 * np.pi, 0.5 * np.pi, rings)
+    lon = 2.0 * np.pi * np.arange(segments) / segments
+    ball = np.stack(
+        np.broadcast_arrays(
+            np.cos(lat)[:, None] * np.cos(lon),
+            np.cos(lat)[:, None] * np.sin(lon),
+            np.sin(lat)[:, None] + 0.0 * lon,
+        ),
+        -1,
+    ).reshape(-1, 3)
+    dents = rng.normal(size=(count, 6, 3))
+    dents /= np.linalg.norm(dents, axis=2, keepdims=True)
+    bump = 1.0 - 0.22 * np.maximum(np.einsum("vj,ndj->nvd", ball, dents) - 0.45, 0.0).sum(2)
+    axes = np.stack([np.ones(count), rng.uniform(0.65, 0.95, count), rng.uniform(0.45, 0.7, count)], -1)
+    points = ball[None] * bump[..., None] * (axes * sizes[:, None])[:, None]
+    turn, tilt = rng.uniform(0.0, 2.0 * np.pi, count), rng.normal(0.0, 0.2, count)
+    c, s, ct, st = np.cos(turn), np.sin(turn), np.cos(tilt), np.sin(tilt)
+    spin = np.stack(
+        [
+            np.stack([c * ct, -s, c * st], -1),
+            np.stack([s * ct, c, s * st], -1),
+            np.stack([-st, 0 * s, ct], -1),
+        ],
+        1,
+    )
+    vertices = np.einsum("nij,nvj->nvi", spin, points) + places[:, None]
+    r, k = (x.ravel() for x in np.meshgrid(np.arange(rings - 1), np.arange(segments), indexing="ij"))
+    right = (k + 1) % segments
+    a, b, c4, d = r * segments + k, r * segments + right, (r + 1) * segments + right, (r + 1) * segments + k
+    low, high = np.column_stack([a, b, c4]), np.column_stack([a, c4, d])
+    keep = np.concatenate([low[r > 0], high[r < rings - 2]])
+    corner_u = np.stack([k, k + 1, k + 1, k]) / segments
+    corner_v = np.stack([r, r, r + 1, r + 1]) / (rings - 1)
+    uv = np.stack([corner_u, corner_v], -1)
+    uv = np.concatenate(
+        [uv[[0, 1, 2]].transpose(1, 0, 2)[r > 0], uv[[0, 2, 3]].transpose(1, 0, 2)[r < rings - 2]]
+    )
+    piece = rng.uniform(0.0, 1.0, (count, 1, 1, 2))  # the picture repeats
+    starts = rings * segments * np.arange(count)[:, None, None]
+    triangles = (keep[None] + starts).reshape(-1, 3).astype(np.int32)
+    return Mesh(vertices.reshape(-1, 3), triangles, (0.14 * uv[None] + piece).reshape(-1, 3, 2))

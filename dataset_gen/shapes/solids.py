@@ -74,11 +74,8 @@ def prism(outline: np.ndarray, z0: float, z1: float, bevel: float = 0.0, smooth:
         return join([strip(low, high, smooth), _lid(low, up=False), _lid(high, up=True)])
     inner = shrunk(outline, bevel)
     rings = [
-        _lift(inner, z0),
-        _lift(outline, z0 + bevel),
-        _lift(outline, z1 - bevel),
-        _lift(inner, z1),
-    ]
+        _lift(inner, z0), _lift(outline, z0 + bevel), _lift(outline, z1 - bevel), _lift(inner, z1),
+    ]  # fmt: skip
     walls = [strip(a, b, smooth) for a, b in pairwise(rings)]
     return join([*walls, _lid(rings[0], up=False), _lid(rings[-1], up=True)])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .loaded import Loaded
+    from .assemble import Loaded
 
 
 def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None) -> Loaded:

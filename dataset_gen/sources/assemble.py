@@ -10,24 +10,30 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..build import stage_of
+from ..build import Stage, stage_of
 from ..cameras import Camera
 from ..errors import GenerateError
 from ..vibration.bodies import Body
 from . import lighting
 from .anchors import Anchors, trees
+from .bodies_file import Found
 from .gather import Gathered, Lamp
-from .loaded import Loaded
-from .names import list_names
+from .images import list_names
 from .realise import realise
 from .strands import rest_positions
 from .wardrobe import Wardrobe
-from .weights import group_weights
 
 _FLAT = 0.02  # thickness over width
 _BACKDROP = 4.0  # a part this many times as wide as all others together is not what is looked at
 # Lights the new scene, given the old one, whether the file's lights or materials give light, and the warnings.
 Lighting = Callable[[bpy.types.Scene, bpy.types.Scene, bool, list[str]], None]
+
+
+@dataclass(frozen=True)
+class Loaded(Found):
+    """A user's scene, at rest, in the Blender session of this process."""
+
+    stage: Stage  # its `objects` and `rest` go with `bodies`, one to one
 
 
 @dataclass(frozen=True)
@@ -75,16 +81,9 @@ def assemble(
     stage.camera.data.clip_end = max(100.0, 100.0 * radius)
     stage.camera.data.clip_start = min(0.01, 0.002 * radius)
     return Loaded(
+        bodies, origin.unit_scale_m, origin.own_unit, origin.cameras, origin.camera_names, tuple(notes), centre, radius,
         stage,
-        bodies,
-        origin.unit_scale_m,
-        origin.own_unit,
-        origin.cameras,
-        origin.camera_names,
-        tuple(notes),
-        centre,
-        radius,
-    )
+    )  # fmt: skip
 
 
 def _lamp(lamp: Lamp, scene: bpy.types.Scene, exposure: float) -> bpy.types.Object:
@@ -159,3 +158,60 @@ def _is_backdrop(body: Body, rest: Sequence[Body]) -> bool:
     around = bool((low <= rest_low).all() and (high >= rest_high).all())
     simple = len(body.triangles) < sum(len(other.triangles) for other in rest)
     return rest_width > 0 and width > _BACKDROP * rest_width and (flat or (around and simple))
+
+
+_TARGET = "tg4mm weight {}"
+
+
+def group_weights(objects: Sequence[bpy.types.Object]) -> list[dict[str, np.ndarray]]:
+    """For each mesh object of the context's scene: group name → weights [V] float64, 0 where not assigned.
+
+    The objects must have no modifiers.
+    """
+    named = [[group.name for group in obj.vertex_groups] for obj in objects]
+    trees: dict[tuple[str, ...], bpy.types.NodeTree] = {}
+    for obj, names in zip(objects, named, strict=True):
+        if names:
+            key = tuple(names)
+            if key not in trees:
+                trees[key] = _converter(names)
+            obj.modifiers.new("weights", "NODES").node_group = trees[key]
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    found = [_read(obj.evaluated_get(depsgraph), names) for obj, names in zip(objects, named, strict=True)]
+    for obj, names in zip(objects, named, strict=True):
+        if names:
+            obj.modifiers.clear()
+    for tree in trees.values():
+        bpy.data.node_groups.remove(tree)
+    return found
+
+
+def _converter(names: Sequence[str]) -> bpy.types.NodeTree:
+    """Nodes that store every vertex group as a plain attribute of the points."""
+    tree = bpy.data.node_groups.new("tg4mm weights", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    geometry = tree.nodes.new("NodeGroupInput").outputs[0]
+    for i, name in enumerate(names):
+        source, store = (
+            tree.nodes.new(f"GeometryNode{kind}") for kind in ("InputNamedAttribute", "StoreNamedAttribute")
+        )
+        source.data_type = store.data_type = "FLOAT"
+        store.domain = "POINT"
+        source.inputs["Name"].default_value = name
+        store.inputs["Name"].default_value = _TARGET.format(i)
+        tree.links.new(geometry, store.inputs["Geometry"])
+        value = next(socket for socket in source.outputs if socket.name == "Attribute" and socket.enabled)
+        tree.links.new(value, next(s for s in store.inputs if s.name == "Value" and s.enabled))
+        geometry = store.outputs["Geometry"]
+    tree.links.new(geometry, tree.nodes.new("NodeGroupOutput").inputs[0])
+    return tree
+
+
+def _read(obj: bpy.types.Object, names: Sequence[str]) -> dict[str, np.ndarray]:
+    mesh, found = obj.data, {}
+    for i, name in enumerate(names):
+        weights = np.empty(len(mesh.vertices), np.float32)
+        mesh.attributes[_TARGET.format(i)].data.foreach_get("value", weights)
+        found[name] = weights.astype(np.float64)
+    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,44 +16,35 @@ from ..cameras import Camera
 from ..errors import GenerateError
 from ..vibration.bodies import Body
 
-if TYPE_CHECKING:
-    from .loaded import Loaded
-
 _VERSION = 2
+_PLAIN = ("unit_scale_m", "own_unit", "camera_names", "warnings", "centre", "radius")
 
 
 @dataclass(frozen=True)
 class Found:
-    """`Loaded` without Blender's handles."""
+    """What a user's file holds, without Blender's handles."""
 
     bodies: tuple[Body, ...]
-    unit_scale_m: float | None  # metres per scene unit
+    unit_scale_m: float | None  # metres per scene unit, None where the file does not say
     own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
-    cameras: tuple[Camera, ...]
-    camera_names: tuple[str, ...]
-    warnings: tuple[str, ...]
-    centre: tuple[float, float, float]  # scene units
-    radius: float  # scene units
+    cameras: tuple[Camera, ...]  # of the file, the active one first
+    camera_names: tuple[str, ...]  # one for each of `cameras`
+    warnings: tuple[str, ...]  # one line each: what was left out or replaced
+    centre: tuple[float, float, float]  # of the sphere around what is to be looked at, scene units
+    radius: float  # of that sphere, scene units
 
 
-def save(path: Path, found: Loaded | Found) -> None:
+def save(path: Path, found: Found) -> None:
     """Writes the file, complete or not at all."""
     arrays: dict[str, np.ndarray] = {}
     for i, body in enumerate(found.bodies):
         arrays |= {f"{i}.vertices": body.vertices, f"{i}.follow": body.follow}
         arrays[f"{i}.triangles"] = body.triangles
         arrays |= {f"{i}.group.{j}": weights for j, weights in enumerate(body.groups.values())}
-    head = {
-        "version": _VERSION,
-        "bodies": [{"name": body.name, "groups": list(body.groups)} for body in found.bodies],
-        "unit_scale_m": found.unit_scale_m,
-        "own_unit": list(found.own_unit),
-        "cameras": [camera.to_json() for camera in found.cameras],
-        "camera_names": list(found.camera_names),
-        "warnings": list(found.warnings),
-        "centre": list(found.centre),
-        "radius": found.radius,
-    }
+    bodies = [{"name": body.name, "groups": list(body.groups)} for body in found.bodies]
+    cameras = [camera.to_json() for camera in found.cameras]
+    plain = {name: getattr(found, name) for name in _PLAIN}
+    head = {"version": _VERSION, "bodies": bodies, "cameras": cameras, **plain}
     with tree.whole(path) as temporary:
         np.savez(temporary, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **arrays)
 
@@ -67,16 +58,12 @@ def load(path: Path) -> Found:
             raise GenerateError(f"{path}: version {head['version']!r} is not {_VERSION}")
         bodies = tuple(_body(data, i, entry) for i, entry in enumerate(head["bodies"]))
         x, y, z = head["centre"]
+        unit, factor = head["own_unit"]
         return Found(
-            bodies,
-            head["unit_scale_m"],
-            (str(head["own_unit"][0]), float(head["own_unit"][1])),
-            tuple(Camera.from_json(camera) for camera in head["cameras"]),
-            tuple(head["camera_names"]),
-            tuple(head["warnings"]),
-            (x, y, z),
-            head["radius"],
-        )
+            bodies, head["unit_scale_m"], (str(unit), float(factor)),
+            tuple(Camera.from_json(camera) for camera in head["cameras"]), tuple(head["camera_names"]),
+            tuple(head["warnings"]), (x, y, z), head["radius"],
+        )  # fmt: skip
     except GenerateError:
         raise
     except OSError as error:

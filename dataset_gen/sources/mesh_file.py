@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,12 +17,10 @@ from ..errors import GenerateError
 from ..materials import world as made_world
 from ..scene import Gradient
 from .anchors import trees
-from .assemble import Origin, assemble
+from .assemble import Loaded, Origin, assemble
 from .blend import file_cameras
 from .gather import Gathered, Piece, gather
-from .loaded import Loaded
-from .ply import count_not_finite
-from .search import find_images
+from .images import find_images
 from .strands import rest_positions
 
 RADIUS = 1.2  # scene units, of the sphere around the object after scaling
@@ -43,17 +42,11 @@ class _Format:
 _GLTF = _Format("import_scene.gltf", "io_scene_gltf2", metres=True)
 _USD = _Format("wm.usd_import", metres=True)
 _FORMATS = {
-    ".glb": _GLTF,
-    ".gltf": _GLTF,
-    ".obj": _Format("wm.obj_import", validation="validate_meshes"),
-    ".ply": _Format("wm.ply_import"),
-    ".stl": _Format("wm.stl_import", validation="use_mesh_validate"),
-    ".usd": _USD,
-    ".usda": _USD,
-    ".usdc": _USD,
-    ".usdz": _USD,
+    ".glb": _GLTF, ".gltf": _GLTF, ".obj": _Format("wm.obj_import", validation="validate_meshes"),
+    ".ply": _Format("wm.ply_import"), ".stl": _Format("wm.stl_import", validation="use_mesh_validate"),
+    ".usd": _USD, ".usda": _USD, ".usdc": _USD, ".usdz": _USD,
     ".fbx": _Format("wm.fbx_import", validation="validate_meshes"),
-}
+}  # fmt: skip
 _OLD_FBX = _Format("import_scene.fbx", "io_scene_fbx")
 _SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
 
@@ -213,3 +206,59 @@ def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: li
     lamp.location = _LAMP_AT
     lamp.rotation_euler = (-Vector(_LAMP_AT)).to_track_quat("-Z", "Y").to_euler()
     scene.collection.objects.link(lamp)
+
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
+}  # fmt: skip
+_HEADER = re.compile(rb"ply\r?\n.*?end_header\r?\n", re.S)
+_LONGEST = 1 << 16  # bytes of a header
+_NO_NUMBER = re.compile(rb"(?<![\w.])[+-]?(?:nan|inf)", re.I)
+
+
+def count_not_finite(path: Path) -> int:
+    """How many vertices have a coordinate that is not finite; 0 where the layout is not one this can read.
+
+    An ASCII file counts by lines, of whatever element. Raises GenerateError for a file shorter than its header says.
+    """
+    with path.open("rb") as file:
+        head = _HEADER.match(file.read(_LONGEST))
+        if head is None:
+            return 0
+        lines = head[0].decode("latin-1").split("\n")
+        kind = next(
+            (line.removeprefix("format ").partition(" ")[0] for line in lines if line[:7] == "format "), ""
+        )
+        file.seek(head.end())
+        if kind == "ascii":
+            return sum(1 for line in file if _NO_NUMBER.search(line))
+        layout = _vertices(lines, "<" if kind == "binary_little_endian" else ">")
+        if layout is None:
+            return 0
+        dtype, count = layout
+        if count * dtype.itemsize > path.stat().st_size - head.end():
+            raise GenerateError(f"{path}: is truncated: its header promises {count} vertices")
+        vertices = np.fromfile(file, dtype, count)
+    places = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], -1)
+    return int((~np.isfinite(places).all(1)).sum())
+
+
+def _vertices(lines: list[str], order: str) -> tuple[np.dtype, int] | None:
+    """Layout and number of the vertices, if they come first and hold no list."""
+    words = [line.split() for line in lines if line.startswith(("element", "property"))]
+    if not words or words[0][:2] != ["element", "vertex"] or not re.fullmatch("[0-9]{1,18}", words[0][-1]):
+        return None
+    fields = []
+    for word in words[1:]:
+        if word[0] == "element":
+            break
+        if len(word) != 3 or word[1] not in _TYPES:
+            return None
+        fields.append((word[2], order + _TYPES[word[1]]))
+    names = {name for name, _ in fields}
+    if not {"x", "y", "z"} <= names or len(names) < len(fields):
+        return None
+    return np.dtype(fields), int(words[0][-1])

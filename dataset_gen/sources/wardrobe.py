@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 import bpy
 
 from .anchors import Anchors, own_groups, trees
-from .images import repair_images
-from .names import list_names
+from .images import list_names, repair_images
 
 _SUFFIX = " tg4mm"  # of our copies of materials while the originals are there
 

@@ -16,18 +16,6 @@ from .solve import solve
 from .timelaw import SINE, Ramp, TimeLaw, Vibration
 
 __all__ = [
-    "SINE",
-    "Body",
-    "Field",
-    "Mode",
-    "Motion",
-    "MotionDescription",
-    "Ramp",
-    "State",
-    "TimeLaw",
-    "Vibration",
-    "pixel_displacement",
-    "reach",
-    "read_motion",
-    "solve",
-]
+    "SINE", "Body", "Field", "Mode", "Motion", "MotionDescription", "Ramp", "State", "TimeLaw", "Vibration",
+    "pixel_displacement", "reach", "read_motion", "solve",
+]  # fmt: skip

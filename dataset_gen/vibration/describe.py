@@ -5,16 +5,22 @@ Every mistake is one GenerateError line: file, mode, key, value.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
+
+from tg4mm.core.untrusted import read_json, read_yaml
 
 from ..errors import GenerateError
-from . import kinds, values
-from .files import load
+from . import values
+from .beams import Bending
+from .fields import Drift, Field, Group, Jiggle, Rock, Translate, Twist
 from .modes import RANDOM, Mode
+from .plates import Membrane, Plate
 from .timelaw import Ramp, Vibration
+from .waves import Wave
 
 _ALWAYS = ("name", "kind", "parts", "magnified")
 _VIBRATES = ("frequency", "amplitude", "amplitude_px", "phase", "phases", "decay")
@@ -148,20 +154,17 @@ def _mode(data: Any) -> Mode:
         if data.get(key) is None:
             raise ValueError(f"{key} is missing")
     name, kind = (_read(data, key, values.text) for key in ("name", "kind"))
-    if kind not in kinds.KINDS:
-        raise ValueError(f"kind {kind!r} is none of {', '.join(kinds.KINDS)}")
+    if kind not in KINDS:
+        raise ValueError(f"kind {kind!r} is none of {', '.join(KINDS)}")
     drifts = kind == "drift"
     common = (*_ALWAYS, "rate") if drifts else (*_ALWAYS, *_VIBRATES)
-    _check_keys(data, (*common, *kinds.keys(kind)), f"a mode of kind {kind}")
+    _check_keys(data, (*common, *keys(kind)), f"a mode of kind {kind}")
     mode = Mode(
-        name=name,
-        field=kinds.read_field(kind, data),
-        law=Ramp()
-        if drifts
-        else Vibration(_needed(data, "frequency"), _read(data, "decay", values.positive)),
+        name=name, field=read_field(kind, data),
+        law=Ramp() if drifts else Vibration(_needed(data, "frequency"), _read(data, "decay", values.positive)),
         parts=_read(data, "parts", values.texts) or (),
         magnified=_read(data, "magnified", values.truth_value, True),
-    )
+    )  # fmt: skip
     return replace(mode, amplitude=_needed(data, "rate")) if drifts else _with_amplitude(mode, data)
 
 
@@ -172,12 +175,9 @@ def _with_amplitude(mode: Mode, data: Mapping[str, Any]) -> Mode:
     if amplitude is None and pixels is None:
         raise ValueError("amplitude is missing: amplitude (scene units) or amplitude_px (pixels) is needed")
     return replace(
-        mode,
-        amplitude=amplitude,
-        amplitude_px=pixels,
-        phase=_read(data, "phase", values.number, 0.0),
+        mode, amplitude=amplitude, amplitude_px=pixels, phase=_read(data, "phase", values.number, 0.0),
         phases=_read(data, "phases", _phases, ()),
-    )
+    )  # fmt: skip
 
 
 def _read(data: Mapping[str, Any], key: str, reader: Any, default: Any = None) -> Any:
@@ -212,5 +212,62 @@ def _mode_data(mode: Mode) -> dict[str, Any]:
         data |= {"phases": mode.phases if isinstance(mode.phases, str) else dict(mode.phases) or None}
     else:
         data |= {"rate": mode.amplitude}
-    data |= {"parts": list(mode.parts) or None, "magnified": mode.magnified, **kinds.field_data(mode.field)}
+    data |= {"parts": list(mode.parts) or None, "magnified": mode.magnified, **field_data(mode.field)}
     return {key: value for key, value in data.items() if value is not None}
+
+
+_LARGEST = 1 << 20  # bytes of JSON: a description is a page
+
+
+def load(path: Path) -> Any:
+    """The data in a YAML or JSON file (by its suffix, .json). Raises GenerateError."""
+    try:
+        return read_json(path, _LARGEST) if path.suffix.lower() == ".json" else read_yaml(path)
+    except ImportError:
+        raise GenerateError(
+            f"{path} needs PyYAML, which this Python lacks: '{sys.executable}' -m pip install PyYAML, "
+            "or write the same as .json"
+        ) from None
+    except OSError as error:
+        raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise GenerateError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+KINDS: dict[str, type[Any]] = {
+    cls.kind: cls for cls in (Translate, Rock, Twist, Bending, Membrane, Plate, Wave, Jiggle, Group, Drift)
+}
+
+
+def keys(kind: str) -> tuple[str, ...]:
+    """Names of the fields of a kind, in order."""
+    return tuple(f.name for f in fields(KINDS[kind]))
+
+
+def read_field(kind: str, data: Mapping[str, Any]) -> Field:
+    """A field from the values of its keys; null is the same as absent. Raises ValueError naming the key."""
+    cls, values = KINDS[kind], {}
+    hints = get_type_hints(cls, include_extras=True)
+    for f in fields(cls):
+        if data.get(f.name) is None:
+            if f.default is MISSING:
+                raise ValueError(f"{f.name} is missing: a mode of kind {kind} needs it")
+            continue
+        read = get_args(hints[f.name])[1]
+        try:
+            values[f.name] = read(data[f.name])
+        except ValueError as error:
+            raise ValueError(f"{f.name}: {error}") from None
+    field: Field = cls(**values)
+    return field
+
+
+def field_data(field: Field) -> dict[str, Any]:
+    """The values of a field's keys as plain data, without those that are absent."""
+    return {name: _plain(value) for name, value in asdict(field).items() if value is not None}  # type: ignore[call-overload]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(v) for name, v in value.items()}
+    return list(value) if isinstance(value, tuple) else value

@@ -1,36 +1,10 @@
-"""Fixtures: the built-in scene that a module is about, by its `SCENE = "chair"`; a set with a report."""
+"""A set with a report."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from dataset_gen.scene import Part, Scene
-from tests.dataset_gen import builtin
-
-
-@pytest.fixture(scope="module")
-def scene(request: pytest.FixtureRequest) -> Scene:
-    return builtin.built(request.module.SCENE)
-
-
-@pytest.fixture(scope="module")
-def parts(scene: Scene) -> dict[str, Part]:
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def moves(request: pytest.FixtureRequest) -> dict[str, np.ndarray]:
-    """Mode shapes [K, V, 3] by part."""
-    return builtin.solved(request.module.SCENE)
-
-
-@pytest.fixture(scope="module")
-def shapes(moves: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The first mode's shape [V, 3] by part."""
-    return {name: shape[0] for name, shape in moves.items()}
 
 
 @pytest.fixture(scope="session")

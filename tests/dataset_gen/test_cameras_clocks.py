@@ -14,13 +14,6 @@ FLAT = CameraSetup("flat", test_views=5)
 SWEEP = CameraSetup("sweep", views=4)
 
 
-def test_cameras_that_start_together_share_the_scenes_clock():
-    for setup in (replace(RIG, clock_offset_s=0.0), CameraSetup(), CameraSetup("handheld")):
-        assert set(clock_offsets(setup)) == {0.0}
-        camera = cameras_at(setup, 12)["train"][-1]
-        assert scene_time(setup, camera, 12) == pytest.approx(0.4)
-
-
 def test_clocks_are_off_by_up_to_what_was_asked_and_the_first_is_the_scenes():
     offsets = np.array(clock_offsets(RIG))
     assert offsets[0] == 0.0
@@ -52,15 +45,6 @@ def test_clips_are_one_camera_in_places_all_around():
     assert np.linalg.norm(places[:, None] - places, axis=-1)[~np.eye(7, dtype=bool)].min() > 1.0
 
 
-def test_a_flat_capture_is_one_fixed_camera_whose_view_is_the_test_too():
-    at = cameras_at(FLAT, 7)
-    assert len(at["train"]) == FLAT.n_train(7) == 1
-    assert at["train"] == at["test"] == cameras_at(FLAT, 0)["train"]
-    assert FLAT.n_test == 1
-    none = replace(FLAT, test_views=0)
-    assert (cameras_at(none, 0)["test"], none.n_test) == ((), 0)
-
-
 def test_a_sweep_shows_the_scene_at_rest_and_has_no_time():
     fixed, *sweep = cameras_at(SWEEP, 0)["train"]
     assert scene_time(SWEEP, fixed, 5) == pytest.approx(5 / 30)
@@ -86,13 +70,6 @@ def test_a_sweep_shows_the_scene_at_rest_and_has_no_time():
 )
 def test_kind_of_capture(setup, kind):
     assert setup.capture_kind == kind
-
-
-def test_long_records_have_a_camera_at_every_timestep():
-    for kind in ("clips", "handheld", "sweep", "flat"):
-        setup = CameraSetup(kind, views=5, n_timesteps=1000)
-        camera = cameras_at(setup, 999)["train"][0]
-        assert scene_time(setup, camera, 999) == pytest.approx(33.3)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import dataset_gen.farm
-from dataset_gen.farm.commands import commands
+from dataset_gen.farm.sets import commands
 
 dukpy = pytest.importorskip(
     "dukpy", reason="dukpy, a JavaScript interpreter, is not installed: pip install dukpy"
@@ -104,36 +104,3 @@ def test_quoted_words_of_the_options_stay_whole() -> None:
 def test_what_cannot_be_rendered_is_refused(settings: dict[str, object], message: str) -> None:
     with pytest.raises(dukpy.JSRuntimeError, match=message):
         compiled(**settings)
-
-
-def test_the_settings_are_such_as_flamenco_knows() -> None:
-    described = job_type()
-    assert described["label"]
-    keys = [setting["key"] for setting in described["settings"]]
-    assert len(keys) == len(set(keys))
-    for setting in described["settings"]:
-        assert set(setting) <= {
-            "key", "type", "subtype", "default", "required", "visible", "eval", "evalInfo", "propargs", "description",
-        }  # fmt: skip
-        assert setting["type"] in {"string", "int32", "float", "bool"}
-        assert setting.get("subtype", "file_path") in {
-            "file_path",
-            "dir_path",
-            "file_name",
-            "hashed_file_path",
-        }
-        assert setting.get("visible", "visible") in {"visible", "hidden", "submission", "web"}
-        assert setting["description"]
-
-
-def test_the_script_is_plain_es5() -> None:
-    for word in ("=>", "`", "let ", "const ", "for (const", "..."):
-        assert word not in "\n".join(
-            line for line in SCRIPT.read_text().splitlines() if not line.strip().startswith("//")
-        )
-
-
-def test_expressions_for_the_add_on_are_python() -> None:
-    for setting in job_type()["settings"]:
-        if "eval" in setting:
-            compile(setting["eval"], setting["key"], "eval")

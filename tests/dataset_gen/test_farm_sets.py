@@ -8,15 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-import dataset_gen.farm
 from dataset_gen.errors import GenerateError
-from dataset_gen.farm.commands import commands
-from dataset_gen.farm.sets import farm_sets, main
+from dataset_gen.farm.sets import commands, farm_sets, main
 from dataset_gen.options import parser, request_from
 
-FARM = Path(dataset_gen.farm.__file__).parent
 SMALL = {"out": "data", "python": "py", "sets": {"mic": None}}
 
 
@@ -48,14 +44,6 @@ def test_a_set_is_named_after_its_scene_unless_it_says_otherwise() -> None:
     ]
     assert len(found[1].commands.parts) == 7
     assert found[0].commands.parts[0][-4:] == ("--part", "1/2", "--processes", "3")
-
-
-def test_options_of_a_set_win_over_those_of_all() -> None:
-    sets = {"mic": {"options": "mic --size 64 --amplitude 0.03"}}
-    found = farm_sets({**SMALL, "options": "--size 32 --amplitude 0.01", "sets": sets})
-    request = request_from(parser().parse_args(list(found[0].commands.finish[3:])))
-    assert request.sets[0].size == 64
-    assert found[0].folder == "mic_5Hz_0_03"
 
 
 @pytest.mark.parametrize(
@@ -98,17 +86,3 @@ def test_the_module_prints_what_a_shell_can_run(
     monkeypatch.setattr("sys.stdin", io.StringIO("{}"))
     assert main() == 2
     assert capsys.readouterr().err == "error: configuration: out is missing\n"
-
-
-def test_the_example_configuration_is_accepted() -> None:
-    config = yaml.safe_load((FARM / "config.yaml").read_text())
-    found = farm_sets({"python": "py", **config})
-    assert len(found) == len(config["sets"]) > 3
-    assert "--preset" in found[0].commands.prepare
-
-
-@pytest.mark.parametrize("name", ["local", "slurm", "kubernetes"])
-def test_profiles_are_yaml_and_start_killed_parts_again(name: str) -> None:
-    profile = yaml.safe_load((FARM / "profiles" / name / "config.yaml").read_text())
-    assert profile["rerun-incomplete"] is True
-    assert profile.get("executor") == (None if name == "local" else name)

@@ -15,9 +15,8 @@ OpenEXR = pytest.importorskip("OpenEXR")
 from dataset_gen import build, render  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
 from dataset_gen.prepare import builtin_bodies  # noqa: E402
-from dataset_gen.quality import Quality  # noqa: E402
 from dataset_gen.scenes import SCENES  # noqa: E402
-from dataset_gen.settings import motion_file  # noqa: E402
+from dataset_gen.settings import Quality, motion_file  # noqa: E402
 from dataset_gen.vibration import read_motion, solve  # noqa: E402
 
 SIZE = 64

@@ -8,7 +8,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from dataset_gen.errors import GenerateError  # noqa: E402
-from dataset_gen.listing import amplitude_text  # noqa: E402
 from dataset_gen.options import parser, request_from  # noqa: E402
 from tests.dataset_gen.sources_blends import link, new_scene, save, tetrahedron  # noqa: E402
 
@@ -90,13 +89,6 @@ def test_a_mesh_says_how_it_was_scaled(stl):
     assert 0.9 * 14**0.5 / 2 / 1.2 < scale <= 14**0.5 / 2 / 1.2 * 1.001
 
 
-def test_an_empty_group_is_called_empty(blend, tmp_path):
-    done = listed("--blend", blend, "--motion", with_motion(tmp_path, "nobody"))
-    assert done.returncode == 2
-    last = done.stderr.splitlines()[-1]
-    assert "group: the vertex group 'nobody' of tongue is empty: no vertex has a weight in it" in last
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -110,8 +102,3 @@ def test_options_that_would_be_ignored_are_refused(blend, arguments, message):
     source = [] if "mic" in arguments else ["--blend", str(blend)]
     with pytest.raises(GenerateError, match=message):
         request_from(parser().parse_args([*source, *arguments]))
-
-
-def test_a_length_without_a_unit_of_its_own_is_said_once():
-    assert amplitude_text(0.005, ("scene units", 1.0)) == "0.005 scene units"
-    assert amplitude_text(0.005, ("cm", 20.0)) == "0.005 scene units = 0.1 cm"

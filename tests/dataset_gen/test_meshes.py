@@ -38,23 +38,8 @@ def test_edges_are_doubled_where_sharp_and_shared_where_smooth():
     assert len(smooth.vertices) == 3 * 8
 
 
-def test_the_seam_of_the_texture_shares_its_vertices():
-    mesh = m.revolve([(1.0, 0.0), (1.0, 1.0)], segments=6)
-    assert len(mesh.vertices) == 12
-    assert mesh.uv[..., 0].max() == 1.0
-
-
 def test_a_spline_passes_its_ends_in_equal_steps():
     curve = m.spline([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)])
     np.testing.assert_allclose(curve[[0, -1]], [(0, 0, 0), (0, 1, 1)], atol=1e-12)
     steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
     assert steps.max() / steps.min() < 1.1
-
-
-def test_moving_a_mesh_moves_its_vertices_only():
-    mesh = m.revolve([(1.0, 0.0), (1.0, 1.0)], segments=6)
-    moved = mesh.moved(m.frame((1.0, 2.0, 3.0), (0.0, 1.0, 0.0)))
-    assert signed_volume(mesh) == pytest.approx(
-        signed_volume(m.Mesh(moved.vertices - [1, 2, 3], moved.triangles, moved.uv))
-    )
-    np.testing.assert_array_equal(moved.triangles, mesh.triangles)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dataset_gen.__main__ import main
-from dataset_gen.options import DEFAULTS, PRESETS, Request, parser, request_from
+from dataset_gen.options import PRESETS, Request, parser, request_from
 from dataset_gen.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,13 +117,6 @@ def test_what_an_animation_has_no_use_for_is_refused(arguments, named, tmp_path,
     assert err == f"error: {named}: --save-blend only saves the animation, it renders nothing\n"
 
 
-def test_views_of_a_given_file_are_refused(tmp_path, capsys):
-    (tmp_path / "a.blend").touch()
-    options = ["--motion", "m.yaml", "--cameras", "given", "--views", "4", "--out", str(tmp_path / "out")]
-    assert main(["--blend", str(tmp_path / "a.blend"), *options]) == 2
-    assert "--views 4: with --cameras given the file's cameras are taken" in capsys.readouterr().err
-
-
 def test_the_presets_and_defaults_go_with_every_kind_of_camera():
     for preset in PRESETS:
         for kind in ("orbit", "rig", "sweep", "handheld"):
@@ -168,11 +161,6 @@ def test_folder_name(arguments, name):
     assert settings("mic", *arguments).folder == name
 
 
-def test_options_go_before_the_preset_and_the_preset_before_the_defaults():
-    chosen = settings("mic", "--preset", "smoke", "--views", "9")
-    assert (chosen.cameras.views, chosen.size, chosen.fps) == (9, PRESETS["smoke"]["size"], DEFAULTS["fps"])
-
-
 def test_all_is_every_built_in_scene_with_its_own_motion():
     sets = request("all").sets
     assert [s.scene for s in sets] == [
@@ -190,32 +178,11 @@ def test_all_is_every_built_in_scene_with_its_own_motion():
     assert {name: frequencies[name] for name in published} == published
 
 
-def test_the_paper_preset_is_the_papers_configuration():
-    for paper in request("all", "--preset", "paper").sets:
-        assert (paper.size, paper.fps, paper.timesteps) == (512, 30.0, 30)
-        assert (paper.cameras.kind, paper.cameras.views, paper.cameras.test_views) == ("orbit", 30, 10)
-        assert paper.alphas == (5, 10, 20, 50, 100)
-
-
 def test_settings_survive_json():
     chosen = settings(
         "mic", "--alphas", "5,100", "--frequency", "3.7", "--sensor", "high-speed", "--cameras", "rig"
     )
     assert Settings.from_json(json.loads(json.dumps(chosen.to_json()))) == chosen
-
-
-def test_help_shows_units_and_defaults(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["--help"])
-    assert stop.value.code == 0
-    text = " ".join(capsys.readouterr().out.split())
-    for words in (
-        "largest displacement of the first mode, scene units",
-        "share it, Hz; below half of --fps",
-        "pixels (default: 128)",
-        "(default: 5,10,20,50,100)",
-    ):
-        assert words in text
 
 
 def test_describing_scenes_needs_neither_bpy_nor_torch():

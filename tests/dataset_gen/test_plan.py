@@ -42,28 +42,6 @@ def test_truth_is_planned_for_the_splits_asked_for(truth, splits):
     assert {shot.split for shot in every if shot.truth} == splits
 
 
-def test_the_rest_state_comes_first_and_serves_every_alpha():
-    _, every, _ = plan()
-    assert every[0].state.at_rest
-    rest = [shot for shot in every if shot.split == "test" and shot.state.at_rest]
-    assert len(rest) == 5
-    assert "magnified/x050/000/test/r_000.png" in {picture.path for picture in rest[0].pictures}
-
-
-def test_each_training_camera_colours_the_points_once_near_rest():
-    _, every, _ = plan()
-    painting = [shot for shot in every if shot.paints]
-    assert len({shot.camera for shot in painting}) == len(painting) == 30
-    assert all(shot.split == "train" and shot.state.at_rest for shot in painting)
-
-
-def test_a_hand_held_camera_shares_no_picture():
-    _, every, _ = plan("--cameras handheld --timesteps 8 --test-views 1 --alphas 5")
-    train = [shot for shot in every if shot.split == "train"]
-    assert len(train) == 8
-    assert all(len(shot.pictures) == 1 for shot in train)
-
-
 def test_a_sweep_is_taken_at_timestep_0_alone():
     _, every, _ = plan("--cameras sweep --views 6 --timesteps 8")
     names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]

@@ -54,12 +54,6 @@ def every(tmp_path_factory):
     return made(tmp_path_factory.mktemp("every"), "--views 3", EVERY)
 
 
-def test_without_effects_nothing_is_said_of_the_cameras(plain):
-    scene = json.loads((plain / "scene.json").read_text())
-    assert (scene["kind"], scene["effects"], scene["n_at_rest"]) == ("rig", None, 0)
-    assert not (plain / "truth/cameras.json").exists()
-
-
 @pytest.mark.slow
 def test_a_tripods_sweep_shows_the_scene_at_rest(tmp_path):
     root = made(tmp_path, "--cameras sweep --views 2 --motion", str(_cosine(tmp_path)))
@@ -101,26 +95,6 @@ def test_cameras_with_clocks_of_their_own_show_the_scene_at_their_own_times(tmp_
         ahead = truth["cameras"][f"r_{i:03d}"]["phases_rad"][0]
         assert seen == pytest.approx(np.sin(2 * np.pi * 5 * 2 / 30 + ahead), abs=1e-8)
     assert states["002/test/r_000.png"] == motion.state(2)
-
-
-@pytest.mark.slow
-def test_clips_are_read_as_frames_of_several_cameras(tmp_path):
-    capture = pytest.importorskip("tg4mm.capture")
-    root = made(tmp_path, "--cameras clips --views 3 --frequency 3.4")
-    found = capture.load_capture(root)
-    assert (len(found), found.n_timesteps, len(set(found.camera_ids.tolist()))) == (15, 5, 3)
-    truth = json.loads((root / "truth/cameras.json").read_text())
-    phases = [camera["phases_rad"][0] for camera in truth["cameras"].values()]
-    assert phases[0] == 0.0
-    assert truth["frequencies_hz"] == [3.4]
-    assert json.loads((root / "scene.json").read_text())["kind"] == "clips"
-
-
-@pytest.mark.slow
-def test_a_flat_set_is_tested_from_its_own_camera(tmp_path):
-    root = made(tmp_path, "--cameras flat")
-    assert (root / "002/train/r_000.png").read_bytes() == (root / "002/test/r_000.png").read_bytes()
-    assert (root / "magnified/x020/002/test/r_000.png").is_file()
 
 
 def test_the_whole_tree_with_every_effect(every):

@@ -13,25 +13,13 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 
 from dataset_gen.report import write_report
 from dataset_gen.report.dataset import read_dataset
-from dataset_gen.report.modes import peak_of_phasor, phasor_maps, spectrum, summarise, together, track_point
-from dataset_gen.report.noise_floor import find_pairs, noise_floor
+from dataset_gen.report.modes import phasor_maps, spectrum, summarise, together, track_point
+from dataset_gen.report.noise_floor import noise_floor
 from dataset_gen.report.pixels import (
     motion_from_truth,
-    motion_from_vertices,
-    project,
     seen_motion,
-    unproject,
 )
 from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SIZE, SWAY, Plane, check, words
-
-
-def test_projection_and_its_inverse_agree(plane: Path) -> None:
-    view = read_dataset(plane).views["test"][0]
-    depth = np.random.default_rng(0).uniform(1, 9, (SIZE, SIZE))
-    pixel, found = project(unproject(depth, view), view)
-    np.testing.assert_allclose(found, depth, rtol=1e-12)
-    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
-    np.testing.assert_allclose(pixel, np.stack([columns, rows], -1), atol=1e-9)
 
 
 def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:
@@ -47,19 +35,6 @@ def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:
     assert found.maximum >= found.p95 >= found.median > 0.9 * FOCAL * sways / DISTANCE
     assert found.maximum < FOCAL * (sways + 0.5 * HEAVE) / (DISTANCE - HEAVE)
     assert 0.4 < found.still < 0.6  # half of the square stands still
-
-
-def test_vertices_give_nearly_the_same_as_pixels(plane: Path) -> None:
-    dataset = read_dataset(plane)
-    views = dataset.by_camera("test")["r_000"]
-    seen = seen_motion(dataset, views)
-    assert seen is not None
-    assert dataset.motion is not None
-    pixels = motion_from_truth(seen, dataset.amplitude)
-    vertices = motion_from_vertices(dataset.motion, views, dataset.amplitude)
-    assert vertices.source == "vertices"
-    for name in ("maximum", "p95", "median"):
-        assert getattr(vertices, name) == pytest.approx(getattr(pixels, name), rel=0.05)
 
 
 def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
@@ -119,11 +94,6 @@ def test_the_modes_are_summed_up(plane: Path) -> None:
     assert sway.moving_area == pytest.approx(1.0 / 1.9, abs=0.05)
 
 
-def test_a_circular_phasor_has_its_radius_and_a_straight_one_its_length() -> None:
-    assert peak_of_phasor(np.array([3.0, -3j, 0])) == pytest.approx(3)
-    assert peak_of_phasor(np.array([3.0, 4.0, 0]) * np.exp(0.7j)) == pytest.approx(5)
-
-
 def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
     dataset = read_dataset(plane)
     made = Plane(plane)
@@ -154,12 +124,6 @@ def test_a_perfect_method_scores_what_the_noise_says(plane: Path) -> None:
         assert row.still.psnr_db > row.still_own_noise.psnr_db
     assert rows[5].still.psnr_db < rows[0].still.psnr_db
     assert rows[5].still_own_noise.psnr_db < rows[5].perfect_psnr_db
-
-
-def test_pairs_are_found_where_the_second_renders_lie(plane: Path) -> None:
-    pairs = find_pairs(read_dataset(plane))
-    assert [(p.alpha, p.view.timestep) for p in pairs] == [(0, 2), (5, 2)]
-    assert all(p.truth != p.other and p.other.is_file() for p in pairs)
 
 
 def test_equal_second_renders_are_said_to_be_equal(tmp_path: Path) -> None:

@@ -4,24 +4,11 @@ import numpy as np
 import pytest
 
 from dataset_gen import meshes as m
-from dataset_gen.patterns import unroll
-from dataset_gen.shapes.carving import leaf, shell, volute
-from dataset_gen.shapes.cushion import Outline, bead_section, frames_on, moulding
-from dataset_gen.shapes.scatter import copies, on_surface
-from dataset_gen.shapes.sheet import edged, puff, puff_points, rounded, sheet
-
-
-def volume(mesh):
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return (a * np.cross(b, c)).sum() / 6.0
-
-
-def open_edges(mesh):
-    _, same = np.unique(mesh.vertices.round(7), axis=0, return_inverse=True)
-    t = same.reshape(-1)[mesh.triangles].astype(np.int64)
-    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    forth, back = (np.sort(edges @ k) for k in ([len(same), 1], [1, len(same)]))
-    return len(np.setxor1d(forth, back))
+from dataset_gen.patterns import solid as unroll
+from dataset_gen.shapes.cushion import Outline, frames_on, moulding
+from dataset_gen.shapes.scatter import on_surface
+from dataset_gen.shapes.sheet import puff, puff_points, rounded, sheet
+from tests.dataset_gen.builtin import open_edges, volume
 
 
 def test_a_sheet_round_an_axis_is_a_sphere():
@@ -59,12 +46,6 @@ def test_texels_of_a_puffed_body_lie_where_its_texture_coordinates_put_them():
     np.testing.assert_allclose(found, body.vertices[body.triangles], atol=1e-7)
 
 
-def test_edges_are_dense_where_asked():
-    steps = np.diff(edged(50, 0.9))
-    assert (steps > 0).all()
-    assert steps[0] < 0.3 * steps[25]
-
-
 def test_scattered_points_lie_on_the_mesh_apart_from_each_other():
     ball = m.revolve([(np.cos(a), np.sin(a)) for a in np.linspace(-np.pi / 2, np.pi / 2, 40)], 80)
     points, up = on_surface(ball, 50, np.random.default_rng(0), apart=0.2)
@@ -78,13 +59,6 @@ def test_scattered_points_lie_on_the_mesh_apart_from_each_other():
     assert above[:, 2].min() > -0.05
 
 
-def test_copies_stand_on_their_points():
-    cone = m.revolve([(0.0, 0.0), (0.1, 0.0), (0.0, 0.3)], 8)
-    made = copies(cone, np.eye(3), np.eye(3), np.random.default_rng(1), (2.0, 2.0))
-    assert volume(made) == pytest.approx(3 * 8 * volume(cone))
-    assert (np.abs(made.vertices - [1.6, 0, 0]) < 1e-9).all(1).any()
-
-
 def test_a_moulding_round_a_circle_is_a_torus_whichever_way_it_runs():
     rim = Outline(1.0, 1.0, 2.0).rim(300)
     for path in (rim, rim[::-1]):
@@ -92,27 +66,6 @@ def test_a_moulding_round_a_circle_is_a_torus_whichever_way_it_runs():
         torus = moulding(*place, m.circle(0.1, 40))
         assert open_edges(torus) == 0
         assert volume(torus) == pytest.approx(2 * np.pi**2 * 0.01, rel=0.01)
-
-
-def test_a_section_has_its_size_and_its_grooves():
-    plain, cut = bead_section(0.4, 0.2), bead_section(0.4, 0.2, 4, 0.3)
-    assert np.ptp(plain, axis=0) == pytest.approx([0.4, 0.2])
-    assert np.hypot(*cut.T).sum() < 0.97 * np.hypot(*plain.T).sum()
-
-
-def test_carvings_are_closed_and_face_outwards():
-    for mesh in (leaf(0.3, 0.15, 0.02), shell(0.2, 0.02)):
-        assert open_edges(mesh) == 0
-        assert volume(mesh) > 0
-        assert 0.0 < np.abs(mesh.vertices).max() <= 0.35
-
-
-def test_a_volute_winds_inwards_from_above():
-    curve = volute((1.0, 2.0), 0.5, 0.1, 1.5)
-    reach = np.linalg.norm(curve - [1.0, 2.0], axis=1)
-    np.testing.assert_allclose(curve[0], [1.0, 2.5])
-    assert (np.diff(reach) < 0).all()
-    assert reach[-1] == pytest.approx(0.1)
 
 
 def test_unrolled_surfaces_lie_on_their_meshes():

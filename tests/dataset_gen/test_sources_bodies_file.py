@@ -29,11 +29,6 @@ def test_what_is_read_is_what_was_written(tmp_path):
     assert os.listdir(tmp_path) == ["found.npz"]
 
 
-def test_a_scale_that_is_not_known_stays_unknown(tmp_path):
-    bodies_file.save(tmp_path / "found.npz", replace(FOUND, unit_scale_m=None))
-    assert bodies_file.load(tmp_path / "found.npz").unit_scale_m is None
-
-
 def test_a_missing_a_foreign_and_a_truncated_file_are_one_line_each(tmp_path):
     with pytest.raises(GenerateError, match=r"absent\.npz cannot be read: No such file"):
         bodies_file.load(tmp_path / "absent.npz")

@@ -7,7 +7,6 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix  # noqa: E402
 
-from dataset_gen import build  # noqa: E402
 from dataset_gen.sources import open_blend  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     assert_same_vertices,
@@ -48,16 +47,6 @@ def test_an_object_becomes_a_mesh_in_world_space_with_its_vertices_in_order(tmp_
     assert ((normals * (centres - body.vertices.mean(0))).sum(1) > 0).all()
 
 
-def test_moving_a_loaded_stage_puts_every_vertex_at_rest_plus_displacement(tmp_path):
-    new_scene()
-    link("part", tetrahedron(), matrix=ODD)
-    loaded = open_blend(save(tmp_path))
-    displacement = np.arange(12.0).reshape(4, 3) * 0.01
-    build.move(loaded.stage, [displacement])
-    mesh = loaded.stage.objects[0].data
-    assert np.abs(local_vertices(mesh) - (loaded.bodies[0].vertices + displacement)).max() < 1e-6
-
-
 @pytest.mark.parametrize("scale", [(-1.0, 2.0, 1.0), (-1.0, -2.0, -0.5)])
 def test_mirrored_objects_keep_their_faces_and_custom_normals_outside(tmp_path, scale):
     new_scene()
@@ -84,15 +73,6 @@ def test_mirrored_objects_keep_their_faces_and_custom_normals_outside(tmp_path, 
     for index, face in enumerate(faces):
         for offset, vertex in enumerate(face):
             assert corner_of[index, vertex] @ wanted[3 * index + offset] > 0.9995
-
-
-def test_a_flattened_object_stays_flat(tmp_path):
-    new_scene()
-    obj = link("flat", tetrahedron(), matrix=Matrix.LocRotScale((0, 0, 1), None, (1, 1, 0)))
-    expected = evaluated(obj)
-    loaded = open_blend(save(tmp_path))
-    assert_same_vertices(loaded.bodies[0], expected)
-    assert set(loaded.bodies[0].vertices[:, 2]) == {1.0}
 
 
 def test_modifiers_are_applied_with_their_render_settings(tmp_path):

@@ -18,14 +18,6 @@ def write(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [OLD, NEW, gzip.compress(OLD, mtime=0), b"BLENDER_V249" + OLD[12:], b"\x28\xb5\x2f\xfd anything"],
-)
-def test_whole_files_up_to_this_version_pass(tmp_path, content):
-    header.check(write(tmp_path, content), (5, 2))
-
-
-@pytest.mark.parametrize(
     ("content", "complaint"),
     [
         (b"", "is empty"),

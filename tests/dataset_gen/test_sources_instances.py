@@ -7,13 +7,11 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix  # noqa: E402
 
-from dataset_gen import build  # noqa: E402
 from dataset_gen.sources import open_blend  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     bodies_of,
     emission,
     link,
-    local_vertices,
     mesh_of,
     new_scene,
     save,
@@ -102,18 +100,6 @@ def test_only_what_renders_is_taken_from_all_view_layers(tmp_path):
     assert set(bodies_of(loaded)) == {"shown", "viewport hidden", "other layer"}
     assert len(loaded.bodies) == 3  # the second layer shows "shown" too
     assert len(loaded.stage.scene.view_layers) == 1
-
-
-def test_several_objects_with_one_mesh_get_meshes_of_their_own(tmp_path):
-    new_scene()
-    mesh = tetrahedron()
-    for i in range(3):
-        link(f"part {i}", mesh, matrix=Matrix.Translation((i, 0, 0)))
-    loaded = open_blend(save(tmp_path))
-    assert len({obj.data.name for obj in loaded.stage.objects}) == 3
-    build.move(loaded.stage, [np.full((4, 3), 0.1 * i) for i in range(3)])
-    for i, (obj, body) in enumerate(zip(loaded.stage.objects, loaded.bodies, strict=True)):
-        assert np.allclose(local_vertices(obj.data), body.vertices + 0.1 * i, atol=1e-6)
 
 
 def test_vertex_group_weights_follow_through_modifiers_and_joins(tmp_path):

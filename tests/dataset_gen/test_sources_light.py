@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Matrix  # noqa: E402
 
 from dataset_gen import render  # noqa: E402
-from dataset_gen.quality import Quality  # noqa: E402
+from dataset_gen.settings import Quality  # noqa: E402
 from dataset_gen.sources import open_blend  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,

@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Matrix  # noqa: E402
 
 from dataset_gen.errors import GenerateError  # noqa: E402
-from dataset_gen.sources import mesh_file, open_mesh  # noqa: E402
+from dataset_gen.sources import open_mesh  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,
     link,
@@ -125,15 +125,6 @@ def test_vertex_colours_are_shown_where_there_is_no_material(tmp_path, suffix):
     assert not any("texture" in line for line in loaded.warnings)
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".obj", ".usdc", ".fbx"])
-def test_materials_of_the_file_are_shown_and_one_plain_colour_is_warned_of(tmp_path, suffix):
-    coloured(painted=False, material=True)
-    loaded = open_mesh(export(tmp_path / f"user{suffix}"))
-    colour = mean_colour(loaded, tmp_path)
-    assert colour[0] > 3 * colour[1] > 0
-    assert any("no texture and no vertex colours" in line for line in loaded.warnings)
-
-
 def test_without_colour_it_is_grey_and_warned_of(tmp_path):
     coloured(painted=False)
     loaded = open_mesh(export(tmp_path / "user.stl"))
@@ -224,8 +215,3 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path):
     refused("nan.stl", bytes(80) + np.uint32(1).tobytes() + triangle + bytes(2), "not finite")
     data = {"asset": {"version": "9.0"}, "scenes": [], "nodes": []}
     refused("future.gltf", json.dumps(data).encode(), r"cannot be imported: \S|holds no surface")
-
-
-def test_every_extension_has_an_importer_here():
-    for suffix, format_ in mesh_file._FORMATS.items():
-        assert mesh_file._operator(format_) is not None, suffix

@@ -8,7 +8,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Matrix  # noqa: E402
 
 from dataset_gen import build, render  # noqa: E402
-from dataset_gen.quality import Quality  # noqa: E402
+from dataset_gen.settings import Quality  # noqa: E402
 from dataset_gen.sources import open_blend  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,
@@ -99,16 +99,6 @@ def test_render_settings_compositor_and_sequencer_do_not_reach_the_picture(tmp_p
         "render region: pictures are whole",
         "Simplify: geometry is at its full detail",
     ]
-
-
-def test_what_a_plain_file_does_not_have_is_not_named(tmp_path):
-    scene = new_scene()
-    link("part", tetrahedron())
-    if FIVE:
-        scene.compositing_node_group = bpy.data.node_groups.new("composite", "CompositorNodeTree")
-    else:
-        scene.use_nodes = True  # render layers to composite, nothing between
-    assert not [line for line in open_blend(save(tmp_path)).warnings if "left out" in line]
 
 
 def test_strips_animation_blur_and_linked_light_are_named(tmp_path):

@@ -102,7 +102,7 @@ def _mesh(kind: str) -> Callable[[Path], Path]:
 
 
 def _read_mesh(root: Path) -> None:
-    from dataset_gen.sources.ply import count_not_finite
+    from dataset_gen.sources.mesh_file import count_not_finite
 
     count_not_finite(root / "a.ply")
 

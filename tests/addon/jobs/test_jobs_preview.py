@@ -120,7 +120,7 @@ def test_every_kind_moves_as_the_generator_moves_it(
 
 
 def test_every_kind_of_the_panel_is_one_of_the_generator(extension: ModuleType) -> None:
-    from dataset_gen.vibration import kinds
+    from dataset_gen.vibration import describe as kinds
 
     for name, kind in extension.jobs.kinds.KINDS.items():
         assert {row.key for row in kind.rows} <= set(kinds.keys(name))

@@ -5,35 +5,11 @@ import re
 import pytest
 
 from dataset_gen.__main__ import main
-from dataset_gen.effects import Effects
-from dataset_gen.errors import GenerateError
 from dataset_gen.options import parser, request_from
 
 
 def settings(*options):
     return request_from(parser().parse_args(["mic", "--out", "x", *options])).sets[0]
-
-
-def test_without_options_nothing_is_done_to_the_pictures():
-    assert settings().effects == Effects()
-    assert not Effects().any
-    assert not Effects(flicker_hz=120.0, crf=30).any
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        "--shake 0.5",
-        "--exposure-drift 5 --background white",
-        "--flicker 2 --flicker-hz 120 --background white",
-        "--codec h264 --crf 28 --keep-video --background white",
-        "--shake 1 --exposure-drift 5 --flicker 2 --codec h264 --sensor phone --background white",
-    ],
-)
-def test_each_effect_and_all_together_are_settings_that_survive_json(options):
-    chosen = settings(*options.split())
-    assert chosen.effects.any
-    assert type(chosen).from_json(chosen.to_json()) == chosen
 
 
 @pytest.mark.parametrize(
@@ -90,8 +66,3 @@ def test_a_motion_that_is_not_steady_is_refused_for_clips(tmp_path, capsys):
         options = ["mic", "--motion", str(file), "--cameras", "clips", "--out", str(tmp_path / "out")]
         assert main(options) == 2
         assert re.search("--cameras clips needs a steady vibration; mode '[ab]' ", capsys.readouterr().err)
-
-
-def test_the_errors_are_of_the_generators_kind():
-    with pytest.raises(GenerateError, match="--codec 'av1' is none of none, h264"):
-        Effects(codec="av1")

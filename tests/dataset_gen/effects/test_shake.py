@@ -6,8 +6,8 @@ import pytest
 from dataset_gen.cameras import CameraSetup, cameras_at, train_cameras
 from dataset_gen.colour import over_white, to_display
 from dataset_gen.effects import warp
-from dataset_gen.effects.shake import largest_shift, turned, turns
-from dataset_gen.quality import Quality
+from dataset_gen.effects.record import largest_shift, turned, turns
+from dataset_gen.settings import Quality
 
 CAMERA = cameras_at(CameraSetup("rig", views=5), 0)["train"][3]
 SIZE = 128
@@ -36,52 +36,6 @@ def test_shake_is_tremor_between_1_and_10_hz(fps):
     assert power[(f > 0.9) & (f < 10.1)].sum() > 0.99 * power.sum()
     assert power[(f > 1) & (f < 3)].sum() > 3 * power[(f > 7) & (f < 9)].sum()
     assert power[(f > 5) & (f < 9)].sum() > 0.003 * power.sum()
-
-
-def test_every_camera_and_seed_shakes_its_own_way():
-    others = cameras_at(CameraSetup("rig", views=5), 0)["train"]
-    every = [turns(c, SIZE, 0.5, 60, 30.0, 7) for c in others] + [turns(CAMERA, SIZE, 0.5, 60, 30.0, 8)]
-    flat = np.array([v.ravel() for v in every])
-    correlation = np.corrcoef(flat)
-    assert np.abs(correlation - np.eye(6))[[3, 5]].max() < 1.0 - 1e-6
-    np.testing.assert_array_equal(turns(CAMERA, SIZE, 0.5, 60, 30.0, 7), every[3])
-
-
-def test_the_homography_is_that_of_the_turned_camera():
-    """A world point: where the turned camera sees it leads back to where the camera as it stands sees it."""
-    points = np.random.default_rng(1).uniform(-1, 1, (200, 3))
-    vector = np.array([0.02, -0.03, 0.05])
-    shaken = turned(CAMERA, vector)
-    np.testing.assert_array_equal(shaken.position, CAMERA.position)
-    before = warp.pixels_before(CAMERA, SIZE, vector, shaken.project(points, SIZE, SIZE)[0])
-    np.testing.assert_allclose(before, CAMERA.project(points, SIZE, SIZE)[0], atol=1e-9)
-    wrong = warp.pixels_before(CAMERA, SIZE, -vector, shaken.project(points, SIZE, SIZE)[0])
-    assert np.abs(wrong - CAMERA.project(points, SIZE, SIZE)[0]).max() > 1.0
-
-
-def test_the_fine_camera_sees_the_same_with_a_margin():
-    points = np.random.default_rng(1).uniform(-1, 1, (50, 3))
-    edge = warp.fine_size(SIZE, 6)
-    fine = warp.fine_camera(CAMERA, SIZE, 6).project(points, edge, edge)[0]
-    np.testing.assert_allclose(fine / warp.FINENESS - 6, CAMERA.project(points, SIZE, SIZE)[0], atol=1e-9)
-
-
-def test_a_smooth_picture_is_shifted_exactly():
-    camera, margin = train_cameras(30)[0], 6
-    edge = warp.fine_size(SIZE, margin)
-    vector = np.array([0.004, -0.006, 0.01])
-
-    def scene(pixels):
-        return 0.5 + 0.3 * np.sin(pixels[..., 0] / 9) * np.cos(pixels[..., 1] / 7)
-
-    def centres(n):
-        return np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), -1)
-
-    fine = np.repeat(scene(centres(edge) / warp.FINENESS - margin)[..., None], 4, -1).astype(np.float32)
-    shaken = warp.frame(fine, camera, SIZE, margin, vector)
-    wanted = scene(warp.pixels_before(camera, SIZE, vector, centres(SIZE)))
-    assert np.abs(shaken[..., 0] - wanted).max() < 0.006  # the filter flattens a wave of 44 pixels by 1 %
-    assert np.abs(shaken[..., 0] - scene(centres(SIZE))).max() > 0.05
 
 
 def test_too_small_a_margin_is_an_error():
