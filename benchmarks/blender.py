@@ -69,17 +69,12 @@ def random_splat(n: int, modes: int, degree: int) -> SplatFile:
         )
 
     return SplatFile(
-        means=rng.normal(size=(n, 3)).astype(np.float32),
-        quats=rng.normal(size=(n, 4)).astype(np.float32),
+        means=rng.normal(size=(n, 3)).astype(np.float32), quats=rng.normal(size=(n, 4)).astype(np.float32),
         scales=rng.uniform(0.001, 0.02, (n, 3)).astype(np.float32),
         opacities=rng.uniform(0, 1, n).astype(np.float32),
-        sh=rng.normal(0, 0.2, (n, (degree + 1) ** 2, 3)).astype(np.float32),
-        freqs_hz=1.0 + np.arange(modes),
-        displacement=phasors(0.01),
-        rotation=phasors(0.01),
-        fps=60.0,
-        n_timesteps=120,
-    )
+        sh=rng.normal(0, 0.2, (n, (degree + 1) ** 2, 3)).astype(np.float32), freqs_hz=1.0 + np.arange(modes),
+        displacement=phasors(0.01), rotation=phasors(0.01), fps=60.0, n_timesteps=120,
+    )  # fmt: skip
 
 
 class Times:

@@ -206,15 +206,10 @@ def scored(run: Run, truth: Truth, scene: Gaussians | None = None, pictures: boo
     amplitudes = np.array([mode["amplitude_px"] for mode in modes])
     weakest = min(row["true_px"] for row in rows)
     figures: dict[str, Any] = {
-        "run": str(run.path),
-        "kind": subject.kind,
-        "n_gaussians": len(subject.gaussians),
-        "scale": subject.world.scale,
-        "camera_rms": left,
-        "modes": modes,
-        "frequencies": rows,
+        "run": str(run.path), "kind": subject.kind, "n_gaussians": len(subject.gaussians),
+        "scale": subject.world.scale, "camera_rms": left, "modes": modes, "frequencies": rows,
         "false_peaks": scores.false_peaks(subject.freqs_hz, amplitudes, truth.freqs_hz, weakest),
-    }
+    }  # fmt: skip
     phases = run.log().get("motion", {}).get("clip_phases_deg")
     if phases:
         figures["clip_phases"] = scores.clip_phase_figures(phases, truth.values)

@@ -67,16 +67,11 @@ def moving(gaussians: Gaussians, motion: ModalMotion, capture: Capture) -> tuple
     at = animator(gaussians, motion)
     images = photographed([at(t) for t in range(T)], capture)
     repeated = dataclasses.replace(
-        capture,
-        fps=motion.fps,
-        n_timesteps=T,
-        viewmats=np.tile(capture.viewmats, (T, 1, 1)),
-        Ks=np.tile(capture.Ks, (T, 1, 1)),
-        timesteps=np.repeat(np.arange(T), views),
-        camera_ids=np.tile(capture.camera_ids, T),
-        times_s=np.repeat(np.arange(T), views) / FPS,
+        capture, fps=motion.fps, n_timesteps=T, viewmats=np.tile(capture.viewmats, (T, 1, 1)),
+        Ks=np.tile(capture.Ks, (T, 1, 1)), timesteps=np.repeat(np.arange(T), views),
+        camera_ids=np.tile(capture.camera_ids, T), times_s=np.repeat(np.arange(T), views) / FPS,
         paths=capture.paths * T,
-    )
+    )  # fmt: skip
     return repeated, images
 
 
@@ -84,12 +79,7 @@ def rest_view_of(capture: Capture) -> Capture:
     """The first image of every camera, as one timestep: what an orbit needs."""
     _, first = np.unique(capture.camera_ids, return_index=True)
     return dataclasses.replace(
-        capture,
-        n_timesteps=1,
-        viewmats=capture.viewmats[first],
-        Ks=capture.Ks[first],
-        timesteps=np.zeros(len(first), np.int64),
-        camera_ids=np.arange(len(first)),
-        times_s=np.zeros(len(first)),
-        paths=tuple(capture.paths[i] for i in first),
-    )
+        capture, n_timesteps=1, viewmats=capture.viewmats[first], Ks=capture.Ks[first],
+        timesteps=np.zeros(len(first), np.int64), camera_ids=np.arange(len(first)),
+        times_s=np.zeros(len(first)), paths=tuple(capture.paths[i] for i in first),
+    )  # fmt: skip

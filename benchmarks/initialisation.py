@@ -123,14 +123,9 @@ def cells(row: dict[str, Any]) -> list[str]:
     return [
         row["set"],
         row["start"] if row["source"].startswith(row["start"]) else f"{row['start']} → {row['source']}",
-        f"{row['found']:,}",
-        f"{row['taken']:,}",
-        f"{row['gaussians']:,}",
-        f"{row['psnr']:.2f}",
-        f"{row['ssim']:.4f}",
-        f"{row['start_s']:.1f}",
-        f"{row['seconds']:.1f}",
-    ]
+        f"{row['found']:,}", f"{row['taken']:,}", f"{row['gaussians']:,}", f"{row['psnr']:.2f}",
+        f"{row['ssim']:.4f}", f"{row['start_s']:.1f}", f"{row['seconds']:.1f}",
+    ]  # fmt: skip
 
 
 def means(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -145,13 +140,9 @@ def means(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 
 OPTIONS = {
-    "sets": {"nargs": "+", "type": Path, "metavar": "SET"},
-    "--out": {"type": Path, "required": True},
-    "--inits": ",".join(STARTS),
-    "--iterations": 1500,
-    "--seed": 0,
-    "--pictures": False,
-}
+    "sets": {"nargs": "+", "type": Path, "metavar": "SET"}, "--out": {"type": Path, "required": True},
+    "--inits": ",".join(STARTS), "--iterations": 1500, "--seed": 0, "--pictures": False,
+}  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> None:

@@ -118,15 +118,11 @@ def _size(text: str) -> tuple[int, ...]:
 
 
 OPTIONS = {
-    "out": Path,
-    "--size": {"type": _size, "default": (1920, 1080), "help": "pixels"},
-    "--cameras": 8,
-    "--timesteps": 300,
-    "--gaussians": 60_000,
+    "out": Path, "--size": {"type": _size, "default": (1920, 1080), "help": "pixels"}, "--cameras": 8,
+    "--timesteps": 300, "--gaussians": 60_000,
     "--moved": {"type": float, "default": 0.3, "help": "pixels; above 0.7 by Gauss-Newton"},
-    "--iterations": 4,
-    "--gauss-newton": 1,
-}
+    "--iterations": 4, "--gauss-newton": 1,
+}  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> None:

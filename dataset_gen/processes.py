@@ -116,7 +116,7 @@ class _Pool:
         self._running: set[subprocess.Popen[str]] = set()
         self._failure = ""
         self._refused = False
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
 
     def feed(self, waiting: queue.SimpleQueue[list[int]], path: Path) -> None:
         """Takes ranges until there are none left; what goes wrong is kept."""
@@ -143,7 +143,7 @@ class _Pool:
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith(NOTE):
-                self._tell(line.removeprefix(NOTE).strip())
+                self._note(line.removeprefix(NOTE).strip())
             elif line.strip() == DONE:
                 with self._counting:
                     self._done += 1
@@ -157,10 +157,10 @@ class _Pool:
                 last[0] if self._refused else f"a render process ended with status {status}: {last[0]}"
             )
 
-    def _tell(self, note: str) -> None:
+    def _note(self, note: str) -> None:
         """Once each: every worker finds the same."""
-        if note not in self._told:
-            self._told.add(note)
+        if note not in self._noted:
+            self._noted.add(note)
             events.say("note", note)
 
     def _fail(self, why: str) -> None:

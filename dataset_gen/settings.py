@@ -1,4 +1,4 @@
-"""What to generate: one frozen description, checked on entry; equal settings give equal files."""
+"""What to generate: one frozen description, checked on entry; and the engine settings that follow from it."""
 
 from __future__ import annotations
 

@@ -224,7 +224,12 @@ _DIGITS = 6  # of a second
 
 
 def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | None:
-    """Seconds on the scene's clock at which a training camera takes this picture; None: the scene is at rest."""
+    """Seconds on the scene's clock at which a training camera takes this picture; None: the scene is at rest.
+
+    The scene's clock is the one that the exact motion and the test views go by, and it is camera 0's: a time that all
+    clocks are off by cannot be told from pictures. On its camera's own clock a picture is taken at timestep / fps, as
+    the pose file says; the offset only the truth says.
+    """
     if not films(setup, camera):
         return None
     return timestep / setup.fps + clock_offsets(setup)[camera.index]

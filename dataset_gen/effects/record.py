@@ -79,7 +79,10 @@ _LIMIT_HZ = 1.0  # a camera's own control is no faster
 
 
 def drift_gains(percent: float, n_timesteps: int, fps: float, rng: np.random.Generator) -> np.ndarray:
-    """Gains [T, 3] of red, green and blue: exposure by `percent` peak to peak, red and blue by a third more each."""
+    """Gains [T, 3] of red, green and blue: exposure by `percent` peak to peak, red and blue by a third more each.
+
+    They multiply linear light before the sensor sees it, and are never above 1: nothing clips that would not without.
+    """
     exposure, red, blue = (slow_curve(n_timesteps, fps, rng) for _ in range(3))
     gains = np.repeat(1.0 - 0.01 * percent * exposure[:, None], 3, axis=1)
     gains[:, 0] *= 1.0 - 0.01 / 3 * percent * red

@@ -1,4 +1,4 @@
-"""Stone and metal painted in space: marble, hammered gold, brushed steel, patinated copper, fired clay.
+"""Stuffs painted in space: marble, hammered gold, brushed steel, patina, clay, hides, flake paint, swirled glass.
 
 Points [..., 3] lie on the unit ball. Each gives a picture [..., 3], a relief [...] and a roughness [...], all in 0..1.
 """

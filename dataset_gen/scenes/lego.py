@@ -18,7 +18,6 @@ from . import lego_surfaces as paint
 
 PITCH = 0.08  # scene units between studs
 FORWARD = (np.cos(np.radians(115.0)), np.sin(np.radians(115.0)), 0.0)  # the bulldozer's x axis in the world
-DECK = 5.5  # top of the fenders, where the cab stands
 
 
 def place() -> np.ndarray:

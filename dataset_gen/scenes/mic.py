@@ -18,10 +18,6 @@ PIVOT = np.array([0.0, 0.0, 0.40])  # where the microphone's axis crosses the ro
 RADIUS = 0.235  # of the microphone's body
 FOOT_RADIUS = 0.74
 LEG_HEADINGS = np.radians([-75.0, 45.0, 165.0])
-SWAY = (
-    np.cos(np.radians(-10.0)),
-    np.sin(np.radians(-10.0)),
-)  # aslant to the microphone, so that it also nods
 _HEADING, _TILT = np.radians(-60.0), np.radians(20.0)
 AXIS = np.array([np.cos(_TILT) * np.cos(_HEADING), np.cos(_TILT) * np.sin(_HEADING), np.sin(_TILT)])
 _LEVEL = np.array([np.cos(_HEADING), np.sin(_HEADING), 0.0])  # the axis, levelled

@@ -17,11 +17,11 @@ from ..vibration.bodies import Body
 from . import lighting
 from .anchors import Anchors, trees
 from .bodies_file import Found
+from .copies import MaterialCopies
 from .gather import Gathered, Lamp
 from .images import list_names
 from .realise import realise
 from .strands import rest_positions
-from .wardrobe import Wardrobe
 
 _FLAT = 0.02  # thickness over width
 _BACKDROP = 4.0  # a part this many times as wide as all others together is not what is looked at
@@ -59,22 +59,22 @@ def assemble(
     bpy.ops.scene.new(type="NEW")
     scene = bpy.context.scene
     anchors = Anchors()
-    wardrobe = Wardrobe(anchors, notes)
-    made = realise(found.pieces, scene, wardrobe, anchors)
+    copies = MaterialCopies(anchors, notes)
+    made = realise(found.pieces, scene, copies, anchors)
     objects = {name: obj for name, obj, seen in made if seen}
     if not objects:
         raise GenerateError(f"{origin.path}: scene {old.name!r} holds nothing but volumes")
-    wardrobe.report()
+    copies.report()
     lamps = [(lamp.name, _lamp(lamp, scene, origin.exposure)) for lamp in found.lamps]
-    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or lighting.glows(wardrobe.made)
+    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or lighting.glows(copies.made)
     light(scene, old, lit, notes)
     if origin.exposure != 1.0:
-        roots = [block.node_tree for block in (scene.world, *wardrobe.made)]
+        roots = [block.node_tree for block in (scene.world, *copies.made)]
         lighting.brighten(trees(roots), origin.exposure)
     _remove_all_but(scene)
     for name, obj in [*lamps, *((name, obj) for name, obj, _ in made)]:
         obj.name = name  # the user's object had it until now
-    wardrobe.rename()
+    copies.rename()
     bodies = _bodies(objects)
     centre, radius = _bounds(bodies, notes)
     stage = stage_of(scene, tuple(objects.values()), tuple(body.vertices for body in bodies))

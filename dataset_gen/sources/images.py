@@ -1,4 +1,4 @@
-"""Lost images of a user's file, replaced by neutral ones."""
+"""Lost images of a user's file: found by name near it, else replaced by neutral ones; and how warnings list names."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def _files(folder: Path) -> dict[str, Path]:
     count, level = 0, [folder]
     for _ in range(_DEPTH + 1):
         below: list[Path] = []
-        for place in level:
+        for folder_ in level:
             try:
-                entries = sorted(os.scandir(place), key=lambda entry: entry.name)
+                entries = sorted(os.scandir(folder_), key=lambda entry: entry.name)
             except OSError:
                 continue
             for entry in entries:

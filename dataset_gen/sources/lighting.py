@@ -9,8 +9,8 @@ import bpy
 from ..materials import world as made_world
 from ..scene import Gradient
 from .anchors import own_groups, trees
+from .copies import above, has_nodes, using
 from .images import repair_images
-from .wardrobe import above, has_nodes, using
 
 SKY = Gradient(((0.35, 0.34, 0.33), (0.7, 0.7, 0.7), (1.0, 1.0, 1.0)))  # of scenes without any light
 # Where a node says how much light it gives.

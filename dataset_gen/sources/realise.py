@@ -9,15 +9,15 @@ import numpy as np
 
 from ..errors import GenerateError
 from .anchors import Anchors
+from .copies import MaterialCopies
 from .gather import Piece
 from .strands import rest_positions
-from .wardrobe import Wardrobe
 
 _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
 
 def realise(
-    pieces: Sequence[Piece], scene: bpy.types.Scene, wardrobe: Wardrobe, anchors: Anchors
+    pieces: Sequence[Piece], scene: bpy.types.Scene, copies: MaterialCopies, anchors: Anchors
 ) -> list[tuple[str, bpy.types.Object, bool]]:
     """Objects with identity transform and a mesh of their own: name, object, whether the camera sees it.
 
@@ -26,15 +26,15 @@ def realise(
     """
     for piece in pieces:  # all materials first: they tell which attributes are needed
         for material in piece.shape.materials or (None,):
-            wardrobe.material(material)
+            copies.material(material)
     named: dict[tuple[str, bool], list[Piece]] = {}
     for piece in pieces:
-        if any(wardrobe.material(m) is not None for m in piece.shape.materials or (None,)):
+        if any(copies.material(m) is not None for m in piece.shape.materials or (None,)):
             named.setdefault((piece.name, piece.seen), []).append(piece)
     made = []
     for (name, seen), group in named.items():
         alike = _alike(group).values()
-        objects = [_object(name, _place(same, scene, wardrobe, anchors), scene) for same in alike]
+        objects = [_object(name, _place(same, scene, copies, anchors), scene) for same in alike]
         joined = _join(objects)
         _look_as(joined, group, seen)
         made.append((name, joined, seen))
@@ -80,12 +80,12 @@ def _alike(group: Sequence[Piece]) -> dict[tuple[int, bool], list[Piece]]:
 
 
 def _place(
-    pieces: Sequence[Piece], scene: bpy.types.Scene, wardrobe: Wardrobe, anchors: Anchors
+    pieces: Sequence[Piece], scene: bpy.types.Scene, copies: MaterialCopies, anchors: Anchors
 ) -> bpy.types.Mesh:
     """One mesh of all pieces, which are alike, in world space, dressed and anchored."""
     base = pieces[0].shape.mesh
     mesh = base.copy() if len(pieces) == 1 else _repeated(base, len(pieces), scene)
-    _dress(mesh, pieces[0], wardrobe)
+    _dress(mesh, pieces[0], copies)
     local = rest_positions(base)
     _check_finite(pieces[0].name, local)
     world = np.concatenate([local @ piece.matrix[:3, :3].T + piece.matrix[:3, 3] for piece in pieces])
@@ -115,10 +115,10 @@ def _repeated(base: bpy.types.Mesh, count: int, scene: bpy.types.Scene) -> bpy.t
     return made
 
 
-def _dress(mesh: bpy.types.Mesh, piece: Piece, wardrobe: Wardrobe) -> None:
+def _dress(mesh: bpy.types.Mesh, piece: Piece, copies: MaterialCopies) -> None:
     """Our materials in every slot; a slot without one, and a mesh without slots, get plain grey."""
-    grey = wardrobe.material(None)
-    slots = [wardrobe.material(m) or grey for m in piece.shape.materials] or [grey]
+    grey = copies.material(None)
+    slots = [copies.material(m) or grey for m in piece.shape.materials] or [grey]
     for i, material in enumerate(slots):
         if i < len(mesh.materials):
             mesh.materials[i] = material

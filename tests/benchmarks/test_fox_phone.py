@@ -293,14 +293,9 @@ def test_a_wrong_run_is_scored_as_wrong_as_it_is(
     write_run(tmp_path / "run", tmp_path / "set", truth, world, 0.8 * np.exp(0.5j))
     out = tmp_path / "scores.json"
     arguments = [
-        "fox_phone",
-        str(tmp_path / "run"),
-        "--truth",
-        str(tmp_path / "truth"),
-        "--out",
-        str(out),
+        "fox_phone", str(tmp_path / "run"), "--truth", str(tmp_path / "truth"), "--out", str(out),
         "--no-pictures",
-    ]
+    ]  # fmt: skip
     assert main(arguments) == 0
     row = json.loads(out.read_text())["frequencies"][0]
     for name in ("picture", "space"):

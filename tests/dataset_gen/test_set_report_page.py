@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 
 from PIL import Image
 
-from dataset_gen.report import write_report
+from dataset_gen.errors import GenerateError
+from dataset_gen.report import write_overview, write_report
+from dataset_gen.report.__main__ import main
 from dataset_gen.report.closing import shares
 from dataset_gen.report.dataset import read_picture
 from tests.dataset_gen.planes import (
@@ -23,6 +27,7 @@ from tests.dataset_gen.planes import (
     check,
     words,
 )
+from tests.show.report.page_checks import read_page
 
 
 def test_the_page_is_sound_and_says_the_numbers(page: str, plane: Path) -> None:
@@ -96,3 +101,84 @@ def test_linear_exr_pictures_are_read_as_srgb_over_white(tmp_path: Path) -> None
     srgb = 1.055 * 0.5 ** (1 / 2.4) - 0.055
     np.testing.assert_allclose(image[0, 0], 0.5 * srgb + 0.5, atol=1e-3)
     np.testing.assert_allclose(image[-1, 0], 1.0)
+
+
+def test_the_overview_links_every_report_and_names_what_has_none(plane: Path, page: str) -> None:
+    parent = plane.parent
+    (parent / "unfinished").mkdir(exist_ok=True)
+    (parent / "unfinished/scene.json").write_text("{}")
+    text = write_overview(parent).read_text(encoding="utf-8")
+    reader = read_page(text)
+    assert not reader.errors
+    links = {load for load in reader.loads if not load.startswith("data:")}
+    assert links == {"plane_3Hz_0_02/report/index.html"}
+    assert (parent / links.pop()).is_file()
+    said = words(text)
+    assert "Without a report that can be read: unfinished" in said
+    found = json.loads((plane / "report/summary.json").read_text())
+    assert f"{found['scores'][-1]['perfect_psnr_db']:.2f}" in said
+    assert "2 datasets" in said
+
+
+def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>"
+    made = Plane(tmp_path / "sets" / "a&b")
+    made.write(modes=[{"name": evil, "kind": evil}], engine={evil: evil}, **{"scene": evil})
+    for text in (write_report(made.root).read_text(), write_overview(made.root.parent).read_text()):
+        reader = read_page(text)
+        assert not reader.errors
+        assert reader.tags.count("script") == 1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda root: (root / "scene.json").unlink(), "scene.json: does not exist"),
+        (lambda root: (root / "scene.json").write_text('{"fps": 0}'), "fps is 0"),
+        (lambda root: (root / "scene.json").write_text("[]"), "expected a JSON object"),
+        (lambda root: (root / "truth/motion.npz").write_bytes(b"PK"), "motion.npz is damaged"),
+        (lambda root: (root / "000/test/r_000.png").write_bytes(b"no"), "r_000.png: cannot be read"),
+        (
+            lambda root: (root / "000/transforms_test.json").write_text('{"frames": [{}]}'),
+            "transforms_test.json",
+        ),
+    ],
+)
+def test_a_damaged_set_is_refused_with_one_line(tmp_path: Path, spoil: Any, message: str) -> None:
+    made = Plane(tmp_path / "a")
+    made.write()
+    spoil(made.root)
+    with pytest.raises(GenerateError, match=message) as caught:
+        write_report(made.root)
+    assert "\n" not in str(caught.value)
+    assert not (made.root / "report/index.html").exists()
+
+
+def test_a_picture_outside_the_folder_is_not_opened(tmp_path: Path) -> None:
+    made = Plane(tmp_path / "a")
+    made.write()
+    path = made.root / "000/transforms_train.json"
+    path.write_text(path.read_text().replace("./train/r_000", "../../../secret"))
+    with pytest.raises(GenerateError, match="leads outside"):
+        write_report(made.root)
+
+
+def test_a_folder_without_sets_has_no_overview(tmp_path: Path) -> None:
+    with pytest.raises(GenerateError, match="holds no dataset"):
+        write_overview(tmp_path)
+
+
+def test_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("dataset_gen.report.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(GenerateError, match="needs the package PIL"):
+        write_report(tmp_path)
+
+
+def test_the_command_writes_reports_and_an_overview(plane: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(plane), "--overview", str(plane.parent)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out == [str(plane / "report/index.html"), str(plane.parent / "index.html")]
+    assert main([str(plane / "nothing")]) == 2
+    assert capsys.readouterr().err.startswith("error: ")

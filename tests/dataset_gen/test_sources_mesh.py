@@ -57,13 +57,9 @@ def coloured(painted=True, material=False):
 
 def export(path, **options):
     operators = {
-        ".glb": bpy.ops.export_scene.gltf,
-        ".gltf": bpy.ops.export_scene.gltf,
-        ".obj": bpy.ops.wm.obj_export,
-        ".ply": bpy.ops.wm.ply_export,
-        ".stl": bpy.ops.wm.stl_export,
-        ".fbx": bpy.ops.export_scene.fbx,
-    }
+        ".glb": bpy.ops.export_scene.gltf, ".gltf": bpy.ops.export_scene.gltf, ".obj": bpy.ops.wm.obj_export,
+        ".ply": bpy.ops.wm.ply_export, ".stl": bpy.ops.wm.stl_export, ".fbx": bpy.ops.export_scene.fbx,
+    }  # fmt: skip
     if path.suffix == ".gltf":
         options["export_format"] = "GLTF_SEPARATE"
     operators.get(path.suffix, bpy.ops.wm.usd_export)(filepath=str(path), **options)

@@ -85,16 +85,11 @@ def textured_scene(connect):
 
 
 WAYS = {
-    "object": coordinates("Object"),
-    "generated": coordinates("Generated"),
-    "axes of another object": coordinates("Object", "reference"),
-    "position": geometry_position,
-    "object info": object_info,
-    "group": inside_a_group,
-    "nothing linked": noise_of,
-    "uv": by_uv,
+    "object": coordinates("Object"), "generated": coordinates("Generated"),
+    "axes of another object": coordinates("Object", "reference"), "position": geometry_position,
+    "object info": object_info, "group": inside_a_group, "nothing linked": noise_of, "uv": by_uv,
     "attribute of our name": own_attribute,
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -192,13 +192,9 @@ def test_random_phases_are_seeded_and_differ_between_parts_and_modes():
 def test_a_vertex_group_moves_its_weights():
     weights = np.linspace(0, 2, 200)
     mode = {
-        "name": "g",
-        "kind": "group",
-        "frequency": 5,
-        "amplitude": 0.01,
-        "group": "lid",
+        "name": "g", "kind": "group", "frequency": 5, "amplitude": 0.01, "group": "lid",
         "direction": [0, 0, 1],
-    }
+    }  # fmt: skip
     solved = motion(mode, bodies=[body("a", groups={"lid": weights}), body("b")])
     np.testing.assert_allclose(np.abs(solved.shapes[0][0, :, 2]), 0.01 * weights / 2, atol=1e-17)
     np.testing.assert_array_equal(solved.shapes[1], 0.0)

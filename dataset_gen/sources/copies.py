@@ -12,7 +12,7 @@ from .images import list_names, repair_images
 _SUFFIX = " tg4mm"  # of our copies of materials while the originals are there
 
 
-class Wardrobe:
+class MaterialCopies:
     """Our own copies of the user's materials, repaired and anchored; each is made when it is asked for."""
 
     def __init__(self, anchors: Anchors, warnings: list[str]) -> None:
