@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from tg4mm.core.values import Number
 
 from .errors import GenerateError
+
+
+def check_choice(option: str, value: str, choices: Collection[str]) -> None:
+    """Raises GenerateError unless the value is one of the choices."""
+    if value not in choices:
+        raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
 
 
 def check_whole(option: str, value: object, low: int, high: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from . import exr, png
 from .colour import over_white, straight, to_display, to_integers
 from .errors import GenerateError
+from .limits import check_choice
 from .sensor import Key, Sensor, capture
 
 IMAGES = ("png8", "png16", "exr")
@@ -28,10 +29,8 @@ class PictureFormat:
     background: str = "transparent"
 
     def __post_init__(self) -> None:
-        if self.images not in IMAGES:
-            raise GenerateError(f"--images {self.images!r} is none of {', '.join(IMAGES)}")
-        if self.background not in BACKGROUNDS:
-            raise GenerateError(f"--background {self.background!r} is none of {', '.join(BACKGROUNDS)}")
+        check_choice("--images", self.images, IMAGES)
+        check_choice("--background", self.background, BACKGROUNDS)
 
     @property
     def suffix(self) -> str:

@@ -11,7 +11,7 @@ from tg4mm.core.values import Number
 from .cameras import CameraSetup
 from .effects import Effects
 from .errors import GenerateError
-from .limits import check_whole
+from .limits import check_choice, check_whole
 from .pictures import PictureFormat
 from .sensor import Sensor
 from .vibration import MotionDescription
@@ -65,13 +65,9 @@ class Settings:
                 )
         if len(set(self.alphas)) != len(self.alphas):
             raise GenerateError(f"--alphas {','.join(f'{a:g}' for a in self.alphas)} names a factor twice")
-        for option, value, choices in (
-            ("--truth", self.truth, TRUTH),
-            ("--engine", self.engine, ENGINES),
-            ("--device", self.device, DEVICES),
-        ):
-            if value not in choices:
-                raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
+        check_choice("--truth", self.truth, TRUTH)
+        check_choice("--engine", self.engine, ENGINES)
+        check_choice("--device", self.device, DEVICES)
         self.pictures.check_sensor(self.sensor)
         self.effects.check(self.pictures, self.size, self.timesteps)
         passing = next((mode for mode in self.motion.modes if not mode.steady), None)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GenerateError
-from ..limits import check_whole, check_within
+from ..limits import check_choice, check_whole, check_within
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
 from .framing import farther
 from .paths import (
@@ -63,8 +63,7 @@ class CameraSetup:
     test_clearance: float = 1.0  # and so do test cameras, of which flat has none of its own
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise GenerateError(f"--cameras {self.kind!r} is none of {', '.join(KINDS)}")
+        check_choice("--cameras", self.kind, KINDS)
         check_whole("--views", self.views, 1, 1000)
         check_whole("--test-views", self.test_views, 0, 1000)
         if self.kind == "orbit" and self.views == 2:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..errors import GenerateError
-from ..limits import check_whole, check_within
+from ..limits import check_choice, check_whole, check_within
 from ..pictures import PictureFormat
 
 CODECS = ("none", "h264")
@@ -37,8 +37,7 @@ class Effects:
         check_within("--exposure-drift", self.exposure_drift, 0, _MOST_PERCENT, "percent")
         check_within("--flicker", self.flicker, 0, _MOST_PERCENT, "percent")
         check_within("--flicker-hz", self.flicker_hz, 0, 1e6, "Hz", above=True)
-        if self.codec not in CODECS:
-            raise GenerateError(f"--codec {self.codec!r} is none of {', '.join(CODECS)}")
+        check_choice("--codec", self.codec, CODECS)
         check_whole("--crf", self.crf, 0, 51)
 
     @property

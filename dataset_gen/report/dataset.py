@@ -13,7 +13,7 @@ import numpy as np
 from tg4mm.capture.cameras import read_intrinsics, read_pose
 from tg4mm.capture.confine import inside
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.truth_file import TRUTH_FILE, load_truth
+from tg4mm.capture.truth_file import TRUTH_FILE, TruthObject, load_truth
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures import exr
 from tg4mm.core.pictures.decode import decode, image_header
@@ -21,6 +21,7 @@ from tg4mm.core.records import Record, read_record
 
 from ..colour import straight, to_display
 from ..errors import GenerateError
+from ..plan import magnified_folder
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 SPLITS = ("train", "test")
@@ -40,22 +41,12 @@ class View:
 
 
 @dataclass(frozen=True)
-class Body:
-    """One object of truth/motion.npz."""
-
-    name: str
-    rest: np.ndarray  # [V, 3] scene units
-    faces: np.ndarray  # [F, 3]
-    modes: np.ndarray  # [K, V, 3] complex, scene units
-
-
-@dataclass(frozen=True)
 class MotionTruth:
     """The exact motion: displacement(t) = Re Σ_k mode_k g_k(t), with g_k the gains."""
 
     frequencies_hz: np.ndarray  # [K]
     gains: np.ndarray  # [T, K] complex
-    bodies: tuple[Body, ...]
+    bodies: tuple[TruthObject, ...]
     magnified: np.ndarray  # [K] bool, whether α applies to the mode
 
     def largest(self) -> float:
@@ -105,7 +96,7 @@ class Dataset:
     def magnified(self, view: View, alpha: float) -> Path:
         """The ground truth picture at α of a test view."""
         relative = view.image.relative_to(self.root)
-        return self.root / "magnified" / f"x{int(alpha):03d}" / relative
+        return self.root / magnified_folder(alpha) / relative
 
     @property
     def amplitude(self) -> float:
@@ -204,8 +195,7 @@ def _motion(root: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
         gains = np.exp(2j * np.pi * np.outer(truth.freqs_hz, np.arange(n_timesteps)) / fps)
     if magnified is None:
         magnified = np.ones(len(truth.freqs_hz), bool)
-    bodies = tuple(Body(one.name, one.rest, one.faces, one.modes) for one in truth.objects)
-    return MotionTruth(truth.freqs_hz, gains.T, bodies, magnified)
+    return MotionTruth(truth.freqs_hz, gains.T, truth.objects, magnified)
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..vibration import reach
 from .dataset import Dataset, MotionTruth
 from .pixels import Seen
 
@@ -39,13 +40,6 @@ class Track:
         return self.displacement @ self.direction
 
 
-def peak_of_phasor(phasors: np.ndarray) -> np.ndarray:
-    """Greatest |Re(m exp(iφ))| over φ of phasors [..., 3]: the long half axis of the ellipse."""
-    power = (np.abs(phasors) ** 2).sum(-1)
-    straight = np.abs((phasors**2).sum(-1))
-    return np.sqrt(np.maximum(power + straight, 0.0) / 2)
-
-
 def summarise(motion: MotionTruth) -> list[ModeSummary]:
     """Every mode, in the order of the file."""
     areas = [_vertex_areas(body.rest, body.faces) for body in motion.bodies]
@@ -53,7 +47,7 @@ def summarise(motion: MotionTruth) -> list[ModeSummary]:
     found = []
     for k, frequency in enumerate(motion.frequencies_hz):
         gain = float(np.abs(motion.gains[:, k]).max(initial=0.0))
-        sizes = [gain * peak_of_phasor(body.modes[k]) for body in motion.bodies]
+        sizes = [gain * reach(body.modes[k]) for body in motion.bodies]
         peaks = [float(size.max(initial=0.0)) for size in sizes]
         top = max(peaks, default=0.0)
         moved = sum(float(a[s > 1e-6 * top].sum()) for a, s in zip(areas, sizes, strict=True)) if top else 0.0

@@ -22,9 +22,9 @@ import numpy as np
 
 from tg4mm.core.metrics import MAX_PSNR_DB, SSIM_WINDOW, psnr, ssim
 
+from ..plan import RESEEDED
 from .dataset import SUFFIXES, Dataset, View, read_picture
 
-RESEEDED = "report/reseeded"
 REST = "rest"  # folder in it with the rest pose: motion magnified by α = −1
 NOISE_FREE_DB = 10 * math.log10(2)
 

@@ -15,8 +15,9 @@ from tg4mm.core.pages.charts import OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, picture
 from tg4mm.core.pages.svg import number
 
+from ..vibration import reach
 from .dataset import Dataset, MotionTruth, View, read_picture
-from .modes import ModeSummary, Track, parts_text, peak_of_phasor, phasor_maps, spectrum, together
+from .modes import ModeSummary, Track, parts_text, phasor_maps, spectrum, together
 from .noise_floor import FloorRow
 from .pictures import dotted, enlarged, overlay, ringed
 from .pixels import Seen, ViewMotion
@@ -206,7 +207,7 @@ def mode_maps(
         what = f"{_listed([names[i] for i in group])}, {hertz([frequency]) if frequency else 'a drift'}"
         gain = float(np.abs(motion.gains[:, k]).max(initial=0.0))
         if maps:
-            amounts = {name: gain * peak_of_phasor(phasors[k]) for name, phasors in maps.items()}
+            amounts = {name: gain * reach(phasors[k]) for name, phasors in maps.items()}
             blocks.append(_truth_map(dataset, seen, track, amounts, what))
         else:
             blocks.append(_vertex_map(dataset, motion, k, gain, what))
@@ -251,7 +252,7 @@ def _vertex_map(dataset: Dataset, motion: MotionTruth, k: int, gain: float, what
     if view is None:
         return Text("There is no picture to draw the motion into.")
     points = np.concatenate([body.rest for body in motion.bodies]).astype(np.float64)
-    amounts = gain * np.concatenate([peak_of_phasor(body.modes[k]) for body in motion.bodies])
+    amounts = gain * np.concatenate([reach(body.modes[k]) for body in motion.bodies])
     top = float(amounts.max(initial=0.0))
     unit, factor = unit_of(dataset)
     panel = picture(

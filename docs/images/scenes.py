@@ -19,8 +19,8 @@ from PIL import Image  # noqa: E402
 from dataset_gen import build, render  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
 from dataset_gen.pictures import PictureFormat  # noqa: E402
-from dataset_gen.settings import Quality  # noqa: E402
 from dataset_gen.scenes import SCENES  # noqa: E402
+from dataset_gen.settings import Quality  # noqa: E402
 
 SIZE, SAMPLES, COLUMNS = 320, 128, 4
 # (scene, number of the training view that shows it best)

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from benchmarks.__main__ import main
-from benchmarks.gpu import FULL, minutes
 from tests.helpers.cuda import needs_cuda
 
 
@@ -51,16 +50,3 @@ def test_smoke_runs_all_of_it_on_the_cpu(tmp_path: Path, capsys: pytest.CaptureF
 @needs_cuda
 def test_smoke_runs_all_of_it_on_cuda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     check_smoke("cuda", tmp_path, capsys)
-
-
-def test_the_full_plan_is_the_papers() -> None:
-    assert FULL.iterations == FULL.paper.iterations == 20_000
-    assert FULL.paper.motion_iterations == 7_000
-    assert FULL.sizes == ((512, 512), (1920, 1080))
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(312.2, "5 min 12 s"), (59.94, "59.9 s"), (119.7, "2 min 00 s")]
-)
-def test_times_read_as_the_papers(seconds: float, text: str) -> None:
-    assert minutes(seconds) == text

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.__main__ import main
-from benchmarks.photographs import between, chosen, spoilt, with_best_gain
+from benchmarks.photographs import chosen, spoilt, with_best_gain
 from tests.fit.space.scenes import intrinsics, orbit, views_of
 from tests.helpers.synthetic import make_synthetic_dataset
 
@@ -53,9 +53,3 @@ def test_views_are_chosen_and_spoilt_as_asked() -> None:
     np.testing.assert_allclose(changed.rgb[:, 0, 0], 0.4 * gains, rtol=1e-6)
     np.testing.assert_allclose(np.log(gains).mean(0), 0, atol=1e-6)
     np.testing.assert_allclose(with_best_gain(0.5 * rgb[0], rgb[0]), rgb[0], rtol=1e-5)
-
-
-def test_the_view_between_is_half_way() -> None:
-    views = views_of(orbit(2, np.zeros(3)), intrinsics(8), np.ones((2, 8, 8)))
-    centres = [-m[:3, :3].T @ m[:3, 3] for m in (*views.viewmats, between(views))]
-    np.testing.assert_allclose(centres[2], (centres[0] + centres[1]) / 2, atol=1e-6)
