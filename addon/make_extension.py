@@ -19,7 +19,7 @@ _LEAVING = {
     "errors.py": ("..", "from tg4mm.core.errors import Tg4mmError\n"),
     "limits.py": ("..", "from tg4mm.core.values import Number\n"),
     "vibration/values.py": ("...", "from tg4mm.core.values import Number\n"),
-    "vibration/files.py": ("...", "from tg4mm.core.untrusted import read_json, read_yaml\n"),
+    "vibration/describe.py": ("...", "from tg4mm.core.untrusted import read_json, read_yaml\n"),
 }
 
 

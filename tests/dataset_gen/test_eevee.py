@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from dataset_gen import build, render
 from dataset_gen.cameras import train_cameras
-from dataset_gen.quality import Quality
+from dataset_gen.settings import Quality
 from dataset_gen.scenes import SCENES
 
 out = Path(sys.argv[1])

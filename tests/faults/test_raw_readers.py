@@ -77,7 +77,7 @@ ALLOWED = {
     "tg4mm/capture/sfm/mapping.py": "COLMAP's model in its working folder",
     "tg4mm/research/paper/embeddings.py": "its own cache, by checksums",
     "dataset_gen/sources/header.py": "the end of a packed .blend file",
-    "dataset_gen/sources/ply.py": "PLY, as long as its header says",
+    "dataset_gen/sources/mesh_file.py": "PLY, as long as its header says",
     # What this program has just written itself, or another of its own processes says.
     "tg4mm/core/memory.py": "temporary arrays without a name",
     "tg4mm/capture/sfm/config.py": "a request, as JSON would give it back",
