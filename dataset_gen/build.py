@@ -51,16 +51,22 @@ def stage_of(
     return Stage(scene, camera, objects, rest, data_material())
 
 
-def _part(part: Part, scene: bpy.types.Scene) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(part.name)
-    count, faces = len(part.mesh.vertices), part.mesh.triangles
-    mesh.vertices.add(count)
-    mesh.vertices.foreach_set("co", part.mesh.vertices.astype(np.float32).ravel())
+def new_mesh(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.Mesh:
+    """A mesh inside Blender of vertices [V, 3] and faces [F, n]."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
     mesh.loops.add(faces.size)
-    mesh.loops.foreach_set("vertex_index", faces.ravel())
+    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
     mesh.polygons.add(len(faces))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
     mesh.update(calc_edges=True)
+    return mesh
+
+
+def _part(part: Part, scene: bpy.types.Scene) -> bpy.types.Object:
+    faces = part.mesh.triangles
+    mesh = new_mesh(part.name, part.mesh.vertices, faces)
     uv = mesh.uv_layers.new(name="uv")
     uv.data.foreach_set("uv", part.mesh.uv.astype(np.float32).ravel())
     mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))

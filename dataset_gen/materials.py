@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 
 from . import compat
 from .scene import BlenderSky, Environment, Gradient, Surface
 
+LINEAR = "Linear Rec.709"
 DISPLACEMENT = "displacement"  # name of the vertex attribute and of the AOV it feeds
 
 
-def _image(name: str, pixels: np.ndarray, colour: bool) -> bpy.types.Image:
-    """An image inside Blender from [H, W] or [H, W, 3] in 0..1; row 0 is v = 0, as Blender stores it."""
+def new_image(name: str, pixels: np.ndarray, space: str) -> bpy.types.Image:
+    """An image inside Blender from [H, W] or [H, W, 3], in a colour space; row 0 is v = 0, as Blender stores it.
+
+    8 bits of 0..1, or floats where the space is LINEAR.
+    """
     height, width = pixels.shape[:2]
     rgba = np.ones((height, width, 4), np.float32)
     rgba[..., :3] = pixels if pixels.ndim == 3 else pixels[..., None]
-    image = bpy.data.images.new(name, width, height, alpha=False)
-    image.colorspace_settings.name = "sRGB" if colour else "Non-Color"
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=space == LINEAR)
+    image.colorspace_settings.name = space
     image.pixels.foreach_set(rgba.ravel())
     image.update()
     return image
@@ -37,11 +43,11 @@ def surface_material(surface: Surface) -> bpy.types.Material:
     shader, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
     _reflection(tree, shader, surface)
     colour = nodes.new("ShaderNodeTexImage")
-    colour.image = _image(f"{surface.name} colour", surface.colour, colour=True)
+    colour.image = new_image(f"{surface.name} colour", surface.colour, "sRGB")
     links.new(colour.outputs["Color"], shader.inputs["Base Color"])
     if surface.relief is not None:
         relief, bump = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeBump")
-        relief.image = _image(f"{surface.name} relief", surface.relief, colour=False)
+        relief.image = new_image(f"{surface.name} relief", surface.relief, "Non-Color")
         bump.inputs["Distance"].default_value = surface.relief_depth
         links.new(relief.outputs["Color"], bump.inputs["Height"])
         links.new(bump.outputs["Normal"], shader.inputs["Normal"])
@@ -63,10 +69,22 @@ def _reflection(tree: bpy.types.NodeTree, shader: bpy.types.Node, surface: Surfa
         shader.inputs[socket].default_value = value
     if isinstance(surface.roughness, np.ndarray):
         rough = tree.nodes.new("ShaderNodeTexImage")
-        rough.image = _image(f"{surface.name} roughness", surface.roughness, colour=False)
+        rough.image = new_image(f"{surface.name} roughness", surface.roughness, "Non-Color")
         tree.links.new(rough.outputs["Color"], shader.inputs["Roughness"])
     else:
         shader.inputs["Roughness"].default_value = surface.roughness
+
+
+def trees(roots: Iterable[bpy.types.NodeTree | None]) -> list[bpy.types.NodeTree]:
+    """The node trees and all groups inside them, each once."""
+    found: list[bpy.types.NodeTree] = []
+    todo = [tree for tree in roots if tree is not None]
+    while todo:
+        tree = todo.pop()
+        if tree not in found:
+            found.append(tree)
+            todo += [node.node_tree for node in tree.nodes if getattr(node, "node_tree", None)]
+    return found
 
 
 def data_material() -> bpy.types.Material:
@@ -106,20 +124,9 @@ def world(sky: Gradient | BlenderSky | Environment) -> bpy.types.World:
         light.sun_size = sky.sun_size
     else:
         light = tree.nodes.new("ShaderNodeTexEnvironment")
-        light.image = _hdr("environment", sky.pixels)
+        light.image = new_image("environment", sky.pixels, LINEAR)
     tree.links.new(light.outputs["Color"], background.inputs["Color"])
     return made
-
-
-def _hdr(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True)
-    image.colorspace_settings.name = "Linear Rec.709"
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels
-    image.pixels.foreach_set(rgba.ravel())
-    image.update()
-    return image
 
 
 def _gradient(tree: bpy.types.NodeTree, background: bpy.types.Node, sky: Gradient) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 from . import compat
 from .build import Stage
 from .devices import device_in_use, use_device
-from .materials import DISPLACEMENT
+from .materials import DISPLACEMENT, trees
 from .settings import Quality
 
 # Rays of the data passes go through the pixel centre: Cycles' first sample does, and there is no other. The narrowest
@@ -274,13 +274,4 @@ def _principled(node: bpy.types.Node, socket: str) -> bpy.types.NodeSocket | Non
 
 def nodes_of(material: bpy.types.Material) -> Iterator[bpy.types.Node]:
     """All nodes of a material, those inside groups too."""
-    trees, seen = [material.node_tree] if material.node_tree else [], set()
-    while trees:
-        tree = trees.pop()
-        if tree.name in seen:
-            continue
-        seen.add(tree.name)
-        for node in tree.nodes:
-            yield node
-            if node.type == "GROUP" and node.node_tree:
-                trees.append(node.node_tree)
+    return (node for tree in trees([material.node_tree]) for node in tree.nodes)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.pages.page import Block, Section, Table, Text
-from tg4mm.core.pages.svg import number
+from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.records import read_formed
 
 from ..tree import TIMING
@@ -134,14 +134,6 @@ def _timing(f: Findings) -> str:
         f"{plural(pictures, 'distinct picture')} in {number(seconds)} s{by}: {number(seconds / pictures)} s each, "
         "data passes included."
     )
-
-
-def size_text(size: int) -> str:
-    """Bytes as 12.3 kB, 4.56 MB (powers of ten)."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= factor:
-            return f"{number(size / factor)} {unit}"
-    return f"{size} B"
 
 
 KINDS = (

@@ -22,12 +22,11 @@ from tg4mm.core.pages.page import (
     picture,
     render_page,
 )
-from tg4mm.core.pages.svg import number
+from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.records import read_formed
 from tg4mm.core.values import Just, Maybe
 
 from ..errors import GenerateError
-from .closing import size_text
 from .dataset import read_picture
 from .text import decibel, hertz, percent
 from .write import FORMAT, save

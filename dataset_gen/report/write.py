@@ -10,12 +10,12 @@ from PIL import Image
 
 from tg4mm import __version__
 from tg4mm.core.pages.page import Page, Stat, render_page
-from tg4mm.core.pages.svg import number
+from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
 
 from ..tree import whole
-from .closing import floor_section, making_section, shares, size_text
+from .closing import floor_section, making_section, shares
 from .dataset import Dataset, evenly, read_dataset, read_picture
 from .modes import still_area, summarise, track_point
 from .noise_floor import noise_floor

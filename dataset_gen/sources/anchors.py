@@ -7,7 +7,7 @@ into vertex attributes at rest, and the materials read those instead.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -107,18 +107,6 @@ def _free_the_name(mesh: bpy.types.Mesh) -> None:
     """Our displacement takes its name; a user's attribute of that name gets another."""
     if (clash := mesh.attributes.get(DISPLACEMENT)) is not None:
         clash.name = _ALIAS
-
-
-def trees(roots: Iterable[bpy.types.NodeTree | None]) -> list[bpy.types.NodeTree]:
-    """The node trees and all groups inside them, each once."""
-    found: list[bpy.types.NodeTree] = []
-    todo = [tree for tree in roots if tree is not None]
-    while todo:
-        tree = todo.pop()
-        if tree not in found:
-            found.append(tree)
-            todo += [node.node_tree for node in tree.nodes if getattr(node, "node_tree", None)]
-    return found
 
 
 def own_groups(tree: bpy.types.NodeTree, copies: dict[bpy.types.NodeTree, bpy.types.NodeTree]) -> None:

@@ -13,9 +13,10 @@ from mathutils import Matrix
 from ..build import Stage, stage_of
 from ..cameras import Camera
 from ..errors import GenerateError
+from ..materials import trees
 from ..vibration.bodies import Body
 from . import lighting
-from .anchors import Anchors, trees
+from .anchors import Anchors
 from .bodies_file import Found
 from .copies import MaterialCopies
 from .gather import Gathered, Lamp

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable
 
 import bpy
 
-from .anchors import Anchors, own_groups, trees
+from ..materials import trees
+from .anchors import Anchors, own_groups
 from .images import list_names, repair_images
 
 _SUFFIX = " tg4mm"  # of our copies of materials while the originals are there

@@ -9,6 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..materials import LINEAR, new_image
+
 
 def list_names(names: Iterable[str], most: int = 6) -> str:
     """Names in order for a warning, the tail counted."""
@@ -109,7 +111,7 @@ def _grey_sky() -> bpy.types.Image:
         return known
     height = 32
     ramp = np.linspace(*_ENVIRONMENT, height)
-    return _image("tg4mm grey sky", np.broadcast_to(ramp[:, None, None], (height, 2 * height, 3)), True)
+    return _image("tg4mm grey sky", np.broadcast_to(ramp[:, None, None], (height, 2 * height, 3)), LINEAR)
 
 
 def _neutral(node: bpy.types.Node) -> bpy.types.Image:
@@ -117,16 +119,10 @@ def _neutral(node: bpy.types.Node) -> bpy.types.Image:
     normal = any(link.to_node.bl_idname == "ShaderNodeNormalMap" for link in node.outputs["Color"].links)
     name, colour = ("tg4mm flat", (0.5, 0.5, 1.0)) if normal else ("tg4mm neutral", (0.5, 0.5, 0.5))
     known = bpy.data.images.get(name)
-    return known if known is not None else _image(name, np.broadcast_to(colour, (4, 4, 3)), False)
+    return known if known is not None else _image(name, np.broadcast_to(colour, (4, 4, 3)), "Non-Color")
 
 
-def _image(name: str, pixels: np.ndarray, linear: bool) -> bpy.types.Image:
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=linear)
-    image.colorspace_settings.name = "Linear Rec.709" if linear else "Non-Color"
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels
-    image.pixels.foreach_set(rgba.ravel())
-    image.update()
+def _image(name: str, pixels: np.ndarray, space: str) -> bpy.types.Image:
+    image = new_image(name, pixels, space)
     image.pack()
     return image

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 import bpy
 
+from ..materials import trees
 from ..materials import world as made_world
 from ..scene import Gradient
-from .anchors import own_groups, trees
+from .anchors import own_groups
 from .copies import above, has_nodes, using
 from .images import repair_images
 

@@ -14,9 +14,9 @@ from mathutils import Vector
 
 from ..cameras import scene_cameras
 from ..errors import GenerateError
+from ..materials import trees
 from ..materials import world as made_world
 from ..scene import Gradient
-from .anchors import trees
 from .assemble import Loaded, Origin, assemble
 from .blend import file_cameras
 from .gather import Gathered, Piece, gather

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
+from ..build import new_mesh
+
 _SIDES = 4
 _RADIUS = 0.005  # scene units; of curves that say nothing, as in Cycles
 
@@ -42,15 +44,7 @@ def tube_mesh(name: str, points: np.ndarray, radius: np.ndarray, starts: np.ndar
     vertices, quads = tubes(points, radius, starts)
     if not len(quads):
         return None
-    mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.add(quads.size)
-    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
-    mesh.polygons.add(len(quads))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
-    mesh.update(calc_edges=True)
-    return mesh
+    return new_mesh(name, vertices, quads)
 
 
 def rest_positions(mesh: bpy.types.Mesh) -> np.ndarray:

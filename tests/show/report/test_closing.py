@@ -2,7 +2,8 @@
 
 import pytest
 
-from tg4mm.show.report.closing import _figure, program, size_on_disk, size_text
+from tg4mm.core.pages.svg import size_text
+from tg4mm.show.report.closing import _figure, program, size_on_disk
 from tg4mm.show.report.summary import both_lengths, clock, length, total_seconds
 
 

@@ -40,6 +40,14 @@ def number(value: float, digits: int = 3, trim: bool = True) -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}·10{_superscript(int(exponent))}"
 
 
+def size_text(size: int) -> str:
+    """Bytes as 12.3 kB, 4.56 MB (powers of ten)."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= factor:
+            return f"{number(size / factor)} {unit}"
+    return f"{size} B"
+
+
 def _superscript(value: int) -> str:
     return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from tg4mm.core.files import to_json
 from tg4mm.core.pages.page import Commands, Section, Table, Text
-from tg4mm.core.pages.svg import number
+from tg4mm.core.pages.svg import number, size_text
 from tg4mm.run.preset import preset_of
 from tg4mm.show.measure import Sensor
 from tg4mm.show.report.summary import Material, clock
@@ -82,14 +82,6 @@ def size_on_disk(path: Path) -> int:
         return path.stat().st_size
     stats = [p.stat() for p in path.rglob("*") if p.is_file()]
     return sum({(s.st_dev, s.st_ino): s.st_size for s in stats}.values())
-
-
-def size_text(size: int) -> str:
-    """Bytes as 12.3 kB, 4.56 MB (powers of ten)."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= factor:
-            return f"{number(size / factor)} {unit}"
-    return f"{size} B"
 
 
 def program() -> str:
