@@ -29,8 +29,8 @@ from tg4mm.capture import SurfacePoints, load_capture, load_images
 from tg4mm.core.metrics import psnr
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
-from tg4mm.fit.space.gains import fitting_gain
 from tg4mm.fit.space.levels import shrunk
+from tg4mm.fit.space.losses import fitting_gain
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 from tg4mm.run.train import parse_settings

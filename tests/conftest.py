@@ -30,7 +30,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         session.config, "workerinput"
     )
     if starts_workers and importlib.util.find_spec("numba"):
-        subprocess.run([sys.executable, "-m", "tg4mm.fit.ahead"], cwd=ROOT, check=False)
+        subprocess.run([sys.executable, "-m", "tg4mm.fit.precompile"], cwd=ROOT, check=False)
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,10 @@
-"""The compiled functions that a job of `tg4mm.fit.ahead` names."""
+"""The compiled functions that a job of `tg4mm.fit.precompile` names."""
 
 from __future__ import annotations
 
 import importlib
 
-from tg4mm.fit import ahead
+from tg4mm.fit.kernel_calls import Job
 
 MODULES = {
     "project": "tg4mm.fit.rasterize.kernels.project",
@@ -16,6 +16,6 @@ MODULES = {
 }  # fmt: skip
 
 
-def kernels_of(job: ahead.Job) -> list:
+def kernels_of(job: Job) -> list:
     names = [kernel.split(".") for kernel in job.kernels]
     return [getattr(importlib.import_module(MODULES[module]), name) for module, name in names]

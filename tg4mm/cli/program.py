@@ -26,7 +26,7 @@ from tg4mm.cli.train import train
 from tg4mm.cli.view import view
 from tg4mm.core import events
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.ahead import enable
+from tg4mm.fit.precompile import enable
 
 BAD_INPUT, INTERRUPTED = 2, 130
 # What the extra `core` installs; the commands that train, render or evaluate need it.

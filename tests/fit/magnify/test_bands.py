@@ -20,19 +20,6 @@ def test_every_band_has_its_own_factor():
     assert plan.checked(FPS) is plan
 
 
-def test_without_bands_all_frequencies_have_one_factor():
-    plan = Magnification(everywhere=500.0)
-    np.testing.assert_array_equal(plan.response(np.array([0.0, 7.0]), FPS), [500, 500])
-    assert not plan.is_identity
-    assert Magnification((BandGain(1, 2, 0.0),)).is_identity
-
-
-@pytest.mark.parametrize("alpha", [-3.0, -1.0, -0.5, 0.0, 500.0])
-def test_any_finite_factor_is_allowed(alpha):
-    plan = Magnification((BandGain(2, 4, alpha),), filter=TemporalFilter("ideal")).checked(FPS)
-    assert 1 + plan.response(np.array([3.0]), FPS)[0] == 1 + alpha
-
-
 @pytest.mark.parametrize(
     ("bands", "error", "message"),
     [

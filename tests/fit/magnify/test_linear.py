@@ -7,7 +7,6 @@ import pytest
 
 from tg4mm.core.filters import TemporalFilter, bins
 from tg4mm.core.magnification import BandGain, Magnification
-from tg4mm.core.phasors import series_modes
 from tg4mm.fit.magnify.linear import magnified_motion, magnified_series
 from tg4mm.fit.motion.animate import displacement_at, rotation_at
 from tg4mm.fit.motion.modes import ModalMotion
@@ -31,12 +30,6 @@ def test_ideal_bands_on_dft_bins_are_what_modal_does(n):
     for t in range(n):
         for at in (displacement_at, rotation_at):
             np.testing.assert_allclose(at(linear, t), at(m, t, alphas), atol=1e-4)
-
-
-def test_one_band_is_what_the_single_alpha_and_band_do():
-    m = motion([2.0, 5.0], 30)
-    alphas = Magnification((BandGain(3.5, 6.5, 7.0),)).ideal(m.freqs_hz)
-    np.testing.assert_array_equal(displacement_at(m, 3.3, alphas), displacement_at(m, 3.3, 7.0, (3.5, 6.5)))
 
 
 def test_the_published_filter_puts_its_phase_error_into_the_result():
@@ -65,13 +58,3 @@ def test_the_series_is_filtered_relative_to_timestep_0():
     outside = magnified_series(series, 50 * (1 - band))
     change = np.fft.rfft(outside - series, axis=0)
     assert np.abs(change[4:7]).max() < 1e-8
-
-
-@pytest.mark.parametrize("n", [7, 8])
-def test_modes_of_a_series_give_it_back(n):
-    series = np.random.default_rng(1).standard_normal((n, 5, 3))
-    freqs, phasors = series_modes(series, FPS)
-    assert freqs[0] == 0
-    m = ModalMotion(freqs, phasors, 0 * phasors, FPS, n)
-    for t in range(n):
-        np.testing.assert_allclose(displacement_at(m, t), series[t], atol=1e-5)

@@ -81,18 +81,6 @@ def test_both_ends_belong_to_the_band(band: tuple[float, float], gains: list[flo
     )
 
 
-def test_modes_add_up() -> None:
-    m = motion()
-    total = sum(displacement_at(one(m, k), 4.0, 3.0) for k in range(3))
-    np.testing.assert_allclose(displacement_at(m, 4.0, 3.0), total, atol=1e-6)
-
-
-def test_a_motion_of_no_modes_is_rest() -> None:
-    m = motion(np.zeros(0))
-    np.testing.assert_array_equal(displacement_at(m, 3, 5.0), np.zeros((N, 3)))
-    assert torch.equal(animate(gaussians(), m, 3, 5.0).means, gaussians().means)
-
-
 class TestRotated:
     @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0, 10.0])
     def test_it_is_scipys_rotation(self, size: float) -> None:
@@ -127,20 +115,6 @@ class TestMoved:
         np.testing.assert_allclose(found.means, positions_at(splat, t, 4.0, band), atol=3e-6)
         quats = torch.nn.functional.normalize(found.quats, dim=1).numpy()
         np.testing.assert_allclose(quats, rotations_at(splat, t, 4.0, band), atol=3e-6)
-
-    def test_the_rest_is_left_alone(self) -> None:
-        g = gaussians()
-        means = g.means.clone()
-        found = animate(g, motion(), 3, 10.0)
-        for name in ("scales", "opacities", "sh"):
-            assert getattr(found, name) is getattr(g, name)
-        assert torch.equal(g.means, means)
-        assert (found.means - means).abs().amax() > 0.1
-        assert found.means.dtype == found.quats.dtype == torch.float32
-
-    def test_no_motion_is_the_scene_at_rest(self) -> None:
-        g = gaussians()
-        assert animate(g, None, 3, 100.0) is g
 
     def test_a_rigid_motion_of_the_whole_scene_commutes_with_magnification(self) -> None:
         turn, shift = Rotation.from_rotvec([0.5, -1.0, 0.3]), np.array([1.0, 2.0, -3.0])

@@ -10,21 +10,24 @@ import pytest
 import torch
 
 from tests.fit.motion.scenes import SCENES, camera_of, gaussians_of
-from tests.fit.rasterize.oracle import assert_close, make_scene
+from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.motion_animate import FREQS, gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import load_capture, load_images
-from tg4mm.core.magnification import BandGain, Magnification
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.magnify.linear import magnified_motion
+from tg4mm.capture import load_capture
 from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
-from tg4mm.fit.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
+from tg4mm.fit.motion.animate import animate
+from tg4mm.fit.motion.appearance import (
+    HARMONIC,
+    AppearanceFit,
+    AppearanceProblem,
+    AppearanceView,
+    MotionResidual,
+    appearance_views,
+)
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import LIMIT, AppearanceModes, ModalMotion, apply_appearance
+from tg4mm.fit.motion.modes import LIMIT, AppearanceModes, ModalMotion
 from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior.graph import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
@@ -33,8 +36,6 @@ from tg4mm.fit.motion.spectrum import modes_of
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
-from tg4mm.research.evaluate.run import fingerprint
-from tg4mm.research.evaluate.scores import Method, Scorer
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -163,40 +164,10 @@ def test_a_change_of_colour_is_told_from_motion_and_noise(lab: Lab) -> None:
     assert np.abs(found[0][far]).max() < 0.1 * np.abs(found[0]).max()
 
 
-@pytest.mark.parametrize("rows", [(), (1,), (0,)])
-def test_a_component_that_is_not_fitted_changes_no_other(lab: Lab, rows: tuple[int, ...]) -> None:
-    x = lab.patch()
-    x[1] = -x[0, ::-1]  # elsewhere
-    pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
-    whole, all_gains = lab.fitted(pictures)
-    assert (all_gains > 0.5).all()
-    found, gains = lab.fitted(pictures, rows=rows)
-    assert len(found) == len(gains) == len(rows)
-    for i, k in enumerate(rows):
-        np.testing.assert_allclose(gains[i], all_gains[k], rtol=1e-4)
-        np.testing.assert_allclose(found[i], whole[k], atol=1e-4 * np.abs(whole[k]).max())
-
-
 def test_noise_alone_has_none(lab: Lab) -> None:
     found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes) + noise(lab, 0.01))
     assert not gains.any()
     assert not found.any()
-
-
-def test_nothing_left_has_none(lab: Lab) -> None:
-    found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes))
-    assert not gains.any()
-    assert not found.any()
-
-
-def test_components_beyond_those_of_one_pass_are_found_alike(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pictures = lab.shown(lab.patch(), lab.shapes) + noise(lab, 0.002)
-    together = lab.fitted(pictures)
-    monkeypatch.setattr("tg4mm.fit.motion.appearance._TOGETHER", 1)
-    for a, b in zip(lab.fitted(pictures), together, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-5)
 
 
 def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:
@@ -226,60 +197,6 @@ def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
     np.testing.assert_allclose(cosine, 1, rtol=1e-4)
 
 
-def test_half_the_limit_is_hardly_drawn_in_and_nothing_stays_nothing() -> None:
-    shapes = torch.zeros(1, 2, 1, 3)
-    shapes[0, 0, 0, 0] = LIMIT / 2 / HARMONIC
-    out = apply_appearance(torch.zeros(2, 4, 3), shapes, torch.ones(1))
-    assert out[0, 0, 0].item() * HARMONIC == pytest.approx(LIMIT * np.tanh(0.5), rel=1e-5)
-    out[0, 0, 0] = 0
-    assert not out.any()
-
-
-def test_a_mode_of_appearance_alone_is_a_state_of_its_own() -> None:
-    """What `tg4mm evaluate` renders once must not differ."""
-    still = motion(size=0.0)
-    assert Method("ours", still).state(3, 5.0) == ()
-    bright = Method("ours", replace(still, appearance=appearance()))
-    assert bright.state(3, 5.0) != bright.state(4, 5.0)
-
-
-def test_the_linear_method_magnifies_it_too() -> None:
-    m = replace(motion(), appearance=appearance())
-    plan = Magnification(bands=(BandGain(4.0, 6.0, 5.0),), method="linear")
-    both = magnified_motion(m, plan)
-    for t in (0, 7):
-        plain = by_hand(m.appearance, t, [1, 1, 1])
-        grown = by_hand(m.appearance, t, [1, 6, 1]) - plain
-        off = change_at(both, t, 0.0) - plain - grown
-        assert np.linalg.norm(off) < 0.25 * np.linalg.norm(grown)  # the filter is no ideal one
-
-
-def test_on_a_device_it_is_alike() -> None:
-    """The phasors' way through a matrix product, here on the CPU."""
-    m, g = replace(motion(), appearance=appearance(0.01)), gaussians()
-    assert m.appearance is not None
-    shapes = torch.from_numpy(m.appearance.shapes)
-    fields, series = _fields_on(torch.device("cpu"), m, few=False)
-    found = _animate_on_device(g, m, fields, series, shapes, 2.5, 20.0, (4.0, 6.0))
-    expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
-    assert not torch.allclose(expected.sh, g.sh, atol=0.01)
-    torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
-
-
-def test_modes_are_taken_out_with_their_appearance() -> None:
-    m = replace(motion(), appearance=appearance())
-    less = m.selected(np.array([False, True, False]))
-    np.testing.assert_allclose(change_at(less, 7, 0.0), by_hand(m.appearance, 7, [0, 1, 0]), atol=2e-4)
-
-
-def test_gaussians_of_one_colour_get_no_tilt() -> None:
-    scene = make_scene(0)
-    g = gaussians_of(scene)
-    plain = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh[:, :1].contiguous())
-    out = apply_appearance(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
-    assert out.shape == plain.sh.shape
-
-
 def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
     """Of more than 64 timesteps weak bins are residual out; a component weak in motion may hold all the colour."""
     t = np.arange(100) / 100
@@ -293,15 +210,3 @@ def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
     np.testing.assert_allclose(without, [5.0])
     np.testing.assert_allclose(freqs, [5.0, 9.0])
     np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
-
-
-def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
-    """Displacement is the same with and without, and with more of it."""
-    g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
-    capture = load_capture(tmp_path / "data", "test")
-    images, scorer = load_images(capture), Scorer(g, {})
-    found = set()
-    for own in (None, appearance(), appearance(2e-3)):
-        method = Method("ours", replace(motion(), appearance=own))
-        found.add(fingerprint(scorer, [method], capture, images, 5.0))
-    assert len(found) == 3

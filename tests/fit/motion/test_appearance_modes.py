@@ -35,16 +35,6 @@ def test_what_is_read_back_equals_that_written(run: Run) -> None:
     np.testing.assert_array_equal(back.appearance.series, m.appearance.series)
 
 
-def test_a_motion_without_any_loads(run: Run) -> None:
-    run.save_motion(motion(), {})
-    assert set(load_file(run.part_file("motion"))) == {
-        "freqs_hz", "displacement#re", "displacement#im", "rotation#re", "rotation#im",
-    }  # fmt: skip
-    back = run.load_motion()
-    assert back is not None
-    assert back.appearance is None
-
-
 @pytest.mark.parametrize(
     "bad",
     [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,6 @@ from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.fit.motion.animate import animate
-from tg4mm.research.evaluate.scores import render_views
 from tg4mm.run import Run
 from tg4mm.run.poses import poses_of
 from tg4mm.run.stages.motion import train_motion
@@ -123,33 +120,3 @@ def test_the_shadow_is_not_taken_for_motion(
     dark = (shadow(trained.load_space().means) > 0.3 * DARK).numpy()
     moves = [np.linalg.norm(m.displacement[:, dark]) for m in (shaded, plain)]
     assert moves[0] < 0.7 * moves[1]
-
-
-def test_one_fold_has_no_appearance(
-    made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run]
-) -> None:
-    run = new_run()
-    motion = train_motion(run, *made[1:], MotionConfig(components=1, iterations=2, split_half=False))
-    assert motion.appearance is None
-    assert "appearance_reliability" not in run.log()["motion"]
-
-
-def test_pictures_of_the_capture_itself_come_nearer(
-    trained: Run, made: tuple[Run, Capture, ImageStack]
-) -> None:
-    """The true motion with the change of colour that was found, and without any."""
-    _, capture, images = made
-    gaussians = trained.load_space()
-    rows = np.flatnonzero(capture.timesteps == 2)
-    truth = np.stack([images.rgb(int(i)) for i in rows])
-    shown = poses_of(trained, Magnification()).at(2)
-    error = []
-    for sh in (shown.sh, gaussians.sh):
-        at = animate(replace(gaussians, sh=sh), exact_motion(), 2)
-        error.append(float(((render_views(at, capture, rows) - truth) ** 2).mean()))
-    assert error[0] < 0.5 * error[1]
-
-
-def exact_motion() -> ModalMotion:
-    """The exact motion that the pictures show."""
-    return synthetic._motion(synthetic._parts(1), (3.0,), 0.005, 30.0, 10)

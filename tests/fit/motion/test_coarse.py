@@ -36,10 +36,6 @@ def weights_of(problem: Problem) -> np.ndarray:
     return problem.pixel_weights
 
 
-def test_a_problem_that_is_small_enough_stays_as_it_is(fine: tuple) -> None:
-    assert coarser(*fine, enough=SIZE * SIZE) is fine[0]
-
-
 def test_a_quarter_of_the_pixels_tell_as_much(fine: tuple) -> None:
     problem, small = fine[0], coarser(*fine, enough=HALF)
     assert small.size == (48, 48)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.temporal.frequencies import Frequencies, _Record, _spectrum, find_frequencies
+from tg4mm.fit.motion.temporal.frequencies import Frequencies, find_frequencies
 
 FPS, SERIES = 30.0, 80
 HZ = (3.437, 7.113)
@@ -59,13 +59,6 @@ def test_in_noise_there_are_none(seed: int) -> None:
     assert not len(find_frequencies([y], [t], *BAND).hz)
 
 
-def test_where_noise_is_alone_the_spectrum_is_one() -> None:
-    t = times()
-    grid = np.arange(*BAND, 0.05)
-    record = _Record.of(np.random.default_rng(3).normal(size=(len(t), 400)), t, BAND[0], grid)
-    assert _spectrum([record], np.zeros(0), grid).mean() == pytest.approx(1, abs=0.05)
-
-
 def test_clips_with_phases_of_their_own_are_put_together() -> None:
     """Four clips, of which no one series is like another's."""
     clocks = [times(60, 3, seed) + 17.3 * seed for seed in range(4)]
@@ -89,14 +82,6 @@ def test_noise_that_rises_to_low_frequencies_is_no_frequency(seed: int) -> None:
     assert not len(find_frequencies([y], [t], *BAND).hz)
 
 
-def test_a_series_that_says_nothing_is_left_out() -> None:
-    """A region that no camera sees is 0 at all times."""
-    t = times()
-    y = moving(t, 0)
-    y[:, ::3] = 0
-    check(find_frequencies([y], [t], *BAND), HZ)
-
-
 def test_the_deviation_is_that_of_the_errors() -> None:
     """Rms over twelve draws of error over deviation: about 1."""
     ratios = []
@@ -105,13 +90,6 @@ def test_the_deviation_is_that_of_the_errors() -> None:
         found = find_frequencies([moving(t, 100 + seed, HZ[:1], strength=0.4)], [t], *BAND)
         ratios.append((found.hz[0] - HZ[0]) / found.deviation_hz[0])
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.6
-
-
-def test_some_of_them_can_be_selected() -> None:
-    t = times()
-    found = find_frequencies([moving(t, 0)], [t], *BAND)
-    less = found.selected(found.hz > 5)
-    check(less, HZ[1:])
 
 
 def test_a_loud_one_in_a_short_record_is_found_in_spite_of_its_side_lobes() -> None:

@@ -19,7 +19,7 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.fit.motion import knots as module
+from tg4mm.fit.motion import gauss_newton as module
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, used_components
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
@@ -27,7 +27,6 @@ from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.nuisance.first_look import first_look
 from tg4mm.fit.motion.nuisance.projection import nuisances_of
 from tg4mm.fit.motion.observations import observe
-from tg4mm.fit.motion.solver.cuda import DeviceViews
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import folds_of
@@ -130,12 +129,6 @@ def test_every_iteration_leaves_less_of_the_pictures(found: tuple[Run, Run]) -> 
     assert found[0].log()["motion"]["gauss_newton"] == 0
 
 
-@pytest.mark.slow
-def test_no_checkpoint_stays(found: tuple[Run, Run]) -> None:
-    for run in found:
-        assert not list(run.path.glob("checkpoint_*"))
-
-
 def _pictures_error(run: Run, gaussians: Gaussians) -> float:
     """Mean squared error of the captured pictures, the Gaussians moved as the truth does."""
     capture = load_capture(run.dataset)
@@ -169,18 +162,6 @@ def test_a_scene_blurred_by_its_motion_is_sharp_again(large: Run, tmp_path: Path
     assert _pictures_error(run, sharp) < 0.6 * _pictures_error(run, blurred)
 
 
-def test_small_motion_is_left_as_it_was(tmp_path: Path) -> None:
-    """To the last bit, and the scene at rest too."""
-    small = _scene(tmp_path / "small", 0.005, size=32, detail=1)
-    runs = [_copy(small, tmp_path / f"{k}") for k in range(2)]
-    motions = [_trained(run, replace(CONFIG, gauss_newton=k)) for k, run in enumerate(runs)]
-    assert _equal(*motions)
-    assert 0 < runs[1].log()["motion"]["pixels_moved"] < ABOVE_PX
-    assert (runs[0].path / "space.safetensors").read_bytes() == (
-        runs[1].path / "space.safetensors"
-    ).read_bytes()
-
-
 def _equal(a: ModalMotion, b: ModalMotion) -> bool:
     return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
 
@@ -192,15 +173,6 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run, ModalMoti
     scene = _scene(root, 0.2, size=32, detail=1)
     whole = _copy(scene, root / "whole")
     return scene, whole, _trained(whole, SHORT)
-
-
-def test_the_same_settings_give_the_same_bits(quick: tuple[Run, Run, ModalMotion], tmp_path: Path) -> None:
-    scene, whole, expected = quick
-    again = _copy(scene, tmp_path / "again")
-    assert _equal(_trained(again, SHORT), expected)
-    assert whole.log()["motion"]["gauss_newton"] >= 1
-    assert torch.equal(again.load_space().means, whole.load_space().means)
-    assert not torch.equal(again.load_space().means, scene.load_space().means)
 
 
 @pytest.mark.parametrize("iterations", [0, 1, 2])
@@ -226,25 +198,6 @@ def test_killed_after_an_iteration_it_goes_on_after_it(
 def _same_scene(a: Run, b: Run) -> bool:
     names = ("means", "quats", "scales", "opacities", "sh")
     return all(torch.equal(getattr(a.load_space(), n), getattr(b.load_space(), n)) for n in names)
-
-
-def test_killed_between_its_two_results_it_ends_the_same(
-    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The scene at rest is already the new one, the motion not there yet."""
-    scene, whole, expected = quick
-    run = _copy(scene, tmp_path / "run")
-
-    def killed(self: Run, *_: object) -> None:
-        raise Killed
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Run, "save_motion", killed)
-        with pytest.raises(Killed):
-            _trained(run, SHORT)
-    assert not torch.equal(run.load_space().means, scene.load_space().means)
-    assert _equal(_trained(run, SHORT), expected)
-    assert torch.equal(run.load_space().means, whole.load_space().means)
 
 
 def test_what_only_gets_worse_is_not_taken(
@@ -318,28 +271,6 @@ def lab(quick: tuple[Run, Run, ModalMotion]) -> Lab:
     return Lab(quick[0], 1.0)
 
 
-def test_functions_of_time_are_all_in_the_knots(lab: Lab) -> None:
-    """Σ C_lᵀ C_l = Σ_t a(t) a(t)ᵀ = 1; large motion has several."""
-    assert lab.pixels > ABOVE_PX
-    assert 1 < len(lab.knots) <= module.KNOTS
-    total = sum(knot.mixing.T @ knot.mixing for knot in lab.knots)
-    np.testing.assert_allclose(total, np.eye(len(lab.loop.basis)), atol=1e-5)
-
-
-def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMotion]) -> None:
-    """Where nothing has moved yet; so are its target images."""
-    still = Lab(quick[0], 0.0)
-    assert len(still.knots) == 1
-    fold = still.folds[0]
-    operator, b = still.operator(fold)
-    plain = still.problem.on_cpu(fold, 300.0)
-    theta = np.random.default_rng(0).normal(size=(len(still.loop.basis), *b.shape[1:])).astype(np.float32)
-    expected = plain.products(theta)
-    np.testing.assert_allclose(operator.products(theta), expected, atol=1e-4 * np.abs(expected).max())
-    sides = plain.right_hand_sides([still.loop.targets.images[v, still.loop.used] for v in fold.views])
-    np.testing.assert_allclose(b, sides, atol=1e-3 * np.abs(sides).max())
-
-
 def test_the_operator_of_several_knots_is_symmetric_and_couples_components(lab: Lab) -> None:
     operator, b = lab.operator(lab.folds[0])
     x, y = np.random.default_rng(1).normal(size=(2, *b.shape)).astype(np.float32)
@@ -370,20 +301,6 @@ def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
     assert off < 0.1 * total
 
 
-def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What CUDA runs, on the CPU's tensors."""
-    here, b = lab.operator(lab.folds[0])
-    monkeypatch.setattr(
-        module, "views_on", lambda _, views, graph: DeviceViews(views, graph, "cpu", torch.float32)
-    )
-    monkeypatch.setattr(lab, "problem", replace(lab.problem, device="cuda"))
-    there, c = lab.operator(lab.folds[0])
-    theta = np.random.default_rng(2).normal(size=b.shape).astype(np.float32)
-    expected, found = here.products(theta), there.products(torch.from_numpy(theta)).numpy()
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
-    np.testing.assert_allclose(c.numpy(), b, atol=1e-4 * np.abs(b).max())
-
-
 @pytest.mark.parametrize(("best", "taken"), [(1.0, 1.0), (0.5, 0.5), (0.4, 0.5), (-1.0, None)])
 def test_half_a_step_is_taken_where_a_whole_one_goes_too_far(
     best: float, taken: float | None, lab: Lab, monkeypatch: pytest.MonkeyPatch
@@ -412,13 +329,3 @@ def test_half_a_step_is_taken_where_a_whole_one_goes_too_far(
         assert after.errors.changes == pytest.approx(abs(best - taken), abs=1e-6)
         assert not after.is_over
         assert after.smoothness_weight == 30.0
-
-
-def test_a_state_read_back_is_the_one_written(lab: Lab) -> None:
-    fields = np.stack([lab.fields] * 2)
-    errors = lab.observed.residuals(lab.gaussians, lab.fields, "cpu")[1]
-    state = GaussNewtonState(lab.gaussians, fields, 30.0, errors, True)
-    back = GaussNewtonState.restored(state.arrays())
-    assert (back.smoothness_weight, back.errors, back.is_over) == (30.0, errors, True)
-    np.testing.assert_array_equal(back.fold_fields, fields)
-    assert torch.equal(back.gaussians.means, lab.gaussians.means)

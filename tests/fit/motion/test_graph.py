@@ -91,20 +91,6 @@ def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) ->
     return total
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_stiffness_is_symmetric_and_not_negative(shape: str) -> None:
-    around, rng = graph(SHAPES[shape]()), np.random.default_rng(2)
-    difference = abs(around.stiffness - around.stiffness.T)
-    assert difference.max() <= 1e-6 * abs(around.stiffness).max()
-    for _ in range(5):
-        assert energy(around, rng.normal(size=(around.stiffness.shape[0], 3))) > 0
-
-
-def test_the_mean_diagonal_of_displacement_is_one() -> None:
-    around = graph(volume())
-    assert around.stiffness.diagonal()[::ROWS].mean() == pytest.approx(1, abs=1e-4)
-
-
 def test_a_turn_is_found_from_its_gradient() -> None:
     means = volume()
     around = graph(means)
@@ -115,11 +101,6 @@ def test_a_turn_is_found_from_its_gradient() -> None:
     np.testing.assert_allclose(moved[:, 3:], np.tile(OMEGA, (300, 1)), atol=1e-6)
 
 
-def test_a_stretch_turns_nothing() -> None:
-    around = graph(volume())
-    assert np.abs(around.motion(field(around, volume(), np.diag([1.0, 2, 3])))[:, 3:]).max() < 1e-6
-
-
 def test_from_motion_is_the_transpose() -> None:
     around, rng = graph(volume()), np.random.default_rng(4)
     x, v = rng.normal(size=(ROWS * 300, 3)).astype(np.float32), rng.normal(size=(300, 6)).astype(np.float32)
@@ -128,22 +109,11 @@ def test_from_motion_is_the_transpose() -> None:
     assert abs(one - other) < 1e-6 * np.linalg.norm(around.motion(x)) * np.linalg.norm(v)
 
 
-def test_it_does_not_depend_on_the_unit_of_length() -> None:
-    small, large = graph(volume()), graph(1e3 * volume())
-    assert large.mean_spacing == pytest.approx(1e3 * small.mean_spacing)
-    assert abs(small.stiffness - large.stiffness).max() < 1e-5
-
-
 @pytest.mark.parametrize("n", [2, 4, 13])
 def test_fewer_gaussians_than_neighbours_are_all_neighbours(n: int) -> None:
     around = graph(volume(n))
     pairs = around.stiffness[::ROWS, ::ROWS].tocoo()
     assert ((pairs.row != pairs.col) & (pairs.data != 0)).sum() == n * (n - 1)
-
-
-def test_doubled_points_are_no_trouble() -> None:
-    around = graph(np.repeat(volume(30), 15, axis=0))
-    assert np.isfinite(around.stiffness.data).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -84,14 +83,6 @@ def test_they_end_where_one_fit_of_what_is_left_would(
         assert np.abs(direct(fit(images), images) - expected).max() > 0.05 * np.abs(expected).max()
 
 
-def test_without_a_correction_the_first_pass_goes_on() -> None:
-    images = pictures(1)
-    fitting = fit(images, weight=STIFF)
-    expected = direct(fitting, images)
-    found = fitting.second_pass(fitting.first_pass(), False)
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
-
-
 def test_mixed_targets_are_fitted_as_one_system() -> None:
     """Two target images of three fields, none of which is noise by itself."""
     rng = np.random.default_rng(5)
@@ -103,34 +94,6 @@ def test_mixed_targets_are_fitted_as_one_system() -> None:
     for p, fold in enumerate(FOLDS):
         expected = solved(fitting.operator(fold), [images[v] for v in fold.views])
         np.testing.assert_allclose(found[p], expected, atol=5e-3 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("iterations", [1, 2, 5, 20])
-def test_they_take_the_iterations_of_one_fit(iterations: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each product of both folds takes two components."""
-    applied: list[int] = []
-    real = CpuOperator.products
-
-    def counted(self: CpuOperator, theta: np.ndarray, rows: Any = None) -> np.ndarray:
-        applied.append(len(theta) if rows is None else len(rows))
-        return real(self, theta, rows)
-
-    monkeypatch.setattr(CpuOperator, "products", counted)
-    both_passes(fit(pictures(1), MotionConfig(iterations=iterations, tolerance=1e-6)))
-    assert sum(applied) == 2 * 2 * iterations
-
-
-def test_what_the_first_pass_keeps_is_of_one_solution() -> None:
-    """Fields are those of x, the residual that of the equations, the norms theirs."""
-    fitting = fit(pictures(1), replace(LONG, iterations=10))
-    for fold, kept in zip(FOLDS, fitting.first_pass(), strict=True):
-        operator = fitting.operator(fold)
-        for x, field in zip(kept["x"], kept["fields"], strict=True):
-            np.testing.assert_allclose(operator.graph.motion(x), field, atol=1e-5 * np.abs(field).max())
-        b = operator.right_hand_sides([fitting.targets.images[v][[0, 2]] for v in fold.views])
-        solution = pcg(operator, b, 5, 1e-6)
-        np.testing.assert_allclose(kept["residual"], solution.residual, atol=1e-4 * np.abs(b).max())
-        np.testing.assert_allclose(kept["norms"], (b.astype(float) ** 2).sum((1, 2)), rtol=1e-5)
 
 
 def test_the_second_pass_solves_with_the_edges_reweighted() -> None:
@@ -147,23 +110,6 @@ def test_the_second_pass_solves_with_the_edges_reweighted() -> None:
     largest = np.abs(expected).max()
     np.testing.assert_allclose(both_passes(fitting), expected, atol=3e-3 * largest)
     assert np.abs(direct(fitting, images) - expected).max() > 0.02 * largest
-
-
-@pytest.mark.parametrize(("weight", "calls"), [(LOOSE, 0), (STIFF, 1)])
-def test_where_the_prior_is_loose_already_no_edge_is_reweighted(
-    weight: float, calls: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr(module, "reweight_edges", lambda graph, of: asked.append(len(of)) or graph)
-    both_passes(fit(pictures(1), MotionConfig(iterations=4), weight))
-    assert len(asked) == calls
-
-
-def test_each_pass_of_each_fold_is_a_step_of_the_checkpoint() -> None:
-    asked: list[str] = []
-    fitting = fit(pictures(1), MotionConfig(iterations=4))
-    both_passes(replace(fitting, checkpoint=lambda name, compute: asked.append(name) or compute()))
-    assert asked == ["first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1"]
 
 
 def test_a_second_fit_within_a_support_moves_nothing_else() -> None:

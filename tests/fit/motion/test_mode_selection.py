@@ -1,11 +1,98 @@
-"""Modes that hold nothing but noise are told from those that hold motion."""
+"""Peaks are counted once, modes that hold noise alone are empty, and what a frequency may be besides is said."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from tests.fit.motion.scenes import of_amplitudes
-from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
+from tg4mm.capture import ImageStack
+from tg4mm.capture.pictures import pictures_of
+from tg4mm.core.choices import Kind
+from tg4mm.fit.motion.mode_selection import frequency_notes, peaks, worth_keeping
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+
+
+def observed(fps: float, n_frames: int = 90) -> Observations:
+    frames = PosedFrames("cam", np.eye(4), np.eye(3), np.arange(n_frames), np.arange(n_frames) / fps)
+    pictures = pictures_of(ImageStack(np.zeros((n_frames, 2, 2, 4), np.uint8)))
+    return Observations(Kind.tripod, "synchronous", [frames], pictures, fps, n_frames, True)
+
+
+def moving(hz: list[float], size: list[float]) -> ModalMotion:
+    displacement = np.array(size)[:, None, None] * np.ones((1, 5, 3), np.complex64)
+    return ModalMotion(np.array(hz), displacement.astype(np.complex64), 0 * displacement, 30.0, 90)
+
+
+def test_peaks_are_by_falling_strength_and_no_weaker_than_three_percent() -> None:
+    motion = moving([0.2, 3.4, 7.0, 9.0], [50.0, 1.0, 2.0, 0.05])
+    np.testing.assert_allclose(peaks(motion, 0.67), [7.0, 3.4])
+
+
+def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one() -> None:
+    """Bins of a record of 3 s, falling from the drift of the first one."""
+    hz = np.arange(1, 40) / 3
+    size = 3 / hz
+    size[20] = 4.0
+    np.testing.assert_allclose(peaks(moving(hz.tolist(), size.tolist()), 2 / 3), [hz[20]])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drift_that_is_spread_over_frequencies_has_no_peak(seed: int) -> None:
+    """A random walk of 5 points, 30 s long, seen at 15 frames a second: each bin falls where chance puts it."""
+    hz = np.arange(1, 200) / 30
+    rng = np.random.default_rng(seed)
+    size = np.sqrt((rng.normal(size=(len(hz), 5)) ** 2).mean(1)) / hz
+    assert not len(peaks(moving(hz.tolist(), size.tolist()), 2 / 30))
+    size[33] *= 8
+    np.testing.assert_allclose(peaks(moving(hz.tolist(), size.tolist()), 2 / 30), [hz[33]])
+
+
+@pytest.mark.parametrize(("fps", "hz", "mains"), [(30.0, 10.0, 100), (29.97, 10.09, 100), (25.0, 5.0, 120)])
+def test_where_flickering_light_would_appear_it_is_said(fps: float, hz: float, mains: int) -> None:
+    (line,) = frequency_notes([hz], observed(fps))
+    assert f"flickers at {mains} Hz" in line
+    assert "\n" not in line
+    assert not frequency_notes([hz + 1], observed(fps))
+
+
+def test_close_to_half_the_frame_rate_the_other_frequency_is_said() -> None:
+    (line,) = frequency_notes([13.0], observed(30.0))
+    assert "a vibration of 17 Hz would look the same" in line
+    assert not frequency_notes([11.0], observed(30.0))
+
+
+def test_where_most_modes_are_noise_a_peak_stands_out_of_them() -> None:
+    hz = [1.0 + k / 3 for k in range(40)]
+    noise = 0.008 + 0.02 * np.random.default_rng(0).random(40)
+    noise[:2] = 0.045, 0.04  # the largest of them
+    strength = noise.tolist()
+    strength[7], strength[20] = 1.0, 0.2
+    np.testing.assert_allclose(peaks(moving(hz, strength), 0.67), [hz[7], hz[20]])
+
+
+def test_of_few_modes_a_peak_has_more_power_than_all_noise() -> None:
+    """Twelve frames make six modes, which are no sample of the noise."""
+    hz = [2.5, 5.0, 7.5, 10.0, 12.5]
+    motion = moving(hz, [0.5, 0.6, 0.5, 0.9, 0.4])
+    noise = np.full(5, np.sqrt(sum(3 * a**2 / 2 for a in (0.5, 0.6, 0.5, 0.9, 0.4))), np.float32)
+    assert not len(peaks(motion, 2.0, noise))
+    np.testing.assert_allclose(peaks(motion, 2.0, noise / 10)[0], 10.0)
+    strong = moving(hz, [0.5, 0.6, 5.0, 0.9, 0.4])
+    np.testing.assert_allclose(peaks(strong, 2.0, noise), [7.5])
+
+
+@pytest.mark.parametrize(
+    ("hz", "is_said"), [(7.5, True), (7.6, True), (15.0, True), (8.0, False), (3.4, False)]
+)
+def test_what_the_compression_repeats_is_said(hz: float, is_said: bool) -> None:
+    """Frames of a period of four at 30 Hz; two seconds, so that frequencies are half a hertz apart."""
+    compressed = replace(observed(30.0, 60), codec_period=4)
+    assert any("compression repeats" in n for n in frequency_notes([hz], compressed)) == is_said
+    assert not any("compression repeats" in n for n in frequency_notes([hz], observed(30.0, 60)))
 
 
 def test_modes_under_the_noise_are_empty() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +9,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tests.fit.motion.filmed import FPS, K_of
-from tests.fit.motion.scenes import SCENES, Camera, camera_of, motion_of, view_of
+from tests.fit.motion.scenes import SCENES, camera_of, motion_of, view_of
 from tests.fit.rasterize.oracle import Scene
-from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
-from tg4mm.capture import ImageStack
-from tg4mm.capture.pictures import pictures_of
-from tg4mm.core.choices import Kind
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
@@ -31,8 +22,6 @@ from tg4mm.fit.motion.nuisance.projection import (
     nuisances_of,
     without,
 )
-from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
@@ -95,15 +84,6 @@ def test_columns_of_the_pose_are_what_a_camera_that_moves_sees(
     assert sorted(off)[1] > 0.1
 
 
-def test_colours_do_not_change_where_a_camera_turns_about_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They go by the direction from the camera to the Gaussian, in the world."""
-    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
-    scene = SCENES["ordinary"]
-    expected, safe = differences(scene, np.eye(6)[1])
-    off = (nuisance_of(scene, POSE).pose[1] - expected) * safe
-    assert length(off) < 1e-3 * length(expected * safe)
-
-
 def changed(scene: Scene, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean picture, and changes of two frames: exposure and a pose that differ by `size` of a pixel or so."""
     mean = seen(scene, np.zeros(3), np.zeros(3))
@@ -136,32 +116,6 @@ def test_a_small_motion_of_the_camera_is_projected_out_to_first_order(
     assert length(of_pose) > 0.3 * size * length(changes)
 
 
-def test_what_is_projected_out_twice_is_what_is_projected_out_once() -> None:
-    scene = SCENES["ordinary"]
-    mean, changes = changed(scene, 0.4)
-    nuisance = nuisance_of(scene, slice(0, 12))
-    weights = np.random.default_rng(1).uniform(0.2, 1, mean.shape[:2]).astype(np.float32)
-    for project in (
-        lambda p: without(nuisance, mean, p),
-        Projection.of(nuisance, mean, None).out_of,
-        Projection.of(nuisance, mean, weights).out_of,
-    ):
-        once = project(changes)
-        assert length(project(once) - once) < 1e-4 * length(once)
-    own = Projection.of(nuisance, mean, None).out_of(changes)
-    assert length(own - without(nuisance, mean, changes)) < 1e-4 * length(own)
-
-
-def test_with_weights_it_is_orthogonal_in_their_metric() -> None:
-    scene = SCENES["ordinary"]
-    mean, changes = changed(scene, 0.4)
-    nuisance = nuisance_of(scene, slice(0, 12))
-    weights = np.random.default_rng(1).uniform(0.0, 1, mean.shape[:2]).astype(np.float32)
-    left = Projection.of(nuisance, mean, weights).out_of(changes) * weights[..., None]
-    for column in nuisance.columns(mean):
-        assert abs(float((left * column).sum())) < 1e-3 * length(changes) * length(column)
-
-
 def test_columns_that_say_the_same_are_one() -> None:
     """Before a mean of one grey, gain and offset are the same; nothing is divided by zero."""
     scene = SCENES["ordinary"]
@@ -171,12 +125,6 @@ def test_columns_that_say_the_same_are_one() -> None:
     expected = noise - noise.mean((1, 2), keepdims=True)
     np.testing.assert_allclose(left, expected, atol=1e-4)
     assert len(Projection.of(nuisance_of(scene, EXPOSURE), mean, None).root) == 3
-
-
-def test_no_active_column_changes_nothing() -> None:
-    scene = SCENES["ordinary"]
-    mean, changes = changed(scene, 0.4)
-    assert without(nuisance_of(scene, slice(0, 0)), mean, changes) is changes
 
 
 def test_products_by_strips_are_those_with_the_columns() -> None:
@@ -211,103 +159,3 @@ def test_exposure_is_told_in_percent_and_as_a_share() -> None:
     assert found[0] == pytest.approx(3, rel=0.1)
     assert found[1] == pytest.approx(1, rel=0.1)
     assert found[2] == pytest.approx((drift**2).sum() / (flat.astype(float) ** 2).sum(), rel=0.05)
-
-
-VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
-
-
-def smooth(gaussians: Gaussians, viewmat: np.ndarray) -> np.ndarray:
-    """[H, W, 3] over white, rendered down to faint alphas: their cut-off at 1/255 would flicker where things move."""
-    view = view_jacobian(gaussians, Camera(viewmat.astype(np.float32), K_of(SIZE)), (SIZE, SIZE))
-    return view.over_white
-
-
-def filmed(
-    frame: Callable[[np.ndarray, int, int], np.ndarray], gaussians: Gaussians, motion: ModalMotion,
-    poses: Callable[[int, int, np.ndarray], np.ndarray] = lambda v, t, viewmat: viewmat,
-) -> Observations:  # fmt: skip
-    """`frame` gets a picture [H, W, 3] in 0..1, the camera and the timestep; `poses` where a camera really stands."""
-    frames, pictures = [], []
-    for v, viewmat in enumerate(_viewmats(VIEWS, 0.0)):
-        rows = np.arange(len(pictures), len(pictures) + T)
-        for t in range(T):
-            shown = smooth(_at(gaussians, motion, t, 0), poses(v, t, viewmat))
-            raw = np.full((SIZE, SIZE, 4), 65535, np.uint16)
-            raw[..., :3] = (frame(shown, v, t).clip(0, 1) * 65535).round()
-            pictures.append(raw)
-        frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K_of(SIZE), rows, np.arange(T) / FPS))
-    stack = pictures_of(ImageStack(np.stack(pictures)))
-    return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, True)
-
-
-@pytest.fixture(scope="module")
-def moving() -> tuple[Gaussians, ModalMotion]:
-    """A post and a ball sway at 5 Hz by an eighth of a pixel; two periods in twelve timesteps."""
-    parts = _parts(1)
-    return _gaussians(parts, 1), _motion(parts, (HZ,), 0.012, FPS, T)
-
-
-def fitted(gaussians: Gaussians, observations: Observations, nuisance: str) -> MotionFit:
-    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
-    return fit_motion(gaussians, observations, config)
-
-
-def at_hz(fit: MotionFit) -> np.ndarray:
-    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - HZ)))]
-
-
-def elsewhere(fit: MotionFit) -> float:
-    """rms of what moves at other frequencies, over that at the true one."""
-    other = np.abs(fit.motion.freqs_hz - HZ) > 1
-    return length(np.abs(fit.motion.displacement[other])) / length(np.abs(at_hz(fit)))
-
-
-def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
-    """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
-    gaussians, motion = moving
-    rng = np.random.default_rng(4)
-    drift = 0.8 + 0.05 * np.cumsum(rng.normal(size=(VIEWS, T, 3)), 1) / np.sqrt(T / 2)
-    offset = 0.01 * rng.normal(size=(VIEWS, T, 3))
-    steady = fitted(gaussians, filmed(lambda p, v, t: 0.8 * p, gaussians, motion), "auto")
-    drifting = filmed(lambda p, v, t: drift[v, t] * p + offset[v, t], gaussians, motion)
-    taken_out, left_in = (fitted(gaussians, drifting, n) for n in ("auto", "none"))
-    size = length(np.abs(at_hz(steady)))
-    off = [length(np.abs(at_hz(f) - at_hz(steady))) / size for f in (taken_out, left_in)]
-    assert off[0] < 0.08
-    assert off[1] > 3 * off[0]
-    assert elsewhere(taken_out) < 0.1
-    assert elsewhere(left_in) > 3 * elsewhere(taken_out)
-    assert taken_out.figures["nuisance"] == ["exposure"]
-    assert 2 < taken_out.figures["exposure_gain_percent"] < 10
-    assert left_in.figures["nuisance"] == []
-
-
-def but_for_a_rigid_motion(field: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """A field [N, 3] less the rigid motion of all Gaussians that is nearest to it."""
-    turns = np.stack([np.cross(axis, means) for axis in np.eye(3)], -1)
-    rigid = np.concatenate([np.tile(np.eye(3), (len(means), 1, 1)), turns], 2).reshape(-1, 6)
-    return field - (rigid @ np.linalg.lstsq(rigid, field.ravel(), rcond=None)[0]).reshape(field.shape)
-
-
-def test_shake_of_the_cameras_is_not_taken_for_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
-    """Of .1 px in each axis, as the motion, another in each camera. Half of what it spoils is mended: what goes by its
-    square stays. A rigid motion of the whole scene cannot be told from it."""
-    gaussians, motion = moving
-    rng = np.random.default_rng(5)
-    turns = 0.1 / K_of(SIZE)[0, 0] * rng.normal(size=(VIEWS, T, 3))
-
-    def shaken(v: int, t: int, viewmat: np.ndarray) -> np.ndarray:
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec(turns[v, t]).as_matrix()
-        return turn @ viewmat
-
-    steady = at_hz(fitted(gaussians, filmed(lambda p, v, t: p, gaussians, motion), "none"))
-    shaking = filmed(lambda p, v, t: p, gaussians, motion, shaken)
-    taken_out, left_in = (fitted(gaussians, shaking, n) for n in ("all", "none"))
-    means = gaussians.means.numpy()
-    off = [length(np.abs(but_for_a_rigid_motion(at_hz(f) - steady, means))) for f in (taken_out, left_in)]
-    assert off[0] < 0.45 * length(np.abs(steady))
-    assert off[0] < 0.65 * off[1]
-    assert elsewhere(taken_out) < 0.4 * elsewhere(left_in)
-    assert taken_out.figures["nuisance"] == ["exposure", "pose"]
-    assert any("camera shake is taken out" in note for note in taken_out.notes)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -12,17 +10,14 @@ import pytest
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import moving_pictures
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import StackedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion import observations as module
 from tg4mm.fit.motion.observations import (
     Observations,
-    PosedFrames,
     fixed_cameras,
     frames_of,
     observe,
     strips,
-    watched,
 )
 
 STEP = 1 / 30  # s
@@ -42,13 +37,6 @@ def rig(n_cameras: int, n_timesteps: int) -> Capture:
 
 
 class TestFixedCameras:
-    def test_rows_are_in_order_of_time(self) -> None:
-        frames = fixed_cameras(rig(2, 4))
-        np.testing.assert_array_equal([f.rows for f in frames], [[0, 2, 4, 6], [1, 3, 5, 7]])
-        np.testing.assert_allclose(frames[0].times_s, np.arange(4) * STEP)
-        assert [f.viewmat[0, 3] for f in frames] == [0.0, 1.0]
-        assert frames[0].viewmat.dtype == frames[0].K.dtype == np.float32
-
     def test_shuffled_rows_are_sorted(self) -> None:
         (frames,) = fixed_cameras(captured([0] * 4, [2, 0, 3, 1]))
         np.testing.assert_array_equal(frames.rows, [1, 3, 0, 2])
@@ -122,10 +110,6 @@ class TestClock:
             seen = observe(capture, ImageStack(np.zeros((25, 2, 2, 4), np.uint8)))
         assert len(seen.frames) == 1
 
-    def test_clips_of_one_camera_are_independent_though_their_times_agree(self) -> None:
-        times = np.arange(20) * STEP
-        assert self.clock([times, times], "clips") == "independent"
-
     def test_a_camera_that_moves_has_a_pose_for_each_picture(self) -> None:
         order = [3, 0, 2, 1, 4, 7, 6, 5, 8, 9]
         times = [*(np.array(order) * STEP), np.nan]
@@ -170,30 +154,6 @@ class TestPictures:
         np.testing.assert_allclose(strip, expected, atol=2e-7)
         covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in found])
         np.testing.assert_array_equal(covered, np.arange(4))
-
-    def test_a_pass_through_all_pictures_shows_its_progress(
-        self, pictures: np.ndarray, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        shown: list[int] = []
-
-        @contextmanager
-        def progress(label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-            assert (label, total, unit) == ("first", 12, "pictures")
-            yield shown.append
-
-        monkeypatch.setattr(module, "STRIP_VALUES", 190)
-        monkeypatch.setattr(module, "progress", progress)
-        list(watched("few", self.seen(pictures)))
-        monkeypatch.setattr(module, "SHOWN", 0)
-        seen = [(v, len(strip)) for v, _, own in watched("first", self.seen(pictures)) for _, strip in own]
-        assert seen == [(0, 6), (0, 6), (1, 6), (1, 6)]
-        assert shown == [3, 6, 6, 9, 12, 12]
-
-    def test_sixteen_bits(self) -> None:
-        data = np.random.default_rng(0).integers(0, 65536, (3, 2, 2, 4)).astype(np.uint16)
-        frames = PosedFrames("", np.eye(4), np.eye(3), np.arange(3), np.arange(3) * STEP)
-        ((_, found),) = strips(StackedPictures(ImageStack(data)), frames)
-        np.testing.assert_allclose(found, np.stack([ImageStack(data).rgb(i) for i in range(3)]), atol=2e-7)
 
     def test_the_lowest_frequency_has_two_periods_in_the_record(self, pictures: np.ndarray) -> None:
         observations = self.seen(pictures)

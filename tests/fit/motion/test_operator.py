@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fit.motion.scenes import N, draw, each_shows, inner, operator, problem, weights_of
+from tests.fit.motion.scenes import N, draw, inner, operator, problem, weights_of
 from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.cuda import needs_cuda
 from tg4mm.core.errors import Tg4mmError
@@ -162,50 +162,6 @@ def test_its_misfit_is_what_fields_leave(kind: str) -> None:
     assert o.misfit(0 * fields, pictures) != pytest.approx(expected, rel=1e-2)
 
 
-@pytest.mark.parametrize("without", ["weighted", "nuisance", "mixed", "support"])
-def test_each_of_its_parts_counts(without: str) -> None:
-    """The comparisons with matrices would notice if one were left out."""
-    o = made("supported" if without == "support" else "all")
-    changed = {
-        "weighted": {"weights": None},
-        "nuisance": {"projections": None},
-        "mixed": {"mixing": [np.eye(FIELDS, dtype=np.float32)[:2]] * 2},
-        "support": {"support": None},
-    }[without]
-    less, theta = replace(o, **changed), draw(o, 1, FIELDS)  # type: ignore[arg-type]
-    assert not close(less.products(theta), o.products(theta), 1e-3)
-    assert not close(less.right_hand_sides(pictures_of(o)), o.right_hand_sides(pictures_of(o)), 1e-3)
-
-
-def test_fields_move_nothing_outside_their_support() -> None:
-    o = made("supported")
-    assert o.support is not None
-    fields = o.fields(draw(o, 1, FIELDS))
-    assert (fields[o.support == 0] == 0).all()
-    assert (fields[o.support == 1] != 0).all()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_is_symmetric_and_positive(kind: str) -> None:
-    o = made(kind)
-    a, b = draw(o, 1, FIELDS), draw(o, 2, FIELDS)
-    scale = np.sqrt(inner(a, o.products(a)) * inner(b, o.products(b)))
-    assert abs(inner(a, o.products(b)) - inner(b, o.products(a))) < 1e-4 * scale
-    assert scale > 0
-
-
-@pytest.mark.parametrize("kind", ["plain", "nuisance", "mixed"])
-def test_right_hand_sides_are_the_transpose_of_what_fields_show(kind: str) -> None:
-    o = made(kind)
-    theta, pictures = draw(o, 1, FIELDS), pictures_of(o)
-    shown = each_shows(o, o.fields(theta))
-    if o.projections is not None:
-        shown = [p.out_of(s) for p, s in zip(o.projections, shown, strict=True)]
-    expected = sum(inner(s, p) for s, p in zip(shown, pictures, strict=True))
-    size = np.linalg.norm(np.stack(shown)) * np.linalg.norm(np.stack(pictures))
-    assert abs(inner(o.right_hand_sides(pictures), theta) - expected) < 1e-5 * size
-
-
 def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion() -> None:
     """The minimum over motion and coefficients together, by a dense solver."""
     o = made("weighted nuisance")
@@ -231,36 +187,6 @@ def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion() -
     assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(b)
     without = in_unknowns(o, dense.product(np.repeat(x, FIELDS, 0)))[:1] - b
     assert np.linalg.norm(without) > 0.1 * np.linalg.norm(b)
-
-
-def test_what_is_nuisance_alone_is_no_motion() -> None:
-    """Gain, offset and pose, of any size: the right-hand side is 0 but for rounding."""
-    o = made("nuisance")
-    assert o.projections is not None
-    rng, pictures = np.random.default_rng(4), []
-    for p in o.projections:
-        columns = p.nuisance.columns(p.mean)
-        columns /= np.sqrt((columns**2).mean((1, 2, 3)))[:, None, None, None]
-        pictures.append(np.tensordot(rng.normal(size=(FIELDS, 12)), columns, 1).astype(np.float32))
-    assert (
-        np.abs(o.right_hand_sides(pictures)).max()
-        < 1e-3 * np.abs(made("plain").right_hand_sides(pictures)).max()
-    )
-
-
-def test_some_rows_are_as_they_are_among_all() -> None:
-    o = made("weighted nuisance")
-    theta = draw(o, 1, FIELDS)
-    whole = o.products(theta)
-    np.testing.assert_allclose(o.products(theta, [2, 0]), whole[[2, 0]], atol=1e-5 * np.abs(whole).max())
-
-
-def test_mixing_by_the_identity_is_none() -> None:
-    o = made("weighted")
-    same = replace(o, mixing=[np.eye(FIELDS, dtype=np.float32)] * 2)
-    theta = draw(o, 1, FIELDS)
-    assert close(same.products(theta), o.products(theta), 1e-5)
-    assert close(same.right_hand_sides(pictures_of(o)), o.right_hand_sides(pictures_of(o)), 1e-5)
 
 
 def folds(p: Problem, by_pixels: bool) -> list[Fold]:

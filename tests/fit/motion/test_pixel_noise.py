@@ -57,12 +57,6 @@ def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: floa
 
 
 class TestNoiseOfKnownVariance:
-    def test_thirty_timesteps(self) -> None:
-        """One component is kept of noise, and named noise: all 29 degrees of freedom count."""
-        found = noisy(np.arange(30))
-        assert found.rank == 29
-        check(pixel_noise(found, np.full(len(found.basis), True)), 29, 1)
-
     def test_beside_motion_what_is_left_tells(self) -> None:
         """A component of motion, eight times the noise, is kept and not named noise: 28 are left."""
         found = noisy(np.arange(30), motion=0.08)
@@ -71,30 +65,8 @@ class TestNoiseOfKnownVariance:
         check(variance, 28, 1)
         assert pixel_noise(found, np.array([True])).mean() > 3 * variance.mean()
 
-    def test_repeated_states(self) -> None:
-        """Four pictures, each seen twice in eight timesteps: rank three, noise twice as strong in each."""
-        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        assert found.rank == 3
-        assert len(found.basis) == 3
-        check(pixel_noise(found, np.full(3, True)), 3, 2)
-
-    def test_part_of_the_kept_ones(self) -> None:
-        """Two of three equal components of noise: as much, but for the strongest which is left out (a few percent)."""
-        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        check(pixel_noise(found, np.array([False, True, True])), 2, 2, biased=0.05)
-
-    def test_eight_timesteps_without_repeats(self) -> None:
-        found = noisy(np.arange(8))
-        check(pixel_noise(found, np.full(len(found.basis), True)), 7, 1)
-
 
 class TestExactly:
-    def test_nothing_named_and_nothing_left_is_zero(self) -> None:
-        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        variance = pixel_noise(found, np.full(3, False))
-        assert variance.shape == (VIEWS, SIZE, SIZE)
-        assert not variance.any()
-
     def test_energy_is_divided_among_kept_and_left_out(self) -> None:
         """Made up: residual 6 of rank 5 with two kept, the second of energy 2 in one pixel, before evening out."""
         images = np.zeros((1, 2, 9, 9, 3), np.float32)

@@ -109,27 +109,3 @@ def test_states_count_by_how_long_they_last(data, monkeypatch: pytest.MonkeyPatc
     refine_rest_scene(data[1], _moved(data), 8, 0, "cpu", told.append)
     assert (drawn.count(0), drawn.count(1)) == (6, 2)
     assert told == [1, 2, 3, 4, 5, 6, 7, 8]
-
-
-def test_the_seed_decides_the_order_and_nothing_else_does(data) -> None:
-    seen = _moved(data)
-    one, same, other = (refine_rest_scene(data[1], seen, 3, seed, "cpu") for seed in (0, 0, 1))
-    assert torch.equal(one.means, same.means)
-    assert not torch.equal(one.means, other.means)
-    assert len(one) == len(data[1])
-
-
-def test_one_moment_of_gaussians_is_displaced_and_turned(data) -> None:
-    """By a quarter turn about z, of the quaternion (1, 0, 0, 0): (√½, 0, 0, √½)."""
-    motion = torch.zeros(len(data[1]), 6)
-    motion[:, 1], motion[:, 5] = 0.25, np.pi / 2
-    there = moved(data[1], motion)
-    torch.testing.assert_close(there.means, data[1].means + torch.tensor([0, 0.25, 0]))
-    expected = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5]).expand(len(there), 4)
-    torch.testing.assert_close(there.quats, expected, atol=1e-6, rtol=0)
-
-
-def test_one_fold_alone_has_no_uncertainty(data, tmp_path: Path) -> None:
-    run = _trained(data, tmp_path / "run", replace(SHORT, split_half=False))
-    assert run.log()["motion"]["gauss_newton"] == 1
-    assert not run.has_part("uncertainty")

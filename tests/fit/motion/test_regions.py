@@ -11,15 +11,13 @@ import torch
 from tests.fit.motion.filmed import K_of
 from tests.fit.motion.scenes import Camera
 from tests.helpers.synthetic import _gaussians, _parts, _viewmats
-from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.fit.motion.sinusoids import sinusoids
-from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series, shift_series
+from tg4mm.fit.motion.temporal.regions import RegionSeries, moving_camera_series, shift_series
 
 SIZE, POST = 64, 1
 
@@ -140,10 +138,3 @@ def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene: Scene) -> None:
     for k in range(n):
         np.testing.assert_allclose(moving.normals[k], fixed.normals[0], rtol=1e-4)
         np.testing.assert_allclose(moving.axes[k], fixed.axes[0])
-
-
-def test_regions_are_the_aggregates_of_the_coarse_level(scene: Scene) -> None:
-    problem = Problem.of([scene.view], scene.gaussians, MotionConfig(), "cpu")
-    labels = labels_of(problem.aggregates)
-    assert labels.shape == scene.labels.shape
-    assert sorted(set(labels)) == list(range(problem.aggregates.count))

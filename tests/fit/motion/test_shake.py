@@ -83,25 +83,8 @@ def test_an_object_that_moves_before_a_camera_that_shakes_is_a_shake() -> None:
     assert pixels == pytest.approx(np.sqrt(2) * 0.2, rel=0.2)
 
 
-def test_parts_that_all_move_by_themselves_are_no_shake() -> None:
-    """Sixteen of them, none of which stands still."""
-    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
-    part = 4 * (y * 4 // SIZE[0]) + x * 4 // SIZE[1]
-    shifts = np.stack([random_shifts(0.3, seed) for seed in range(16)])  # [16, T, 2]
-    pixels, is_shaking = filmed(shifts[..., 0].T[:, part], shifts[..., 1].T[:, part]).shake()
-    assert pixels > 0.1
-    assert not is_shaking
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
 def test_noise_is_no_shake(noise: float) -> None:
     pixels, is_shaking = filmed(*everywhere(STEADY), noise).shake()
     assert not is_shaking
     assert pixels < 0.01
-
-
-def test_a_picture_without_texture_tells_nothing() -> None:
-    found = BlockShifts.of(np.full((*SIZE, 3), 0.5, np.float32), T)
-    noise = np.random.default_rng(0).normal(size=(T, *SIZE, 3)).astype(np.float32)
-    found.add(slice(0, SIZE[0]), noise)
-    assert found.shake() == (0.0, False)

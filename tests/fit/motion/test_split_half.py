@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from tg4mm.fit.motion.prior.graph import nearest
-from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.split_half import (
     LEAST,
-    chessboard,
     deviation,
     folds_of,
-    mean_over_neighbours,
     reliability,
     wiener_shrink,
 )
@@ -45,33 +42,6 @@ def test_a_moving_cameras_frames_are_halved_by_time() -> None:
     assert list(b.views) == list(range(10, 21))
 
 
-def test_one_fold_is_everything() -> None:
-    (fold,) = folds_of(3, SIZE, False, split=False)
-    assert list(fold.views) == [0, 1, 2]
-    assert fold.pixels is None
-
-
-@pytest.mark.parametrize(("size", "side"), [((640, 480), 16), ((300, 256), 16), ((64, 80), 4), ((9, 9), 1)])
-def test_squares_are_macroblocks_and_smaller_in_small_pictures(size: tuple[int, int], side: int) -> None:
-    """Whole squares of one value, neighbours of the other."""
-    board = chessboard(size)
-    assert board.shape == size[::-1]
-    assert board.dtype == np.float32
-    assert set(np.unique(board)) == {0, 1}
-    y, x = np.mgrid[: size[1], : size[0]] // side
-    np.testing.assert_array_equal(board, (x + y) % 2)
-
-
-def test_a_fold_of_pixels_has_the_weights_that_its_pixels_have() -> None:
-    board = chessboard((32, 32))
-    weights = np.random.default_rng(0).uniform(0.1, 1, (3, 32, 32)).astype(np.float32)
-    rows = np.array([0, 2])
-    np.testing.assert_array_equal(Fold(rows, board).weighted(weights), weights[rows] * board)
-    np.testing.assert_array_equal(Fold(rows, board).weighted(None), np.stack([board] * 2))
-    np.testing.assert_array_equal(Fold(rows).weighted(weights), weights[rows])
-    assert Fold(rows).weighted(None) is None
-
-
 def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(truth, whole, a, b, means): one component moves, one is noise alone; `whole` is the halves' mean."""
     rng = np.random.default_rng(seed)
@@ -100,11 +70,6 @@ def test_the_gain_is_wieners() -> None:
     assert min(error, key=lambda g: error[g]) == gain
 
 
-def test_halves_that_contradict_each_other_give_nothing() -> None:
-    a = np.random.default_rng(0).normal(size=(1, 50, 3))
-    assert reliability(0.1 * a, a, -a)[0] == 0
-
-
 def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
     """Here three times as strong on one side as on the other."""
     truth, _, a, b, means = fields()
@@ -117,18 +82,6 @@ def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
         np.testing.assert_allclose(np.sqrt((found[side] ** 2).mean()), expected, rtol=0.05)
 
 
-def test_what_the_halves_agree_on_exactly_stays_as_it_is() -> None:
-    truth, _, _, _, means = fields(n=500)
-    np.testing.assert_allclose(reliability(truth, truth, truth), [1, 0], rtol=1e-6)
-    assert not deviation(truth, truth, nearest(means)[1]).any()
-
-
-def test_nothing_moves_nothing_is_divided_by_zero() -> None:
-    zero, means = np.zeros((1, 5, 3), np.float32), np.random.default_rng(0).random((5, 3))
-    assert not reliability(zero, zero, zero).any()
-    assert not deviation(zero, zero, nearest(means)[1]).any()
-
-
 def test_shrinking_is_the_mean_times_the_gain_of_displacement() -> None:
     """Rotations go along with it."""
     _, _, a, b, _ = fields(n=200)
@@ -136,16 +89,3 @@ def test_shrinking_is_the_mean_times_the_gain_of_displacement() -> None:
     shrunk, gain = wiener_shrink(halves)
     np.testing.assert_allclose(gain, reliability((a + b) / 2, a, b))
     np.testing.assert_allclose(shrunk, gain[:, None, None] * halves.mean(0), rtol=1e-6)
-
-
-def test_one_fold_alone_stays_as_it_is() -> None:
-    _, _, a, _, _ = fields(n=50)
-    found, gain = wiener_shrink(a[None])
-    np.testing.assert_array_equal(found, a)
-    assert (gain == 1).all()
-
-
-def test_means_over_neighbours_are_means_over_them() -> None:
-    rng = np.random.default_rng(0)
-    values, knn = rng.normal(size=(40_000, 2)), rng.integers(0, 40_000, (40_000, 3))
-    np.testing.assert_allclose(mean_over_neighbours(values, knn), values[knn].mean(1))

@@ -17,7 +17,6 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.fit.motion import linear_fit as fitting
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
@@ -147,14 +146,6 @@ def test_the_run_holds_the_motion_and_its_figures(scene, fitted) -> None:
     assert run.load_checkpoint("motion") is None
 
 
-def test_the_same_settings_give_the_same_bits(small, new_run: Callable[[], Run]) -> None:
-    _, capture, images = small
-    one, same = (train_motion(new_run(), capture, images, SHORT) for _ in range(2))
-    assert equal(one, same)
-    assert np.abs(one.displacement).max() > 1e-4
-    assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, smoothness_weight=1.0)))
-
-
 @pytest.mark.parametrize("killed_after", range(1, len(STEPS) + 1))
 def test_killed_after_a_part_it_goes_on_after_it(
     killed_after: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
@@ -178,17 +169,6 @@ def kill(run: Run, killed_after: int, small, patch: pytest.MonkeyPatch) -> list[
     with pytest.raises(Killed):
         train_motion(run, *small[1:], SHORT)
     return computed
-
-
-def test_killed_after_every_part_it_ends_the_same(
-    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, capture, images = small
-    expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
-    for _ in STEPS:
-        with monkeypatch.context() as patch:
-            kill(run, 1, small, patch)
-    assert equal(train_motion(run, capture, images, SHORT), expected)
 
 
 @pytest.mark.parametrize("damage", ["another version", "another scene"])
@@ -224,19 +204,6 @@ def test_a_checkpoint_of_another_scene_is_not_taken_up(
     for each in (run, other):
         each.save_space(replace(gaussians, means=gaussians.means + 0.01), {})
     assert equal(train_motion(run, capture, images, SHORT), train_motion(other, capture, images, SHORT))
-
-
-def test_components_solved_together_are_those_solved_one_by_one(
-    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """To rounding; and one that is done early does not hold up or change the other."""
-    _, capture, images = small
-    config = replace(SHORT, iterations=20, tolerance=0.05)
-    together = train_motion(new_run(), capture, images, config)
-    monkeypatch.setattr(fitting, "TOGETHER", 1)
-    apart = train_motion(new_run(), capture, images, config)
-    scale = np.abs(apart.displacement).max()
-    np.testing.assert_allclose(together.displacement, apart.displacement, atol=1e-4 * scale)
 
 
 def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(

@@ -14,7 +14,7 @@ from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.pipeline import fit_motion, without_motion
-from tg4mm.fit.motion.temporal.independent import IndependentClocks, clock_offset, rotations
+from tg4mm.fit.motion.temporal.independent import IndependentClocks, clock_offset
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps
@@ -93,12 +93,6 @@ def test_an_offset_is_the_one_nearest_to_zero() -> None:
     hz = np.array([3.4, 7.0])
     assert clock_offset(2 * np.pi * hz * 0.021, hz) == pytest.approx(0.021, abs=2e-3)
     assert clock_offset(-2 * np.pi * hz * 0.05, hz) == pytest.approx(-0.05, abs=2e-3)
-
-
-def test_rotations_turn_pairs_as_phasors_are_turned() -> None:
-    m, angle = 0.3 - 0.8j, 0.7
-    turned = rotations(np.array([angle])) @ np.array([m.real, m.imag])
-    assert complex(*turned) == pytest.approx(m * np.exp(1j * angle), abs=1e-6)
 
 
 @pytest.mark.parametrize(

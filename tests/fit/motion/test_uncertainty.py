@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,12 +9,11 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.fit.motion import uncertainty as module
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.fit.motion.prior.graph import nearest
 from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
@@ -72,17 +70,6 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return Seen(capture, gaussians, motion, cameras, _views(gaussians, cameras, SIZE))
 
 
-def test_a_picture_is_blended_by_what_the_gaussians_cover(seen: Seen) -> None:
-    """All Gaussians together by 1 − transmittance, each by its weight in the renderer's own gradient."""
-    picture = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
-    for view in seen.views[:3]:
-        covered = ((1 - view.transmittance)[..., None] * picture).sum((0, 1))
-        np.testing.assert_allclose(blend_sum(view, picture).sum(0), covered, rtol=1e-4)
-    total = sum(blend_sum(view, np.ones_like(picture))[:, 0].astype(np.float64) for view in seen.views)
-    weights = seen.weights() / seen.capture.n_timesteps
-    assert np.abs(total - weights).sum() < 0.02 * weights.sum()  # which cuts off at 1/255
-
-
 def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> None:
     """Of a scene that moves as a whole and whose motion was missed, in any direction and in pictures of any size."""
     weights = seen.weights()
@@ -98,21 +85,6 @@ def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> No
     assert 0.5 < ratio < 2  # a block is a smaller part of what it shows
 
 
-def test_on_a_ramp_it_is_what_is_left_over_its_slope(seen: Seen) -> None:
-    """r on a slope of g per pixel is r / g pixels, z / f of a unit each."""
-    view, camera, g, r = seen.views[0], seen.cameras[0], 0.02, 0.003
-    image = view.image.copy()
-    image[..., :3] = g * np.arange(SIZE)[:, None] - view.transmittance[..., None]
-    one = replace(seen, cameras=[camera], views=[replace(view, image=image)])
-    found = one.left([np.full((1, SIZE, SIZE, 3), r, np.float32)])
-    depth = seen.gaussians.means.numpy() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    near = np.ptp(depth[seen.knn], axis=1) < 0.1 * depth  # neighbours are about as far away
-    shown = blend_sum(view, np.ones((SIZE, SIZE, 3), np.float32))[:, 0] > 0
-    assert (near & shown).sum() > 100
-    expected = (r / g * depth / camera.K[0, 0]) ** 2
-    np.testing.assert_allclose(found[near & shown], expected[near & shown], rtol=0.15)
-
-
 def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
     left = seen.shows((0.01, 0, 0))
     once, twice = seen.left(left), seen.left([2 * pictures for pictures in left])
@@ -125,43 +97,6 @@ def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
     weights = seen.weights()
     assert (weights * seen.left(noise)).sum() < 0.35 * (weights * once).sum()
     np.testing.assert_allclose(seen.left([np.concatenate([p, p]) for p in left]), 2 * once, rtol=1e-4)
-
-
-def test_what_no_camera_sees_counts_as_the_whole_scene(seen: Seen) -> None:
-    means = seen.gaussians.means.clone()
-    means[:40, 2] -= 100.0  # far below, all around each other
-    away = replace(seen.gaussians, means=means)
-    hidden = replace(seen, gaussians=away, views=_views(away, seen.cameras, SIZE))
-    found = hidden.left(hidden.shows((0.01, 0, 0)))
-    assert np.isfinite(found).all()
-    assert found[:40].std() == 0
-    assert found[40:].min() < found[0] < found[40:].max()
-
-
-def test_blocks_at_the_border_are_means_of_the_pixels_they_have() -> None:
-    even = np.ones((2, SIZE, SIZE + 1, 3), np.float32)
-    np.testing.assert_allclose(module._of_blocks(even), 6.0)
-    rng = np.random.default_rng(3)
-    picture = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
-    corner = picture[0, -(SIZE % BLOCK) :, -(SIZE % BLOCK) :].mean((0, 1))
-    found = module._of_blocks(picture)
-    assert found.shape == (SIZE, SIZE)
-    assert found[-1, -1] == pytest.approx((corner**2).sum(), rel=1e-5)
-    assert found[0, 0] == pytest.approx((picture[0, :BLOCK, :BLOCK].mean((0, 1)) ** 2).sum(), rel=1e-5)
-
-
-def test_what_is_flat_is_no_reason_for_uncertainty_without_bounds(seen: Seen) -> None:
-    """Pictures of one colour but for twelve columns, and noise: 0.04 units at most, not 1e17. The scene is 2 wide."""
-    views = []
-    for view in seen.views:
-        image = view.image.copy()
-        image[:, 12:, :3] = 1 - view.transmittance[:, 12:, None]
-        views.append(replace(view, image=image))
-    rng = np.random.default_rng(4)
-    noise = [0.01 * rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32) for _ in views]
-    found = np.sqrt(replace(seen, views=views).left(noise))
-    assert 0.01 < found.max() < 0.1
-    assert found.min() > 1e-4
 
 
 def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:
@@ -196,56 +131,3 @@ def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
     surer, others = (np.average(error[o], weights=weights[o]) for o in np.array_split(order, 2))
     assert surer < 0.25 * others
     assert log["uncertainty_to_motion"] > log["noise_to_motion"] > 0
-
-
-CONFIG = MotionConfig(components=1, iterations=15, tolerance=1e-3)
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Six cameras; the Gaussians are exact."""
-    root = tmp_path_factory.mktemp("halves")
-    gaussians, _ = make_synthetic_dataset(
-        root / "data", n_views=6, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
-    return run
-
-
-def _noisy(images: ImageStack) -> ImageStack:
-    noise = np.random.default_rng(0).normal(0, 25, images.data.shape)
-    data = np.clip(images.data + noise, 0, 255).astype(images.data.dtype)
-    data[..., 3:] = images.data[..., 3:]
-    return replace(images, data=data)
-
-
-def _trained(scene: Run, path: Path, images: ImageStack, config: MotionConfig) -> Run:
-    shutil.copytree(scene.path, path)
-    run = Run.open(path)
-    train_motion(run, load_capture(run.dataset), images, config)
-    return run
-
-
-def test_a_run_gets_its_uncertainty_which_grows_with_noise(scene: Run, tmp_path: Path) -> None:
-    images = load_images(load_capture(scene.dataset))
-    runs = [
-        _trained(scene, tmp_path / k, i, CONFIG) for k, i in (("clean", images), ("noisy", _noisy(images)))
-    ]
-    clean, noisy = (run.load_part(UNCERTAINTY)[0] for run in runs)
-    for name, times in (("noise", 1.5), ("displacement", 1.0)):
-        a, b = (part[name].numpy() for part in (clean, noisy))
-        assert a.shape == (len(scene.load_space()),)
-        assert np.isfinite(a).all()
-        assert np.linalg.norm(b) > times * np.linalg.norm(a)
-    assert (noisy["displacement"] > noisy["noise"]).all()
-    logs = [run.log()["motion"] for run in runs]
-    assert logs[1]["noise_to_motion"] > logs[0]["noise_to_motion"]
-    assert logs[1]["reliability"][0] < logs[0]["reliability"][0] <= 1
-
-
-def test_without_folds_there_is_none(scene: Run, tmp_path: Path) -> None:
-    images = load_images(load_capture(scene.dataset))
-    run = _trained(scene, tmp_path / "run", images, replace(CONFIG, split_half=False))
-    assert not run.has_part(UNCERTAINTY)
-    assert "noise_to_motion" not in run.log()["motion"]

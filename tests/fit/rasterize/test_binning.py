@@ -118,21 +118,6 @@ def test_tile_lists_are_complete_and_tight(name: str) -> None:
     assert spare == 0
 
 
-@pytest.mark.parametrize("name", ["ordinary", "large"])
-def test_each_list_runs_from_near_to_far_and_slots_point_back(name: str) -> None:
-    scene = SCENES[name]
-    bins = bins_of(scene)
-    depth = (scene.means @ scene.viewmats[0, 2, :3] + scene.viewmats[0, 2, 3]).numpy()
-    for tile in range(len(bins.tile_start) - 1):
-        part = bins.pair_gaussian[bins.tile_start[tile] : bins.tile_start[tile + 1]]
-        assert (np.diff(depth[part]) > -1e-6).all()
-    assert bins.tile_start[-1] == len(bins.pair_gaussian) == bins.gaussian_start[-1]
-    np.testing.assert_array_equal(np.sort(bins.pair_slot), np.arange(len(bins.pair_slot)))
-    for k in range(bins.n_visible):
-        slots = bins.pair_slot[bins.gaussian_start[k] : bins.gaussian_start[k + 1]]
-        assert (bins.pair_gaussian[slots] == bins.order[k]).all()
-
-
 @pytest.mark.parametrize("name", ["ordinary", "large", "faint"])
 def test_lists_that_do_not_fit_are_made_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The room for lists is a guess; too small or too large, the lists are the same."""

@@ -57,59 +57,41 @@ def new(means: Any, opacities: Any) -> None: ...
 def old(means: Any) -> None: ...
 
 
-def one_line(match: str) -> pytest.RaisesExc:
-    return pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z")
+def broken(*errors: Exception) -> types.ModuleType:
+    """Kernels that do not load: the first error, while it is handled the next."""
+
+    class Broken(types.ModuleType):
+        def __getattr__(self, name: str) -> object:
+            try:
+                raise errors[0]
+            except type(errors[0]):
+                raise errors[-1]  # noqa: B904
+
+    return Broken("gsplat.cuda._backend")
 
 
-def test_one_that_is_whole_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake(monkeypatch, new, backend(object()))
-    require_gsplat()
+BUILD = RuntimeError("Ninja is required to load C++ extensions\nand then two hundred lines")
+TWO = OSError("CUDA_HOME environment variable is not set."), ImportError("no gsplat_cuda.so")
+REFUSED = {
+    "too old": ((old, backend(object())), "gsplat 1.2.3 is too old"),
+    "other pictures": ((new, backend(object()), harmonics_of_1_6), "gsplat 1.2.3 is too new"),
+    "no kernels": ((new, backend(None)), "gsplat is installed without CUDA kernels and finds no nvcc"),
+    "no build": ((new, broken(BUILD)), "gsplat's CUDA kernels do not load: Ninja is required"),
+    "two failures": ((new, broken(*TWO)), "gsplat's CUDA kernels do not load: CUDA_HOME environment variable"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_one_that_will_not_do_is_refused_in_one_line(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, match = REFUSED[kind]
+    fake(monkeypatch, *parts)
+    with pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z"):
+        require_gsplat()
 
 
 def test_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with one_line(r'device cuda needs gsplat: pip install "\.\[cuda\]"'):
-        require_gsplat()
-
-
-def test_an_old_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake(monkeypatch, old, backend(object()))
-    with one_line("gsplat 1.2.3 is too old"):
-        require_gsplat()
-
-
-def test_a_newer_one_with_other_pictures_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake(monkeypatch, new, backend(object()), harmonics_of_1_6)
-    with one_line("gsplat 1.2.3 is too new"):
-        require_gsplat()
-
-
-def test_one_without_kernels_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake(monkeypatch, new, backend(None))
-    with one_line("gsplat is installed without CUDA kernels and finds no nvcc"):
-        require_gsplat()
-
-
-def test_kernels_that_do_not_build_say_why_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Broken(types.ModuleType):
-        def __getattr__(self, name: str) -> object:
-            raise RuntimeError("Ninja is required to load C++ extensions\nand then two hundred lines")
-
-    fake(monkeypatch, new, Broken("gsplat.cuda._backend"))
-    with one_line("gsplat's CUDA kernels do not load: Ninja is required"):
-        require_gsplat()
-
-
-def test_of_two_failures_the_first_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Broken(types.ModuleType):
-        def __getattr__(self, name: str) -> object:
-            try:
-                raise OSError("CUDA_HOME environment variable is not set.")
-            except OSError:
-                raise ImportError("gsplat_cuda.so: cannot open shared object file")  # noqa: B904
-
-    fake(monkeypatch, new, Broken("gsplat.cuda._backend"))
-    with one_line("gsplat's CUDA kernels do not load: CUDA_HOME environment variable is not set"):
+    with pytest.raises(Tg4mmError, match=r'\A[^\n]*device cuda needs gsplat: pip install "\.\[cuda\]"'):
         require_gsplat()
 
 

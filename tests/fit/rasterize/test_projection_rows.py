@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.fit.rasterize.oracle import make_scene
-from tg4mm.fit.rasterize.kernels.layout import FEATURES, POWER, SPLAT_WIDTH
+from tg4mm.fit.rasterize.kernels.layout import POWER, SPLAT_WIDTH
 from tg4mm.fit.rasterize.kernels.project import pack_camera, project_forward
 from tg4mm.fit.rasterize.kernels.project_backward import project_backward
 
@@ -109,12 +109,3 @@ def test_a_gaussian_comes_out_alike_wherever_it_stands(
             assert (columns[:, used:] == 1).all()
             columns = columns[:, :used]
         assert (columns != 1).any(0).all()
-
-
-def test_plain_channels_and_depth_are_passed_on() -> None:
-    case = Case(-1)
-    splats, *sums = case.both(np.arange(N))
-    seen = splats[:, POWER] > 0
-    np.testing.assert_array_equal(splats[seen, 6:9], case.arrays[4][seen, 0])
-    np.testing.assert_array_equal(splats[seen, 6 + FEATURES - 1], splats[seen, 10])
-    np.testing.assert_array_equal(sums[4][seen, 0], 1 + case.v_splats[seen, 6:9])

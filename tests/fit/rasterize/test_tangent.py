@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 import torch
 
 from tests.fit.rasterize.oracle import make_scene, render
-from tg4mm.fit.rasterize.kernels.binning import bin_splats, gather_sums
+from tg4mm.fit.rasterize.kernels.binning import bin_splats
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
-from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.fit.rasterize.kernels.layout import (
     ALPHA_MIN,
     CA,
@@ -82,46 +80,6 @@ def direction(n: int, seed: int) -> np.ndarray:
     return d
 
 
-def gradient(splats: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    """By the columns of the splats, from what pairs sum up (layout.py) [N, SPLAT_WIDTH]."""
-    splats = np.where(
-        splats[:, POWER : POWER + 1] > 0, splats, np.float32(1)
-    )  # the others have no sums either
-    a, b, c = splats[:, CA : CC + 1].astype(np.float64).T
-    x, y, xx, xy, yy, log_alpha = sums[:, MX : OP + 1].astype(np.float64).T
-    columns = [a * x + b * y, b * x + c * y, -xx / 2, -xy, -yy / 2, log_alpha / splats[:, OP]]
-    return np.concatenate([np.stack(columns, 1), sums[:, FEAT:]], 1)
-
-
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("columns", [slice(MX, MX + 2), slice(MX + 2, CC + 1), slice(FEAT, FEAT + 3)])
-def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> None:
-    """⟨v, J d⟩ = ⟨Jᵀ v, d⟩ for random v and d, to the rounding of the terms that are summed."""
-    splats = projected(name)
-    image, transmittance = forward(splats, splats)
-    rng = np.random.default_rng(1)
-    v_image = rng.normal(size=image.shape).astype(np.float32)
-    v_image[..., 3:] = 0
-    v_transmittance = rng.normal(size=transmittance.shape).astype(np.float32)
-    bins = bin_splats(splats, WIDTH, HEIGHT)
-    pair_sums = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
-    blend_backward(
-        splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT,
-        image, transmittance, v_image, v_transmittance, pair_sums,
-    )  # fmt: skip
-    sums = np.zeros_like(splats)
-    gather_sums(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, pair_sums, sums)
-    v_splats = gradient(splats, sums)
-    d = np.zeros((len(splats), FEAT + 3), np.float32)
-    d[:, columns] = direction(len(splats), 2)[:, columns]
-    d_image = tangent(splats, d)
-    terms = v_splats[:, : FEAT + 3] * d
-    weights = np.concatenate([v_image[..., :3], v_transmittance[..., None]], -1)
-    forward_mode = (d_image.astype(np.float64) * weights).sum()
-    assert np.abs(terms).sum() > 1
-    assert abs(forward_mode - terms.sum()) < 2e-5 * np.abs(terms).sum()
-
-
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("white", [0.0, 1.0, 0.3])
 def test_the_transpose_is_the_transpose(name: str, white: float) -> None:
@@ -146,14 +104,6 @@ def test_the_transpose_is_the_transpose(name: str, white: float) -> None:
             assert abs((d_images[r] * v_images[r]).sum() - terms.sum()) < 2e-5 * np.abs(terms).sum()
 
 
-def test_a_change_does_not_know_of_the_others() -> None:
-    splats = projected("light spent")
-    changes = [direction(len(splats), seed) for seed in range(5)]
-    together = tangents(splats, changes, 1.0)
-    for change, found in zip(changes, together, strict=True):
-        np.testing.assert_array_equal(found, tangents(splats, [change], 1.0)[0])
-
-
 @pytest.mark.parametrize("name", ["ordinary", "light spent"])
 def test_it_is_the_derivative_of_the_image(name: str) -> None:
     """Central differences along a small step; the few pixels that cross a threshold are allowed for."""
@@ -172,27 +122,3 @@ def test_it_is_the_derivative_of_the_image(name: str) -> None:
     error = np.abs(actual - differences) / np.abs(actual).max()
     assert np.median(error) < 1e-4
     assert (error > 5e-3).mean() < 0.02
-
-
-def test_the_number_of_threads_does_not_change_a_bit() -> None:
-    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    if most < 2:
-        pytest.skip(f"numba has {most} thread here; comparing thread counts needs 2")
-    splats, before = projected("light spent"), numba.get_num_threads()
-    image, transmittance = forward(splats, splats)
-    bins = bin_splats(splats, WIDTH, HEIGHT)
-    v_images = np.random.default_rng(4).normal(size=(3, HEIGHT, WIDTH, 3)).astype(np.float32)
-    found = []
-    try:
-        for threads in (1, 2):
-            numba.set_num_threads(threads)
-            v_pairs = np.full((len(bins.pair_gaussian), 3, len(COLUMNS)), np.nan, np.float32)
-            lists = (bins.tile_start, bins.pair_gaussian)
-            blend_cotangents(splats, *lists, 1.0, image, transmittance, v_images, v_pairs, ALPHA_MIN)
-            found.append((v_pairs, tangents(splats, [direction(len(splats), k) for k in range(3)], 1.0)))
-    finally:
-        numba.set_num_threads(before)
-    for one, two in zip(*found, strict=True):
-        np.testing.assert_array_equal(one, two)
-        assert np.isfinite(one).all()
-        assert one.any()

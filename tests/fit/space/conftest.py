@@ -13,7 +13,7 @@ from tg4mm.fit.space import RestViews, rest_views
 from tg4mm.run import Run
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One timestep (nothing has moved yet) from 10 training cameras and 3 others."""
     path = tmp_path_factory.mktemp("space") / "data"
@@ -21,13 +21,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def views(data: Path) -> RestViews:
     capture = load_capture(data)
     return rest_views(capture, load_images(capture))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def points(data: Path) -> SurfacePoints:
     found = load_capture(data).points
     assert found is not None

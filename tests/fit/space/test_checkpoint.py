@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -19,30 +18,40 @@ from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import RunError
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space import train as stage
-from tg4mm.fit.space.checkpoint import pictures_digest
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
+FILE = "checkpoint_space.safetensors"
 Tensors = dict[str, Tensor]
 State = dict[str, Any]
 
 
-@pytest.fixture
-def interrupted(
-    views: RestViews,
-    points: SurfacePoints,
-    data: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Run:
+def _killed(root: Path, data: Path, views: RestViews, points: SurfacePoints, config: SpaceConfig) -> Run:
     """A run killed after 12 of 36 iterations, in the middle of its second round of views."""
-    run = Run.create(tmp_path / "run", data, "modal", {})
-    with monkeypatch.context() as patch:
+    run = Run.create(root / "run", data, "modal", {})
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
         patch.setattr(stage, "progress", killed_after(13))
         with pytest.raises(Killed):
-            train_space(run, views, points, SHORT)
+            train_space(run, views, points, config)
     return run
+
+
+@pytest.fixture(scope="module")
+def killed_once(
+    data: Path, views: RestViews, points: SurfacePoints, tmp_path_factory: pytest.TempPathFactory
+) -> dict[bool, Run]:
+    """Without gains and with them."""
+    return {
+        gains: _killed(tmp_path_factory.mktemp("killed"), data, views, points, replace(SHORT, gains=gains))
+        for gains in (False, True)
+    }
+
+
+@pytest.fixture
+def interrupted(killed_once: dict[bool, Run], tmp_path: Path) -> Run:
+    shutil.copytree(killed_once[False].path, tmp_path / "run")
+    return Run.open(tmp_path / "run")
 
 
 def forge(run: Run, change: Callable[[Tensors, State], None]) -> None:
@@ -100,16 +109,11 @@ FORGED = {
 
 
 @pytest.mark.parametrize("what", list(FORGED))
-def test_a_forged_checkpoint_is_refused(
-    what: str,
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
+def test_a_forged_checkpoint_is_refused(what: str, interrupted: Run, views, points) -> None:
     """With its digest put right. Shapes above all: the kernels would write past their arrays."""
     change, match = FORGED[what]
     forge(interrupted, change)
-    file = interrupted.path / "checkpoint_space.safetensors"
+    file = interrupted.path / FILE
     before = file.read_bytes()
     with pytest.raises(RunError, match=rf"\A[^\n]*checkpoint_space[^\n]*{match}[^\n]*delete it[^\n]*\Z"):
         train_space(interrupted, views, points, SHORT)
@@ -117,61 +121,42 @@ def test_a_forged_checkpoint_is_refused(
     assert not interrupted.has_space
 
 
-def test_a_checkpoint_sealed_anew_unchanged_is_taken(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
-    """So that the refusals above are for what was changed."""
-    forge(interrupted, lambda *_: None)
-    train_space(interrupted, views, points, SHORT)
-    assert interrupted.has_space
+def flipped(place: float) -> Callable[[Path], None]:
+    def flip(file: Path) -> None:
+        raw = bytearray(file.read_bytes())
+        raw[int(place * len(raw))] ^= 1
+        file.write_bytes(raw)
+
+    return flip
 
 
-def test_a_tensor_that_is_none_of_its_own_is_refused(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
-    forge(interrupted, lambda tensors, _: tensors.update(more=torch.zeros(3)))
-    with pytest.raises(RunError, match="'more'"):
+def with_header(**header: str | None) -> Callable[[Path], None]:
+    """The file with entries of its header changed or, None, left out."""
+
+    def rewrite(file: Path) -> None:
+        with safe_open(file, framework="pt") as opened:
+            meta = opened.metadata() | header
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+        save_file(tensors, file, metadata={k: v for k, v in meta.items() if v is not None})
+
+    return rewrite
+
+
+@pytest.mark.parametrize(
+    ("damage", "match"),
+    [
+        *((flipped(p), "damaged or edited: its content is not what was written; delete it") for p in (0.3, 0.6, 0.999)),
+        (with_header(digest=None), r"of another version.*; delete it to start the space stage again"),
+        (with_header(version="99"), "has version 99, expected 1; delete it"),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_refused(damage: Callable, match: str, interrupted: Run, views, points) -> None:
+    damage(interrupted.path / FILE)
+    with pytest.raises(RunError, match=match):
         train_space(interrupted, views, points, SHORT)
 
 
-@pytest.mark.parametrize("place", [0.3, 0.6, 0.999])
-def test_one_flipped_bit_is_found(
-    place: float,
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
-    file = interrupted.path / "checkpoint_space.safetensors"
-    raw = bytearray(file.read_bytes())
-    raw[int(place * len(raw))] ^= 1
-    file.write_bytes(raw)
-    with pytest.raises(RunError, match="damaged or edited: its content is not what was written; delete it"):
-        train_space(interrupted, views, points, SHORT)
-
-
-def test_one_from_before_digests_is_refused(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
-    file = interrupted.path / "checkpoint_space.safetensors"
-    with safe_open(file, framework="pt") as opened:
-        meta = opened.metadata()
-        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
-    save_file(tensors, file, metadata={k: v for k, v in meta.items() if k != "digest"})
-    with pytest.raises(RunError, match=r"of another version.*; delete it to start the space stage again"):
-        train_space(interrupted, views, points, SHORT)
-
-
-def test_pictures_that_changed_underneath_are_refused(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
+def test_pictures_that_changed_underneath_are_refused(interrupted: Run, views, points) -> None:
     """One pixel of one picture; fewer views; one camera moved."""
     rgb = views.rgb.copy()
     rgb[3, 0, 0, 0] -= 1 / 255
@@ -183,38 +168,16 @@ def test_pictures_that_changed_underneath_are_refused(
             train_space(interrupted, changed, points, SHORT)
 
 
+@pytest.mark.parametrize(
+    ("other", "match"),
+    [({"iterations": 5}, "iteration is 12"), ({"max_gaussians": 250}, "expected 1 to 250")],
+)
 def test_settings_that_allow_less_are_refused(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
+    other: dict[str, int], match: str, interrupted: Run, views, points
 ) -> None:
     """A caller without the check of the run's settings."""
-    for other, match in (
-        ({"iterations": 5}, "iteration is 12"),
-        ({"max_gaussians": 250}, "expected 1 to 250"),
-    ):
-        with pytest.raises(RunError, match=match):
-            train_space(interrupted, views, points, SpaceConfig(**vars(SHORT) | other))
-
-
-def test_a_header_of_another_version_is_refused(
-    interrupted: Run,
-    views: RestViews,
-    points: SurfacePoints,
-) -> None:
-    file = interrupted.path / "checkpoint_space.safetensors"
-    with safe_open(file, framework="pt") as opened:
-        meta = opened.metadata()
-        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
-    save_file(tensors, file, metadata=meta | {"version": "99"})
-    with pytest.raises(RunError, match="has version 99, expected 1; delete it"):
-        train_space(interrupted, views, points, SHORT)
-
-
-def test_the_digest_of_pictures_is_theirs(views: RestViews) -> None:
-    turned = replace(views, rgb=np.ascontiguousarray(views.rgb[:, ::-1]))
-    assert pictures_digest(views) == pictures_digest(replace(views, rgb=views.rgb.copy()))
-    assert pictures_digest(views) != pictures_digest(turned)
+    with pytest.raises(RunError, match=match):
+        train_space(interrupted, views, points, SpaceConfig(**vars(SHORT) | other))
 
 
 @pytest.mark.parametrize(
@@ -226,20 +189,10 @@ def test_the_digest_of_pictures_is_theirs(views: RestViews) -> None:
     ],
 )
 def test_forged_gains_are_refused(
-    change: Callable[[Tensors, State], None],
-    match: str,
-    views: RestViews,
-    points: SurfacePoints,
-    data: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    change: Callable, match: str, killed_once: dict[bool, Run], tmp_path: Path, views, points
 ) -> None:
-    config, run = replace(SHORT, gains=True), Run.create(tmp_path / "run", data, "modal", {})
-    with monkeypatch.context() as patch:
-        patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-        patch.setattr(stage, "progress", killed_after(13))
-        with pytest.raises(Killed):
-            train_space(run, views, points, config)
+    shutil.copytree(killed_once[True].path, tmp_path / "run")
+    run = Run.open(tmp_path / "run")
     forge(run, change)
     with pytest.raises(RunError, match=match):
-        train_space(run, views, points, config)
+        train_space(run, views, points, replace(SHORT, gains=True))

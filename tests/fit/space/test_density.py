@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.helpers.space_parameters import gradients, take_step
 from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.fit.space.density import (
     APART,
@@ -71,13 +70,6 @@ def test_the_halves_stand_where_the_old_one_stood() -> None:
     np.testing.assert_allclose(offset.T @ offset / 4000, expected, atol=0.08 * expected.abs().max())
 
 
-def test_the_budget_is_kept_to_the_last_gaussian() -> None:
-    adam = ParameterAdam(parameters(40), EXTENT)
-    change = control_density(adam, torch.ones(40), EXTENT, 43, generator(), share=0.1)
-    assert (change.removed, change.split) == (0, 3)
-    assert len(adam.parameters["means"]) == 43
-
-
 @pytest.mark.parametrize("most", [40, 12])
 def test_a_full_budget_splits_none(most: int) -> None:
     adam = ParameterAdam(parameters(40), EXTENT)
@@ -118,14 +110,6 @@ def test_a_start_near_the_budget_grows_by_twentieths(n: int, iteration: int) -> 
     assert growth(n, most, iteration, 3_500) == pytest.approx(0.05)
 
 
-def test_the_late_and_the_hopeless_double() -> None:
-    assert growth(100, 10_000, 1_900, 700) == 1.0
-    assert growth(0, 10_000, 200, 700) == 1.0
-    adam = ParameterAdam(parameters(40), EXTENT)
-    control_density(adam, torch.ones(40), EXTENT, 1000, generator(), share=1.0)
-    assert len(adam.parameters["means"]) == 80
-
-
 def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:
     """However large their share of the error."""
     p = parameters(20)
@@ -142,11 +126,6 @@ def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:
     assert sorted(numbers(adam)) == sorted([i for i in range(20) if i not in {3, 5, 8}] + [5, 5])
 
 
-def test_where_there_is_no_error_nothing_is_split() -> None:
-    adam = ParameterAdam(parameters(20), EXTENT)
-    assert control_density(adam, torch.zeros(20), EXTENT, 1000, generator()).split == 0
-
-
 def test_the_chance_is_the_share_of_the_error() -> None:
     """10 Gaussians, one split a round: over 600 rounds the counts follow the error (χ², 9 degrees: 99.9 % < 27.9)."""
     error = torch.tensor([0.0, 1, 1, 2, 2, 3, 3, 4, 4, 20])
@@ -161,29 +140,3 @@ def test_the_chance_is_the_share_of_the_error() -> None:
     assert ((counts - expected)[1:] ** 2 / expected[1:]).sum() < 27.9
     # the check can fail: an even chance would not pass
     assert ((600 / 9 - expected)[1:] ** 2 / expected[1:]).sum() > 27.9
-
-
-def test_rows_that_stay_keep_their_moments() -> None:
-    adam = ParameterAdam(parameters(20), EXTENT)
-    take_step(adam, gradients(adam.parameters, 0))
-    before, error = adam.moments()["means.m"].clone(), torch.zeros(20)
-    error[6] = 1.0
-    control_density(adam, error, EXTENT, 1000, generator())
-    before[6] = 0
-    assert torch.equal(adam.moments()["means.m"][:20], before)
-    assert (adam.moments()["means.m"][20:] == 0).all()
-
-
-def test_the_same_generator_splits_the_same() -> None:
-    results = []
-    for seed in (1, 1, 2):
-        adam = ParameterAdam(parameters(60), EXTENT)
-        control_density(adam, torch.ones(60), EXTENT, 1000, generator(seed))
-        results.append(adam.parameters["means"].detach())
-    assert torch.equal(results[0], results[1])
-    assert not torch.equal(results[0], results[2])
-
-
-def test_it_is_due_between_its_first_and_its_last() -> None:
-    due = [i for i in range(1, 1001) if is_due(i, 700)]
-    assert due == list(range(100, 700, 50))

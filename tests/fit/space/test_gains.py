@@ -11,37 +11,9 @@ import torch
 
 from tg4mm.capture import SurfacePoints
 from tg4mm.fit.space import RestViews, SpaceConfig
-from tg4mm.fit.space.gains import MOST, RATE, fitting_gain, moved
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 from tg4mm.show.render.image import render_image
-
-
-def picture(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(0, 0.7, (24, 20, 3))
-
-
-def test_the_gain_that_was_applied_fits() -> None:
-    gain = np.array([0.8, 1.0, 1.3])
-    np.testing.assert_allclose(fitting_gain(picture(), gain * picture()), gain, rtol=1e-6)
-    found = fitting_gain(torch.from_numpy(picture()), torch.from_numpy(gain * picture()))
-    np.testing.assert_allclose(found, gain, rtol=1e-6)
-
-
-def test_what_is_clipped_says_nothing() -> None:
-    clipped = np.clip(2 * picture(), 0, 1)
-    assert (clipped == 1).mean() > 0.2
-    np.testing.assert_allclose(fitting_gain(picture(), clipped), 2, rtol=1e-6)
-    np.testing.assert_array_equal(fitting_gain(picture(), np.ones_like(clipped)), 1)
-
-
-def test_a_gain_moves_part_of_the_way_and_the_mean_stays_one() -> None:
-    before = torch.tensor([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])
-    after = moved(before, 0, torch.tensor([0.5, 2.0, 1e9]))
-    torch.testing.assert_close(after.log().mean(0), torch.zeros(3), atol=1e-6, rtol=0)
-    ratio = after[0] / after[1] / (before[0] / before[1])
-    torch.testing.assert_close(ratio, torch.tensor([1.0, 2.0, MOST / 2]) ** RATE)
-    assert torch.equal(before, torch.tensor([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]]))
 
 
 def test_known_gains_are_found(

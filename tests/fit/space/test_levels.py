@@ -14,19 +14,11 @@ from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space.density import EVERY
-from tg4mm.fit.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
+from tg4mm.fit.space.levels import check_levels, level_at, levels, sampled, shrunk, turn_of
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
 FULL = (1080, 1920)
-
-
-@pytest.mark.parametrize(
-    ("size", "count"),
-    [((128, 128), 1), ((512, 512), 1), ((600, 600), 1), ((538, 956), 2), ((1080, 1920), 3), ((6000, 100), 5)],
-)
-def test_sizes_are_halved_until_the_longer_side_is_short(size: tuple[int, int], count: int) -> None:
-    assert automatic(size) == count
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
@@ -41,18 +33,6 @@ def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
         level = level_at(found, i)
         assert level.begin <= i < level.end
     assert [level.max_gaussians for level in found] == [1000 >> (n - 1 - i) for i in range(n)]
-
-
-def test_work_counts_pixels() -> None:
-    """Of pictures a quarter of the size all pixels are seen, of half the size a quarter, of the full size a ninth."""
-    found = levels(SpaceConfig(iterations=1600, max_gaussians=288_000, levels=3), FULL)
-    done = [work(found, i) for i in (0, 400, 800, 1200, 1600)]
-    assert done == [0, 25, 50, 94, 138]
-
-
-def test_all_of_a_small_picture_is_seen() -> None:
-    K, picture = np.eye(3), np.zeros((4, 4, 3))
-    assert sampled(K, picture, 1, 0) == (K, picture)
 
 
 @pytest.mark.parametrize(
@@ -96,18 +76,6 @@ def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
         np.testing.assert_allclose(ray, expected, atol=1e-6)
 
 
-def test_density_control_goes_on_until_well_before_the_end() -> None:
-    *coarse, last = levels(SpaceConfig(iterations=6000, max_gaussians=1000, levels=3), FULL)
-    assert all(level.begin < level.caught_up < level.end < level.until for level in coarse)
-    assert last.begin < last.caught_up < last.until < 0.9 * last.end
-
-
-def test_a_level_alone_is_the_stage_without_levels() -> None:
-    (only,) = levels(SpaceConfig(iterations=1000, max_gaussians=500, levels=1), FULL)
-    assert (only.shrink, only.begin, only.end, only.max_gaussians) == (1, 0, 1000, 500)
-    assert (only.caught_up, only.until) == (350, 700)
-
-
 def test_levels_that_leave_no_picture_are_refused() -> None:
     check_levels(2, (48, 32))
     with pytest.raises(
@@ -125,16 +93,6 @@ def test_smaller_pictures_are_means_over_squares() -> None:
     np.testing.assert_allclose(small.rgb[1, 3, 5], rgb[1, 12:16, 20:24].mean((0, 1)), rtol=1e-5)
     np.testing.assert_allclose(small.alpha[0, 7, 6], alpha[0, 28:32, 24:28].mean(), rtol=1e-5)
     assert shrunk(given, 1) is given
-
-
-def test_points_fall_on_the_same_places() -> None:
-    """A pixel of the smaller picture spans `by` of the larger one's, from their common upper left corner."""
-    given = views_of(orbit(3, np.zeros(3)), intrinsics(64), np.ones((3, 64, 64)))
-    small, point = shrunk(given, 2), np.array([0.3, -0.2, 0.1])
-    for v in range(3):
-        seen = given.viewmats[v, :3, :3] @ point + given.viewmats[v, :3, 3]
-        large, little = (K @ seen / seen[2] for K in (given.Ks[v], small.Ks[v]))
-        np.testing.assert_allclose(little[:2], large[:2] / 2, rtol=1e-5)
 
 
 def test_it_fits_from_coarse_to_fine(

@@ -17,8 +17,6 @@ from tg4mm.fit.space.parameters import (
     ParameterRows,
     activate,
     initial_parameters,
-    learning_rates,
-    stride,
 )
 
 
@@ -74,19 +72,6 @@ def test_it_is_torch_adam_while_nothing_comes_or_goes() -> None:
         assert (p.detach() - parameters()[name]).abs().max() > 3 * LEARNING_RATES[name] * 0.1
 
 
-def test_given_parameters_are_left_as_they_are() -> None:
-    given = parameters()
-    before = {k: v.clone() for k, v in given.items()}
-    take_step(ParameterAdam(given, EXTENT), gradients(given, 0))
-    assert all(torch.equal(given[k], before[k]) for k in given)
-
-
-def test_gradients_are_cleared_by_a_step() -> None:
-    adam = ParameterAdam(parameters(), EXTENT)
-    take_step(adam, gradients(adam.parameters, 0))
-    assert all(p.grad is None for p in adam.parameters.values())
-
-
 NEW = -1  # in what `expected` says of a row: it holds the next of those added
 
 
@@ -137,51 +122,3 @@ def test_rows_take_their_moments_with_them_when_reordered(kind: type[ParameterRo
     adam.reorder(order)
     for name, value in (adam.parameters | adam.moments()).items():
         assert torch.equal(value, before[name] if name == "step" else before[name][order]), name
-
-
-def test_kept_rows_go_on_as_if_nothing_had_happened() -> None:
-    one, other = (ParameterAdam(parameters(), EXTENT) for _ in range(2))
-    keep = torch.tensor([1, 2, 5])
-    for i in range(2):
-        take_step(one, gradients(one.parameters, i))
-        take_step(other, gradients(other.parameters, i))
-    other.replace(torch.tensor([0, 3, 4]), rows(parameters(), torch.tensor([], dtype=torch.long)))
-    other.replace(torch.tensor([], dtype=torch.long), rows(parameters(), torch.tensor([0])))
-    for i in range(2, 5):
-        grads = gradients(one.parameters, i)
-        take_step(one, grads, 0.3)
-        take_step(other, {k: torch.cat([v[keep], v[:1]]) for k, v in grads.items()}, 0.3)
-    for name, p in other.parameters.items():
-        np.testing.assert_allclose(p[:3].detach(), one.parameters[name][keep].detach(), rtol=1e-5, atol=1e-9)
-        assert not np.allclose(p[3:].detach(), one.parameters[name][:1].detach(), rtol=1e-5, atol=1e-9)
-
-
-def test_rows_can_change_before_the_first_step() -> None:
-    adam = ParameterAdam(parameters(), EXTENT)
-    assert adam.moments() == {}
-    adam.replace(torch.tensor([0, 1, 2, 3]), rows(parameters(), torch.tensor([3])))
-    take_step(adam, gradients(adam.parameters, 0))
-    assert adam.moments()["means.m"].shape == (3, 3)
-
-
-def test_an_optimiser_continued_from_its_moments_does_the_same() -> None:
-    one = ParameterAdam(parameters(), EXTENT)
-    for i in range(3):
-        take_step(one, gradients(one.parameters, i))
-    saved = {k: v.detach().clone() for k, v in (one.parameters | one.moments()).items()}
-    moments = {k: v for k, v in saved.items() if k not in one.parameters}
-    other = ParameterAdam({k: saved[k] for k in one.parameters}, EXTENT, moments)
-    for adam in (one, other):
-        take_step(adam, gradients(adam.parameters, 9), 0.8)
-    for name, p in one.parameters.items():
-        assert torch.equal(p, other.parameters[name])
-
-
-def test_means_step_as_many_pixels_in_pictures_of_any_size() -> None:
-    """From 128 pixels on the first step is the same in pixels; smaller pictures have no longer steps."""
-    steps = {n: learning_rates(stride(2.0, n, n // 2), 0.0)["means"] for n in (64, 128, 256, 512)}
-    assert steps[128] == pytest.approx(2.0 * LEARNING_RATES["means"])
-    assert steps[64] == steps[128]
-    assert steps[256] * 256 == pytest.approx(steps[128] * 128)
-    assert steps[512] * 512 == pytest.approx(steps[128] * 128)
-    assert stride(2.0, 100, 512) == stride(2.0, 512, 100)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space import RestViews, SpaceConfig
-from tg4mm.fit.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
-from tg4mm.fit.space.quadtree import FINEST, quadtree
+from tg4mm.fit.space.plane import FINEST, RIDGE, plane_gaussians, plane_psnr, quadtree, solve_colours
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_plane
 from tg4mm.show.render.image import render_image
@@ -75,20 +73,6 @@ def test_detail_gets_the_small_cells_and_the_budget_holds() -> None:
     assert (cells.centres[small, 0] < 66).mean() > 0.95
 
 
-def test_a_plain_picture_is_not_split() -> None:
-    picture = np.full((64, 64, 3), 0.4, np.float32)
-    picture += np.random.default_rng(0).uniform(-0.4, 0.4, picture.shape).astype(np.float32) / 255
-    assert len(quadtree(picture, 1000).sides) == 4
-
-
-def test_colours_are_the_cells_means() -> None:
-    picture = textured(64, 64)
-    cells = quadtree(picture, 200)
-    u, v = (cells.centres[-1] - cells.sides[-1] / 2).astype(int)
-    side = cells.sides[-1]
-    assert np.allclose(cells.colours[-1], picture[v : v + side, u : u + side].mean((0, 1)))
-
-
 # The discs.
 
 
@@ -107,24 +91,6 @@ def test_discs_lie_at_distance_one_and_face_the_camera_wherever_it_is() -> None:
     normals = Rotation.from_quat(np.roll(gaussians.quats.numpy(), -1, 1)).as_matrix()[:, :, 2]
     assert np.allclose(normals, viewmat[2, :3], atol=1e-5)
     assert (gaussians.scales[:, 2] < 0.02 * gaussians.scales[:, 0]).all()
-
-
-def test_overlapping_discs_have_depths_of_their_own() -> None:
-    picture = textured(128, 96)
-    gaussians = plane_gaussians(picture, camera(128, 96), VIEWMAT, 1300)
-    depth, uv = gaussians.means[:, 1].numpy(), gaussians.means[:, [0, 2]].numpy() * 128
-    reach = gaussians.scales[:, 0].numpy() * 128
-    for i in range(len(depth)):
-        near = np.linalg.norm(uv - uv[i], axis=1) < 3 * np.minimum(reach, reach[i])
-        assert (np.abs(depth[near] - depth[i]) < 1e-5).sum() == 1  # itself
-
-
-def test_no_background_shines_through() -> None:
-    black = np.zeros((64, 96, 3), np.float32)
-    image = render_image(
-        plane_gaussians(black, camera(96, 64), VIEWMAT, 300), VIEWMAT, camera(96, 64), 96, 64
-    )
-    assert image.max() < 0.02
 
 
 # The colours.
@@ -158,29 +124,6 @@ def test_the_picture_is_met_and_colours_are_none_below_black() -> None:
     assert plane_psnr(solved, picture, VIEWMAT, K) > plane_psnr(means, picture, VIEWMAT, K) + 8
     assert plane_psnr(solved, picture, VIEWMAT, K) > 38
     assert float(0.5 + solved.sh.min() * 0.28209479177387814) >= -1e-6
-
-
-def test_discs_that_move_together_move_the_picture() -> None:
-    """The slope of what is shown is that of the picture: from it the motion stage reads displacement."""
-    picture = textured(160, 120)
-    K = camera(160, 120)
-    g = fitted(picture, 8000)
-    half = torch.tensor([0.5 / 160, 0, 0])
-    there, back = (render_image(replace(g, means=g.means + s * half), VIEWMAT, K, 160, 120) for s in (1, -1))
-    shown = (there - back)[10:-10, 10:70]
-    true = -np.gradient(picture, axis=1)[10:-10, 10:70]
-    assert (shown * true).sum() / (shown**2).sum() == pytest.approx(1, abs=0.07)
-
-
-def test_progress_is_told() -> None:
-    picture = textured(48, 32)
-    K = camera(48, 32)
-    told: list[tuple[int, float]] = []
-    solve_colours(
-        plane_gaussians(picture, K, VIEWMAT, 300), picture, VIEWMAT, K, 9, lambda *said: told.append(said)
-    )
-    assert [done for done, _ in told] == list(range(1, 10))
-    assert told[5][1] >= told[0][1]
 
 
 # The stage.

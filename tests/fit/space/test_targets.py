@@ -52,23 +52,6 @@ def test_views_come_in_order_of_first_image_with_their_own_camera() -> None:
     np.testing.assert_allclose(views.rgb[2], over_white(data[3]), atol=1e-6)
 
 
-def test_one_timestep_is_its_own_mean() -> None:
-    data = pictures(3)
-    capture, images = capture_of([0, 1, 2], [0, 0, 0], data)
-    views = rest_views(capture, images)
-    np.testing.assert_allclose(views.rgb, over_white(data), atol=1e-6)
-    assert views.viewmats.shape == (3, 4, 4)
-    assert views.Ks.dtype == views.viewmats.dtype == views.rgb.dtype == np.float32
-
-
-@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
-def test_sixteen_bits_mean_the_same_as_eight(depth: type) -> None:
-    data = np.full((2, 3, 5, 4), np.iinfo(depth).max, depth)
-    data[1, ..., :3] = 0
-    capture, images = capture_of([0, 0], [0, 1], data)
-    np.testing.assert_allclose(rest_views(capture, images).rgb, 0.5, atol=1e-6)
-
-
 def test_each_picture_is_decoded_once_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -72,15 +71,6 @@ def test_without_points_it_starts_from_the_hull(
     assert run.log()["space"]["init"] == "hull"
 
 
-def test_the_same_seed_gives_the_same_bits(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None
-) -> None:
-    one, same = (train_space(new_run(), views, points, SHORT) for _ in range(2))
-    other = train_space(new_run(), views, points, SpaceConfig(**vars(SHORT) | {"seed": 1}))
-    assert equal(one, same)
-    assert not equal(one, other)
-
-
 @pytest.mark.parametrize("killed_at", [1, 2, 10, 11, 16, 25, 36])
 def test_killed_once_it_ends_as_if_it_had_not_been(
     killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None,
@@ -99,23 +89,6 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
     assert equal(train_space(run, views, points, SHORT), expected)
     assert equal(run.load_space(), expected)
     assert run.load_checkpoint("space") is None
-
-
-def test_killed_after_every_third_iteration_it_ends_the_same(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    expected = train_space(new_run(), views, points, SHORT)
-    run = new_run()
-    monkeypatch.setattr(stage, "progress", killed_after(4))
-    for done in range(3, 36, 3):
-        with pytest.raises(Killed):
-            train_space(run, views, points, SHORT)
-        checkpoint = run.load_checkpoint("space")
-        assert checkpoint is not None
-        assert checkpoint[1]["iteration"] == done
-    assert equal(train_space(run, views, points, SHORT), expected)
-    assert run.log()["space"]["init"] == "points"
 
 
 @pytest.mark.parametrize("killed_at", [17, 21, 22, 30])
@@ -164,16 +137,6 @@ def test_checkpoints_that_take_long_are_rarer(
     assert len(saved) == len(expected) or takes_s < 1
 
 
-def test_nothing_given_is_changed(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
-) -> None:
-    before = [a.copy() for a in (views.rgb, views.viewmats, views.Ks, points.xyz, points.rgb)]
-    train_space(new_run(), views, points, SHORT)
-    after = (views.rgb, views.viewmats, views.Ks, points.xyz, points.rgb)
-    for a, b in zip(before, after, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
@@ -204,11 +167,6 @@ def test_settings_out_of_range_are_refused(
     assert {p.name for p in run.path.iterdir()} == {"config.json"}
 
 
-def test_settings_at_their_limits_are_taken(views: RestViews) -> None:
-    for good in ({"sh_degree": 0}, {"dssim": 1.0}, {"l2": 0.0}, {"max_gaussians": 4}, {"seed": 0}):
-        resolved(SpaceConfig(**good), views)
-
-
 def test_zero_means_by_the_data(views: RestViews) -> None:
     auto = resolved(SpaceConfig(), views)
     assert auto.iterations >= 1000
@@ -216,28 +174,6 @@ def test_zero_means_by_the_data(views: RestViews) -> None:
     assert auto.levels == 1
     given = resolved(SpaceConfig(iterations=7, max_gaussians=9, levels=2), views)
     assert (given.iterations, given.max_gaussians, given.levels) == (7, 9, 2)
-
-
-@pytest.mark.parametrize("degree", [0, 3])
-def test_the_degree_asked_for_is_the_degree_made(
-    degree: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
-) -> None:
-    config = SpaceConfig(iterations=20, max_gaussians=300, sh_degree=degree, dssim=0.2)
-    gaussians = train_space(new_run(), views, points, config)
-    assert gaussians.sh_degree == degree
-    if degree:
-        assert (gaussians.sh[:, 9:].abs().amax() > 0).all()
-
-
-def test_a_few_points_grow_to_the_budget(
-    views: RestViews, points: SurfacePoints, data: Path, new_run: Callable[[], Run]
-) -> None:
-    """As few as SfM finds."""
-    few = SurfacePoints(points.xyz[::13], points.rgb[::13])
-    assert len(few.xyz) < 70
-    gaussians = train_space(new_run(), views, few, SpaceConfig(iterations=1000, max_gaussians=1500))
-    assert len(gaussians) > 0.9 * 1500
-    assert psnr_of_test_views(gaussians, data) > 28.0
 
 
 @pytest.mark.parametrize("given", [True, False])

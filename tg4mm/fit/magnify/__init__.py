@@ -1,7 +1,1 @@
-"""Magnification: bands with their factors, temporal filters, and three methods that apply them."""
-
-from tg4mm.core.choices import FILTERS
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import BandGain, Magnification
-
-__all__ = ["FILTERS", "BandGain", "Magnification", "TemporalFilter"]
+"""Methods of magnification over time: linear, of series and motions; by phase, of videos."""

@@ -1,6 +1,6 @@
 """The sub-bands with which phase-based video magnification was published [PVM]: half an octave wide.
 
-Narrower than those of the complex steerable pyramid (`pyramid`), so that phase may grow twice as far before it leaves
+Narrower than those of the complex steerable pyramid (`phase.py`), so that phase may grow twice as far before it leaves
 the range in which it stands for a shift ([PVM] §3.3). Eight orientations, radial windows that fall by a raised cosine
 of 0.75 octaves: the settings of its authors' program.
 """
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.magnify.pyramid import SMALLEST, SubBand, crop
+from tg4mm.fit.magnify.phase import SMALLEST, SubBand, crop
 
 _ORIENTATIONS = 8
 _PER_OCTAVE = 2

@@ -24,7 +24,7 @@ _CLOCK = (
 )
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
-TOLD_PERIODS = 2.5  # of one that is told from a drift
+CLEAR_PERIODS = 2.5  # of one that is told from a drift
 
 
 @dataclass(frozen=True)

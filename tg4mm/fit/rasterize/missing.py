@@ -1,6 +1,6 @@
 """What is asked about a kernel that numba's cache lacks, before it is compiled: whether it may be there by now.
 
-`tg4mm.fit.ahead` answers where the program has it compile kernels in other processes. Importing this imports
+`tg4mm.fit.precompile` answers where the program has it compile kernels in other processes. Importing this imports
 nothing heavy.
 """
 

@@ -1,6 +1,6 @@
 """The space stage: static Gaussians of the scene at rest ([TG4MM] phase 1, [3DGS]).
 
-The names are imported when they are first asked for: what compiles kernels ahead (tg4mm/fit/ahead) needs no torch.
+The names are imported when they are first asked for: tg4mm/fit/precompile.py needs no torch.
 """
 
 from __future__ import annotations

@@ -16,9 +16,8 @@ from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.fit.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
 from tg4mm.fit.rasterize.kernels.project import pack_camera, project_forward
-from tg4mm.fit.space.gains import EVERY, fitting_gain
 from tg4mm.fit.space.kernels import BETA1, BETA2, activate, compare, scratch_shape, step
-from tg4mm.fit.space.losses import ssim
+from tg4mm.fit.space.losses import GAIN_EVERY, fitting_gain, ssim
 from tg4mm.fit.space.parameters import ParameterRows, learning_rates
 from tg4mm.fit.space.view import EPS2D, FAR, NEAR, WHITE
 
@@ -119,7 +118,7 @@ class Iteration:
         degree: int,  # of the SH coefficients in use
         progress: float,  # 0..1 of the whole fit
         error: np.ndarray,  # [N], gets each Gaussian's share of the picture's error
-        gain: np.ndarray = _PLAIN,  # [3] of the picture, `gains.py`
+        gain: np.ndarray = _PLAIN,  # [3] of the picture, `losses.py`
         pace: float = 1.0,  # pixels of the dataset across one of this picture's
         eps2d: float = EPS2D,  # low-pass, squared pixels
     ) -> float:
@@ -162,7 +161,7 @@ class Iteration:
         height, width = target.shape[:2]
         image = self._buffers.take("image", (height, width, FEATURES))
         transmittance = self._buffers.take("transmittance", (height, width))
-        every = (slice(None, None, EVERY),) * 2
+        every = (slice(None, None, GAIN_EVERY),) * 2
         return fitting_gain(
             image[every][..., :3] + np.float32(WHITE) * transmittance[every][..., None], target[every]
         )

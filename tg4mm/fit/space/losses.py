@@ -1,6 +1,8 @@
-"""The photometric loss of the space stage."""
+"""How the space stage compares pictures: its loss, and the gains of pictures that were exposed differently."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -36,3 +38,26 @@ def photometric_loss(rendered: Tensor, target: Tensor, l2: float, dssim: float) 
     if dssim > 0:
         loss = (1 - dssim) * loss + dssim * (1 - ssim(rendered, target)) / 2
     return loss
+
+
+RATE = 0.1  # of the way, each time
+GAIN_EVERY = 4  # pixels: one of so many in each direction is looked at
+BRIGHTEST = 250 / 255  # what is brighter may have been clipped, whatever the exposure
+MOST = 4.0  # and 1 / MOST: no gain lies further from one
+
+
+def fitting_gain(rendered: Any, target: Any) -> Any:
+    """[3] gains that bring `rendered` closest to `target`, both [H, W, 3], torch tensors or numpy arrays.
+
+    Least squares over the pixels that are not clipped; where there are none, 1.
+    """
+    seen = target < BRIGHTEST
+    squares = (rendered * rendered * seen).sum((0, 1))
+    return ((rendered * target * seen).sum((0, 1)) + 1e-6) / (squares + 1e-6)
+
+
+def with_gain(gains: Tensor, v: int, fitting: Tensor) -> Tensor:
+    """Gains [V, 3] after picture v was seen, which `fitting` [3] would suit best."""
+    logs = gains.log()
+    logs[v] += RATE * (fitting.clamp(1 / MOST, MOST).log() - logs[v])
+    return (logs - logs.mean(0)).exp()

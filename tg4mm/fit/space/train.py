@@ -17,12 +17,10 @@ from tg4mm.core.memory import peak_memory_mib
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space import order
 from tg4mm.fit.space.checkpoint import Check, Checkpoint, check_checkpoint, pictures_digest
 from tg4mm.fit.space.config import SpaceConfig, checked
-from tg4mm.fit.space.density import control_density, growth, is_due
+from tg4mm.fit.space.density import along_a_curve, control_density, growth, is_due, is_sorting_due
 from tg4mm.fit.space.fused import FusedAdam, Iteration
-from tg4mm.fit.space.gains import EVERY, fitting_gain, moved
 from tg4mm.fit.space.initial import initial_points, working_box
 from tg4mm.fit.space.levels import (
     Level,
@@ -35,7 +33,7 @@ from tg4mm.fit.space.levels import (
     turn_of,
     work,
 )
-from tg4mm.fit.space.losses import photometric_loss
+from tg4mm.fit.space.losses import GAIN_EVERY, fitting_gain, photometric_loss, with_gain
 from tg4mm.fit.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.fit.space.targets import RestViews
 from tg4mm.fit.space.view import EPS2D, render_view
@@ -191,7 +189,7 @@ class _Views:
         pace = float(self.shrink)
         mse = self._fused(adam, viewmat, K, target, degree, done, fit.error.numpy(), gain, pace, self._eps2d)
         if fit.gains is not None:
-            fit.gains = moved(fit.gains, v, torch.from_numpy(self._fused.fitting_gain(target)))
+            fit.gains = with_gain(fit.gains, v, torch.from_numpy(self._fused.fitting_gain(target)))
         return torch.tensor(mse, dtype=torch.float64)
 
     def _iterate_torch(self, fit: _Fit, adam: ParameterAdam, v: int, degree: int, done: float) -> Tensor:
@@ -205,8 +203,8 @@ class _Views:
         fit.error += view.shares()
         adam.step(done, float(self.shrink))
         if fit.gains is not None:
-            every = (slice(None, None, EVERY),) * 2
-            fit.gains = moved(fit.gains, v, fitting_gain(view.rgb.detach()[every], target[every]))
+            every = (slice(None, None, GAIN_EVERY),) * 2
+            fit.gains = with_gain(fit.gains, v, fitting_gain(view.rgb.detach()[every], target[every]))
         return (difference**2).mean().double()
 
 
@@ -228,8 +226,8 @@ def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, level: Level, extent
         most = level.max_gaussians
         share = growth(len(fit.error), most, fit.iteration, level.caught_up)
         control_density(fit.adam, fit.error, extent, most, fit.draws, share)
-        if order.is_due(fit.iteration, level.until):
-            fit.adam.reorder(order.along_a_curve(fit.adam.parameters["means"].detach()))
+        if is_sorting_due(fit.iteration, level.until):
+            fit.adam.reorder(along_a_curve(fit.adam.parameters["means"].detach()))
         fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
 
 

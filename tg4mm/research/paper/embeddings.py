@@ -32,8 +32,7 @@ from tg4mm.core.records import read_formed
 from tg4mm.core.temporary import rename
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.magnify.linear import magnified_series
-from tg4mm.fit.magnify.phase import PhaseMagnifier
-from tg4mm.fit.magnify.pyramid import PyramidConfig
+from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig
 from tg4mm.research.paper.decoder import Decoder
 from tg4mm.research.paper.model import PaperModel, load_model, plane_video
 from tg4mm.research.paper.triplane import Cells

@@ -19,7 +19,7 @@ from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import PERIODS, TOLD_PERIODS, frames_of
+from tg4mm.fit.motion.observations import CLEAR_PERIODS, PERIODS, frames_of
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
 from tg4mm.run.stages.look import look_of
@@ -272,7 +272,7 @@ class Reading:
         duration = self.duration_s
         out = [*self.log.get("notes", ()), *([] if self.look is None else looked_notes(self.look))]
         out.append(
-            f"frequencies under {TOLD_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
+            f"frequencies under {CLEAR_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
             f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
         )
         if "along_sight" in self.uncertainty and vibrations:
@@ -333,7 +333,7 @@ class _Found:
 
 def _is_drift(found: _Found, duration_s: float) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return found.mode_hz * duration_s < TOLD_PERIODS or found.hz < _SURE * found.deviation_hz
+    return found.mode_hz * duration_s < CLEAR_PERIODS or found.hz < _SURE * found.deviation_hz
 
 
 def _drift_line(drifts: list[_Found], duration_s: float) -> list[str]:

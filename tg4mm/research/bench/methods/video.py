@@ -18,8 +18,7 @@ from tg4mm.capture import Capture
 from tg4mm.core.filters import apply_response, bins
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.magnify.half_octaves import half_octave_bands
-from tg4mm.fit.magnify.phase import PhaseMagnifier
-from tg4mm.fit.magnify.pyramid import SMALLEST
+from tg4mm.fit.magnify.phase import SMALLEST, PhaseMagnifier
 from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.methods import Pictures
 from tg4mm.research.bench.scored import cameras_of, video_of

@@ -1,4 +1,4 @@
-"""Kernels compiled ahead, in processes of their own, where numba's cache has none for this processor yet.
+"""Kernels compiled in advance, in other processes, where numba's cache has none for this processor yet.
 
 A kernel is compiled by being called on next to nothing, with the types that the program calls it with, and lies in the
 cache from then on. Such calls are jobs, in groups that are needed at about the same time. The first kernel that the
@@ -6,7 +6,8 @@ cache lacks starts the processes; the command waits for its group, with a line t
 groups are compiled. A kernel that is in no job the command compiles itself, as it does with all of them where the
 processes cannot be started or die.
 
-The program switches it on (`enable`); without that nothing happens. Importing this imports nothing heavy.
+The program switches it on (`enable`); without that nothing happens. `python -m tg4mm.fit.precompile` compiles every
+kernel now. Importing this imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.rasterize.missing import answer_with
 
 _PROCESSES = 2
-_WORK = "from tg4mm.fit.ahead import work; work()"
+_WORK = "from tg4mm.fit.precompile import work; work()"
 
 
 def work() -> None:
     """What a process does: the jobs named on its input, one a line, each answered by a line when it is done."""
-    from tg4mm.fit.ahead.jobs import JOBS
+    from tg4mm.fit.kernel_calls import JOBS
 
     for line in sys.stdin:
         JOBS[line.strip()].call()
@@ -45,7 +46,7 @@ class _Jobs:
 
     def wait(self, kernel: str) -> bool:
         """Whether a kernel (module.function) that the cache lacked may be there now, after the jobs of its group."""
-        from tg4mm.fit.ahead.jobs import JOB_OF, JOBS, TOGETHER
+        from tg4mm.fit.kernel_calls import JOB_OF, JOBS, TOGETHER
 
         if (name := JOB_OF.get(kernel)) is None or name in self._done:
             return False
@@ -88,7 +89,7 @@ class _Jobs:
         """Give a process one job after the other. It ends with its input, hence with this process at the latest."""
         name: str | None = ""
         try:
-            path = [str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])]
+            path = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
             environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(path)}
             with subprocess.Popen(
                 [sys.executable, "-P", "-c", _WORK], env=environment, text=True,
@@ -116,13 +117,17 @@ _jobs = _Jobs()
 
 def compile_all() -> None:
     """Have the cache hold every kernel that a job names; what it holds already is loaded, which takes seconds."""
-    from tg4mm.fit.ahead.jobs import JOB_OF
+    from tg4mm.fit.kernel_calls import JOB_OF
 
     for kernel in JOB_OF:
         _jobs.wait(kernel)
 
 
 def enable() -> None:
-    """From now on kernels that the cache lacks are compiled ahead, where there are two cores."""
+    """From now on kernels that the cache lacks are compiled in advance, where there are two cores."""
     if (os.cpu_count() or 1) > 1:
         answer_with(_jobs.wait)
+
+
+if __name__ == "__main__":
+    compile_all()

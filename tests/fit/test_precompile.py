@@ -1,4 +1,4 @@
-"""Kernels compiled ahead: the jobs compile what the program calls, and a command waits for them and no longer."""
+"""Kernels compiled in advance: the jobs compile what the program calls, and a command waits for them and no longer."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm.fit import ahead
-from tg4mm.fit.ahead.jobs import JOBS
+from tg4mm.fit import precompile
+from tg4mm.fit.kernel_calls import JOBS
 from tg4mm.fit.rasterize import missing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ def test_every_job_compiles_each_kernel_that_it_names(tmp_path: Path) -> None:
     """One more signature each. With an empty cache: what is loaded from one does not load the kernels inside it."""
     code = """
 from tests.helpers.kernels import kernels_of
-from tg4mm.fit.ahead.jobs import JOBS
+from tg4mm.fit.kernel_calls import JOBS
 count = lambda: [len(kernel.signatures) for kernel in kernels_of(job)]
 for name, job in JOBS.items():
     before = count()
@@ -40,7 +40,7 @@ def test_training_asks_for_no_other_types() -> None:
     code = """
 import numpy as np, torch
 from tests.helpers.kernels import kernels_of
-from tg4mm.fit.ahead.jobs import JOBS
+from tg4mm.fit.kernel_calls import JOBS
 from tg4mm.fit.space.fused import FusedAdam, Iteration
 jobs = [job for job in JOBS.values() if job.group != "motion"]
 for job in jobs:
@@ -62,15 +62,15 @@ print(before == [len(k.signatures) for job in jobs for k in kernels_of(job)])
 
 
 def test_a_kernel_of_no_job_is_not_waited_for() -> None:
-    jobs = ahead._Jobs()
+    jobs = precompile._Jobs()
     assert not jobs.wait("elsewhere.unknown")
 
 
 def test_where_no_process_starts_the_command_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    jobs = ahead._Jobs()
-    monkeypatch.setattr(ahead.sys, "executable", "/nowhere/python")
+    jobs = precompile._Jobs()
+    monkeypatch.setattr(precompile.sys, "executable", "/nowhere/python")
     assert not jobs.wait("blend._forward")
     assert "compiling kernels" in capsys.readouterr().err
 
@@ -78,8 +78,10 @@ def test_where_no_process_starts_the_command_goes_on(
 def test_a_kernel_is_there_after_the_wait_which_counts(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    jobs = ahead._Jobs()
-    monkeypatch.setattr(ahead, "_WORK", "import sys\nfor line in sys.stdin: print(line.strip(), flush=True)")
+    jobs = precompile._Jobs()
+    monkeypatch.setattr(
+        precompile, "_WORK", "import sys\nfor line in sys.stdin: print(line.strip(), flush=True)"
+    )
     assert jobs.wait("blend._forward")
     assert "(pictures): 3/3 steps" in capsys.readouterr().err
     assert not jobs.wait("blend._forward")  # it was made, for other types: not again
@@ -88,18 +90,18 @@ def test_a_kernel_is_there_after_the_wait_which_counts(
 def test_all_jobs_are_done_in_one_call(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     told = tmp_path / "told.txt"
     tell = f"import sys\nfor line in sys.stdin: open({str(told)!r}, 'a').write(line); print(line.strip(), flush=True)"
-    monkeypatch.setattr(ahead, "_WORK", tell)
-    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
-    ahead.compile_all()
+    monkeypatch.setattr(precompile, "_WORK", tell)
+    monkeypatch.setattr(precompile, "_jobs", precompile._Jobs())
+    precompile.compile_all()
     assert sorted(told.read_text().splitlines()) == sorted(JOBS)
 
 
 def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    jobs = ahead._Jobs()
+    jobs = precompile._Jobs()
     slow_to_end = "import sys, time\nfor line in sys.stdin: print(line.strip(), flush=True)\ntime.sleep(3)"
-    monkeypatch.setattr(ahead, "_WORK", slow_to_end)
+    monkeypatch.setattr(precompile, "_WORK", slow_to_end)
     assert jobs.wait("blend._forward")
     assert jobs.wait("blend_backward._backward")
 
@@ -107,8 +109,8 @@ def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
 def test_only_once_enabled_is_a_kernel_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(missing, "_answers", [])  # a test that ran the program may have enabled it
     assert not missing.may_be_there("blend._forward")
-    monkeypatch.setattr(ahead._jobs, "wait", lambda kernel: kernel == "blend._forward")
-    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 2)
-    ahead.enable()
+    monkeypatch.setattr(precompile._jobs, "wait", lambda kernel: kernel == "blend._forward")
+    monkeypatch.setattr(precompile.os, "cpu_count", lambda: 2)
+    precompile.enable()
     assert missing.may_be_there("blend._forward")
     assert not missing.may_be_there("elsewhere.unknown")
