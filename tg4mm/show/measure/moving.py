@@ -138,10 +138,8 @@ def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, si
     first = out.of(k, view, 1)
     own = without(first.nuisance, first.mean, left[None])
     out.level[k] = 1 / max(float((own**2).mean()), 1e-12)
-    for half, weights, projection in out.of(k, view, out.level[k]).projections():
-        assert projection is not None
-        shown = projection.out_of(left[None]) * weights[..., None]
-        view.vjp(np.ascontiguousarray(shown, np.float32), sides[half, k : k + 1])
+    for half, model in out.of(k, view, out.level[k]).models():
+        model.adjoint(left[None], sides[half, k : k + 1])
 
 
 def _slow_functions(times_s: np.ndarray) -> np.ndarray:

@@ -16,7 +16,8 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.pictures import over_white
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
-from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection, without
+from tg4mm.fit.motion.nuisance.projection import Nuisance, without
+from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import LEAST, chessboard
 from tg4mm.show.measure.sides import HALVES
@@ -45,12 +46,10 @@ class MeasuredView:
         board = chessboard((width, height))
         return self.weights * (board if half == 0 else 1 - board)
 
-    def projections(self) -> Iterator[tuple[int, np.ndarray, Projection | None]]:
-        """Half, weights [H, W] and nuisance projection of each half."""
+    def models(self) -> Iterator[tuple[int, ObservationModel]]:
+        """Each half, and what its pixels show."""
         for half in self.halves:
-            weights = self.masked(half)
-            is_any = self.nuisance.active.any()
-            yield half, weights, Projection.of(self.nuisance, self.mean, weights) if is_any else None
+            yield half, ObservationModel.of(self.frames, self.nuisance, self.mean, self.masked(half))
 
 
 def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
@@ -112,7 +111,7 @@ def weighed(
         own = without(view.nuisance, view.mean, left)
         energy += np.einsum("fhwc,fhwc->hw", own, own) / 3
         step(len(left))
-    view.nuisance.__dict__.pop("pose", None)  # 72 bytes a pixel, made again where it is asked for
+    view.nuisance.release()
     return replace(view, weights=inverse_noise(energy / len(view.frames.rows)))
 
 
@@ -125,13 +124,12 @@ def pull_back(
     step: Step,
 ) -> None:
     """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians."""
-    ready = list(view.projections())
+    models = list(view.models())
     for some, left in leftover(observations, view, shown, series):
-        for half, weights, projection in ready:
-            own = left if projection is None else projection.out_of(left)
-            view.view.vjp(np.ascontiguousarray(own * weights[..., None], np.float32), out[half, some])
+        for half, model in models:
+            model.adjoint(left, out[half, some])
         step(len(left))
-    view.nuisance.__dict__.pop("pose", None)
+    view.nuisance.release()
 
 
 def shown_fields(view: ViewJacobian, fields: np.ndarray) -> np.ndarray:

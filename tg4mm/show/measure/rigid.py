@@ -28,7 +28,6 @@ import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import optical_flow
-from tg4mm.fit.motion.nuisance.projection import Projection
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.sides import HALVES, Sides
@@ -104,24 +103,21 @@ def equations_of(
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
-        halves = list(view.projections())
+        halves = list(view.models())
         for b, e in enumerate(motions):
             changes = None if is_moving else _false_changes(view, trials[b])
-            for half, weights, projection in halves:
-                product = np.zeros_like(e)
-                view.view.gauss_newton_product(e, weights, product)
-                if projection is not None:
-                    projection.correct(e, product)
+            for half, model in halves:
                 if changes is not None:
-                    false[b] += _false(view, weights, projection, e, changes)
-                flat = product.reshape(unknowns, -1)
+                    back = model.adjoint(changes).reshape(unknowns, -1)
+                    false[b] += e.reshape(unknowns, -1).astype(np.float64) @ back.T
+                flat = model.normal(e).reshape(unknowns, -1)
                 at = b, half, k if is_moving else 0
                 normals[at] += flat @ trials[b].reshape(unknowns, -1).T
                 noise[at] += flat @ e.reshape(unknowns, -1).T
                 if len(fields):
                     known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
                 step()
-        view.nuisance.__dict__.pop("pose", None)
+        view.nuisance.release()
     out = []
     for b, e in enumerate(motions):
         own_sides = sides.summed(e, np.flatnonzero(bodies[b].weights))
@@ -151,18 +147,3 @@ def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
     flow = optical_flow(view.view, trials, Buffers())
     # a motion to the right by a pixel takes away the slope to the right
     return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
-
-
-def _false(
-    view: MeasuredView,
-    weights: np.ndarray,
-    projection: Projection | None,
-    motions: np.ndarray,
-    changes: np.ndarray,
-) -> np.ndarray:
-    """F [K, K] of one half of a view, of motions E [K, N, 6] and `_false_changes`."""
-    if projection is not None:
-        changes = projection.out_of(changes)
-    back = np.zeros_like(motions)
-    view.view.vjp(np.ascontiguousarray(changes * weights[..., None], np.float32), back)
-    return motions.reshape(len(motions), -1).astype(np.float64) @ back.reshape(len(back), -1).T
