@@ -11,6 +11,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from PIL import Image
 
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.run import Run
 
 CAMERA_ANGLE_X = 0.6911112070083618  # radians, NeRF-synthetic's
 RADIUS = 4.0  # scene units, camera to the point looked at
@@ -68,6 +70,14 @@ def make_synthetic_dataset(
     scene = _scene(path.name, freqs, amplitude, fps, n_timesteps, alphas, size, n_views, n_test)
     (path / "scene.json").write_text(json.dumps(scene, indent=1))
     return gaussians, motion
+
+
+def exact_run(root: Path, **settings: Any) -> tuple[Run, ModalMotion]:
+    """ROOT/run of a new ROOT/data (`make_synthetic_dataset`), its scene at rest exact; and the exact motion."""
+    gaussians, motion = make_synthetic_dataset(root / "data", **{"alphas": (), "n_test": 0} | settings)
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    return run, motion
 
 
 def _parts(detail: int) -> list[_Part]:

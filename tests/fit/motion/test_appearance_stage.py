@@ -49,11 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageS
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "_at", shaded)
-        gaussians, _ = synthetic.make_synthetic_dataset(
-            root / "data", n_views=8, n_timesteps=10, size=48, amplitude=0.005, alphas=(), n_test=0
-        )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
+        run, _ = synthetic.exact_run(root, n_views=8, n_timesteps=10, size=48, amplitude=0.005)
     capture = load_capture(root / "data")
     return run, capture, load_images(capture)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import exact_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.fit.motion.animate import displacement_at
@@ -31,11 +31,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion,
     """A run of one camera, the true motion, and the camera. The post sways across its line of sight, the ball moves
     mostly along it."""
     root = tmp_path_factory.mktemp("one")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=1, n_timesteps=5, size=48, freqs=(6.0,), amplitude=0.01, alphas=(), n_test=0
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
+    run, motion = exact_run(root, n_views=1, n_timesteps=5, size=48, freqs=(6.0,), amplitude=0.01)
     capture = load_capture(run.dataset)
     train_motion(run, capture, load_images(capture), MotionConfig())
     return run, motion, fixed_cameras(capture)[0]

@@ -14,7 +14,7 @@ import torch
 
 from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import exact_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.fit.gaussians import Gaussians
@@ -47,19 +47,9 @@ LINEAR = 6  # steps of the linear fit
 
 
 def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run:
-    gaussians, _ = make_synthetic_dataset(
-        root / "data",
-        n_views=6,
-        n_timesteps=5,
-        size=size,
-        freqs=(6.0,),
-        amplitude=amplitude,
-        alphas=(),
-        n_test=0,
-        detail=detail,
+    run, _ = exact_run(
+        root, n_views=6, n_timesteps=5, size=size, freqs=(6.0,), amplitude=amplitude, detail=detail
     )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
     return run
 
 

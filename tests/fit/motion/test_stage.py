@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import exact_run
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.fit.motion import ModalMotion, MotionConfig
@@ -31,19 +31,7 @@ STEPS = ("noise", "smoothness", "first_pass_0", "first_pass_1", "second_pass_0",
 def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
     """A run whose Gaussians are exact, of a set of a tenth of a pixel, and the true motion of them."""
     root = tmp_path_factory.mktemp("motion")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data",
-        n_views=6,
-        n_timesteps=10,
-        size=64,
-        freqs=FREQS,
-        amplitude=0.005,
-        alphas=(),
-        n_test=0,
-        detail=2,
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
+    run, motion = exact_run(root, n_views=6, n_timesteps=10, size=64, freqs=FREQS, amplitude=0.005, detail=2)
     return run, motion
 
 
@@ -59,11 +47,7 @@ def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
 def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageStack]:
     """784 Gaussians, three cameras, five timesteps."""
     root = tmp_path_factory.mktemp("small")
-    gaussians, _ = make_synthetic_dataset(
-        root / "data", n_views=3, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
+    run, _ = exact_run(root, n_views=3, n_timesteps=5, size=32, freqs=(6.0,))
     capture = load_capture(root / "data")
     return run, capture, load_images(capture)
 

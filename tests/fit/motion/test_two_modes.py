@@ -28,12 +28,9 @@ def _made(root: Path) -> tuple[Run, ModalMotion]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "_modes", unequal)
-        gaussians, true = synthetic.make_synthetic_dataset(
-            root / "data", n_views=6, n_timesteps=30, size=64, freqs=(LARGE_HZ, SMALL_HZ), amplitude=0.12,
-            alphas=(), n_test=0, detail=2,
-        )  # fmt: skip
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
+        run, true = synthetic.exact_run(
+            root, n_views=6, n_timesteps=30, size=64, freqs=(LARGE_HZ, SMALL_HZ), amplitude=0.12, detail=2
+        )
     return run, true
 
 
