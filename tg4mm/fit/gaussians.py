@@ -37,7 +37,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """Of the spherical harmonics, 0 … 3."""
+        """Degree of the spherical harmonics, 0 … 3."""
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
     def to(self, device: str | torch.device) -> Gaussians:

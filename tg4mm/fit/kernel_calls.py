@@ -30,7 +30,7 @@ def _camera() -> np.ndarray:
 
 
 def _lists() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of one tile without pairs: its start and end, the pairs' Gaussians, and the blocks that they reach."""
+    """A tile without pairs: its start and end, the pairs' Gaussians, and the blocks that they reach."""
     return np.zeros(2, np.int32), np.empty(0, np.int32), np.empty(0, np.uint32)
 
 

@@ -75,7 +75,7 @@ class AppearanceView:
 def appearance_views(
     views: Sequence[ViewJacobian], cameras: Sequence[PosedView], means: np.ndarray, tilts: bool
 ) -> list[AppearanceView]:
-    """Of Gaussians at `means` [N, 3]; with `tilts` K is 4, else 1."""
+    """Views of Gaussians at `means` [N, 3]; with `tilts` K is 4, else 1."""
     out = []
     for view, camera in zip(views, cameras, strict=True):
         harmonics = np.ones((len(means), 4 if tilts else 1), np.float32)
@@ -186,7 +186,7 @@ def _rows(views: Sequence[AppearanceView], weights: np.ndarray | None) -> np.nda
 
 
 def _laplacian(graph: Graph) -> csr_matrix:
-    """Of the graph's edges with its weights; mean diagonal 1."""
+    """Laplacian of the graph's edges with its weights; mean diagonal 1."""
     n, weight = graph.n_gaussians, graph.edge_rows[:, 0] ** 2
     beside = csr_matrix((weight, graph.other, graph.start), shape=(n, n))
     degree = np.asarray(beside.sum(1)).ravel()

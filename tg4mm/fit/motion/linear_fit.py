@@ -46,7 +46,7 @@ class LinearFit:
         return self.problem.operator(fold, self.hyper.smoothness_weight)
 
     def first_pass(self, iterations: int | None = None) -> list[Arrays]:
-        """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations.
+        """Each fold's `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations.
 
         `iterations`: of a fit that no second pass follows; None for the first's part of them.
         """
@@ -100,7 +100,7 @@ class LinearFit:
         sides: Callable[[slice], Array],
         norms: np.ndarray | None = None,
     ) -> Iterator[tuple[slice, Solution]]:
-        """Of some components after the other, from their right-hand `sides`; `norms`: as `pcg` takes them, of all."""
+        """Solutions of some components after the other, from their right-hand `sides`; `norms` of all, as for `pcg`."""
         chunks = self._chunks()
         with progress(label, len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):

@@ -22,7 +22,7 @@ _BETA = 4.0  # of their Kaiser window
 
 @dataclass(frozen=True)
 class ObservationModel:
-    """Of one pose: what its pictures show of motion, and when they were taken."""
+    """What one pose's pictures show of motion, and when they were taken."""
 
     frames: PosedFrames
     view: ViewJacobian

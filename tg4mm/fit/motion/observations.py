@@ -77,7 +77,7 @@ class Observations:
 
     @property
     def duration_s(self) -> float:
-        """Of the longest record of one clock."""
+        """Length of the longest record of one clock."""
         if self.clock == "moving":
             times = np.concatenate([f.times_s for f in self.frames])
             return float(np.ptp(times)) + 1 / self.fps

@@ -122,7 +122,7 @@ class Sinusoids:
         return np.hstack([np.ones((n_timesteps, 1)), *slow, np.cos(angles), np.sin(angles)])
 
     def residual(self, y: np.ndarray) -> np.ndarray:
-        """Of least squares of series y [T, R]."""
+        """What least squares leave of series y [T, R]."""
         return residual(y, self.regressors(len(y)))
 
     def residual_power(self, y: np.ndarray) -> float:
@@ -181,7 +181,7 @@ def _needed(y: np.ndarray, sinusoids: Sinusoids) -> float:
 
 
 def _highest_peak(residuals: np.ndarray, taken: np.ndarray) -> float | None:
-    """Of the periodogram of [T, R], in bins; None if no frequency is far enough from those `taken`."""
+    """The periodogram's highest peak, of [T, R], in bins; None if no frequency is far enough from those `taken`."""
     n = len(residuals) * _OVERSAMPLED
     height = (np.abs(np.fft.rfft(residuals, n, axis=0)) ** 2).sum(1)
     cycles = np.arange(len(height)) / _OVERSAMPLED

@@ -68,7 +68,7 @@ def deviation(a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
 
 
 def mean_over_neighbours(values: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """Of values [N, …], the mean over the nearest Gaussians of each, [N, count] as `Graph.knn` lists them."""
+    """[N, …]: means of values [N, …] over the nearest Gaussians of each, [N, count] as `Graph.knn` lists them."""
     out = np.empty_like(values)
     for first in range(0, len(values), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)

@@ -115,7 +115,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class StateObservations:
-    """Of K states and R components in V synchronous cameras."""
+    """The pictures of K states and R components in V synchronous cameras."""
 
     cameras: list[PosedFrames]
     states: States

@@ -46,7 +46,7 @@ class TargetImages:
 def projected(
     observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], bases: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of every view the products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left.
+    """Every view's products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left.
 
     What the active nuisance columns explain is taken out.
     """
@@ -72,7 +72,7 @@ def projected(
 
 
 def _at_once(n: int) -> Iterator[slice]:
-    """Of n images those that are in memory together."""
+    """Those of n images that are in memory together."""
     return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
 
 

@@ -93,7 +93,7 @@ def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, 
 
 
 def _shapes(n: int, sh_degree: int, stepped: bool) -> dict[str, tuple[int, ...]]:
-    """Of the tensors but the generators; Adam has moments once it has stepped."""
+    """Shapes of the tensors but the generators; Adam has moments once it has stepped."""
     parameters: dict[str, tuple[int, ...]] = {
         "means": (n, 3),
         "quats": (n, 4),

@@ -140,7 +140,7 @@ def shrunk(views: RestViews, by: int) -> RestViews:
 
 
 def _means(picture: np.ndarray, by: int) -> np.ndarray:
-    """Of [H, W, …] over squares: rows are added up first, then columns, which lie next to each other less often."""
+    """Means of [H, W, …] over squares: rows are added up first, then columns, which seldom lie side by side."""
     height, width = (n // by for n in picture.shape[:2])
     picture = picture[: height * by, : width * by]
     rows = sum((picture[k::by] for k in range(1, by)), start=picture[::by])

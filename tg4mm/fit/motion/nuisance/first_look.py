@@ -68,7 +68,7 @@ class FixedCameras:
     notes: list[str]
 
     def model(self, v: int) -> ObservationModel:
-        """Of camera v, its pixels all of weight 1."""
+        """What camera v shows, its pixels all of weight 1."""
         return ObservationModel.of(self.observations.frames[v], self.nuisances[v], self.look.mean[v])
 
     def problem(self, config: MotionConfig, device: str) -> Problem:

@@ -190,7 +190,7 @@ class Projection:
 def projections_of(
     nuisances: Sequence[Nuisance], means: Sequence[np.ndarray] | None, weights: np.ndarray | None
 ) -> list[Projection] | None:
-    """Of each view with its mean picture and pixel weights [V, H, W] or None; None where nothing is projected out."""
+    """One a view, with its mean picture and pixel weights [V, H, W] or None; None where nothing is projected out."""
     if means is None or not nuisances or not nuisances[0].active.any():
         return None
     each = zip(nuisances, means, [None] * len(nuisances) if weights is None else weights, strict=True)

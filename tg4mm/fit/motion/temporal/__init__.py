@@ -53,7 +53,7 @@ class TemporalModel(ABC):
 
     @property
     def n_frames(self) -> int:
-        """Of one camera's record."""
+        """How many one camera's record holds."""
         return self.observations.n_timesteps
 
     def images(self, v: int) -> np.ndarray:
@@ -70,7 +70,7 @@ class TemporalModel(ABC):
 
     @property
     def first_iterations(self) -> int:
-        """Of conjugate gradients, in a fit without a support."""
+        """Iterations of conjugate gradients in a fit without a support."""
         return self.config.iterations
 
     def support(self, folds: np.ndarray) -> np.ndarray | None:

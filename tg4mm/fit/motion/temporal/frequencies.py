@@ -77,7 +77,7 @@ def find_frequencies(
     highest_hz: float,
     least: float = LEAST,
 ) -> Frequencies:
-    """Of series [F_c, S_c] of each clock at times [F_c] in seconds, between two frequencies.
+    """The frequencies in series [F_c, S_c] of each clock at times [F_c] in seconds, between two frequencies.
 
     A peak counts from `least` times the noise's power.
     """

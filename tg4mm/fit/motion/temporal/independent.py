@@ -136,7 +136,7 @@ class IndependentClocks(Steady):
 
 
 def scale_of(observations: Observations) -> float:
-    """Of cosines and sines whose squares sum to 1 over a camera's frames."""
+    """Factor of cosines and sines whose squares sum to 1 over a camera's frames."""
     return float(np.sqrt(2 / np.mean([len(f.rows) for f in observations.frames])))
 
 

@@ -142,7 +142,7 @@ class MovingCamera(Steady):
         return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
     def unclear(self, fields: np.ndarray) -> list[str]:
-        """Of fields [2 K, N, 6]: which part stands still, where most of the picture moves."""
+        """Which part of fields [2 K, N, 6] stands still, where most of the picture moves."""
         amplitudes = np.sqrt((fields[0::2, :, :3] ** 2 + fields[1::2, :, :3] ** 2).sum(-1))
         seen = self._seen_weights
         largest = np.quantile(amplitudes[:, seen > 0], _LARGEST, axis=1, keepdims=True)

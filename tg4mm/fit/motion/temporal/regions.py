@@ -87,7 +87,7 @@ def labels_of(aggregates: Aggregates) -> np.ndarray:
 
 
 def shift_series(model: ObservationModel, labels: np.ndarray, changes: Iterable[np.ndarray]) -> RegionSeries:
-    """Of one pose's changes [f, H, W, 3], a few frames at a time; labels [N]: the region of every Gaussian."""
+    """The shifts in one pose's changes [f, H, W, 3], a few frames at a time; labels [N]: every Gaussian's region."""
     axes = model.frames.viewmat[:2, :3].astype(np.float64)
     sides = [_summed(model.adjoint(some)[..., :3] @ axes.T, labels) for some in changes]
     return RegionSeries(
@@ -112,7 +112,7 @@ def _normals(model: ObservationModel, labels: np.ndarray, axes: np.ndarray) -> n
 def moving_camera_series(
     models: Sequence[ObservationModel], changes: Iterable[np.ndarray], labels: np.ndarray
 ) -> RegionSeries:
-    """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own model."""
+    """The shifts in a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own model."""
     times_s: list[np.ndarray] = []
     each: list[Arrays] = []
     with progress("region shifts", len(models), "frames") as update:

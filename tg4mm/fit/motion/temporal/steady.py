@@ -57,7 +57,7 @@ class Steady(TemporalModel):
         return folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:
-        """Of the strongest frequency."""
+        """By the strongest frequency."""
         return float(np.hypot(*pixels_moved(self.problem.views, fields[:2, :, :3] * np.float32(self.scale))))
 
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
@@ -94,7 +94,7 @@ def frequency_figures(frequencies: Frequencies) -> dict[str, Any]:
 
 
 def no_targets(observations: Observations) -> TargetImages:
-    """Of no function of time."""
+    """Where there is no function of time."""
     n, (width, height) = len(observations.frames), observations.size
     nothing = np.zeros((n, 0, height, width, 3), np.float32)
     basis, blank = np.zeros((0, observations.n_timesteps)), np.zeros((n, height, width), np.float32)
