@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,17 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tests.fit.motion.scenes import SCENES, camera_of, motion_of, view_of
+from tests.fit.motion.filmed import FPS, K_of
+from tests.fit.motion.scenes import SCENES, Camera, camera_of, motion_of, view_of
 from tests.fit.rasterize.oracle import Scene
-from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR
+from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
+from tg4mm.capture import ImageStack
+from tg4mm.capture.pictures import pictures_of
+from tg4mm.core.choices import Kind
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
@@ -22,6 +31,8 @@ from tg4mm.fit.motion.nuisance.projection import (
     nuisances_of,
     without,
 )
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
@@ -159,3 +170,72 @@ def test_exposure_is_told_in_percent_and_as_a_share() -> None:
     assert found[0] == pytest.approx(3, rel=0.1)
     assert found[1] == pytest.approx(1, rel=0.1)
     assert found[2] == pytest.approx((drift**2).sum() / (flat.astype(float) ** 2).sum(), rel=0.05)
+
+
+VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
+
+
+def smooth(gaussians: Gaussians, viewmat: np.ndarray) -> np.ndarray:
+    """[H, W, 3] over white, rendered down to faint alphas: their cut-off at 1/255 would flicker where things move."""
+    view = view_jacobian(gaussians, Camera(viewmat.astype(np.float32), K_of(SIZE)), (SIZE, SIZE))
+    return view.over_white
+
+
+def filmed(
+    frame: Callable[[np.ndarray, int, int], np.ndarray], gaussians: Gaussians, motion: ModalMotion,
+    poses: Callable[[int, int, np.ndarray], np.ndarray] = lambda v, t, viewmat: viewmat,
+) -> Observations:  # fmt: skip
+    """`frame` gets a picture [H, W, 3] in 0..1, the camera and the timestep; `poses` where a camera really stands."""
+    frames, pictures = [], []
+    for v, viewmat in enumerate(_viewmats(VIEWS, 0.0)):
+        rows = np.arange(len(pictures), len(pictures) + T)
+        for t in range(T):
+            shown = smooth(_at(gaussians, motion, t, 0), poses(v, t, viewmat))
+            raw = np.full((SIZE, SIZE, 4), 65535, np.uint16)
+            raw[..., :3] = (frame(shown, v, t).clip(0, 1) * 65535).round()
+            pictures.append(raw)
+        frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K_of(SIZE), rows, np.arange(T) / FPS))
+    stack = pictures_of(ImageStack(np.stack(pictures)))
+    return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, True)
+
+
+@pytest.fixture(scope="module")
+def moving() -> tuple[Gaussians, ModalMotion]:
+    """A post and a ball sway at 5 Hz by an eighth of a pixel; two periods in twelve timesteps."""
+    parts = _parts(1)
+    return _gaussians(parts, 1), _motion(parts, (HZ,), 0.012, FPS, T)
+
+
+def fitted(gaussians: Gaussians, observations: Observations, nuisance: str) -> MotionFit:
+    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
+    return fit_motion(gaussians, observations, config)
+
+
+def at_hz(fit: MotionFit) -> np.ndarray:
+    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - HZ)))]
+
+
+def elsewhere(fit: MotionFit) -> float:
+    """rms of what moves at other frequencies, over that at the true one."""
+    other = np.abs(fit.motion.freqs_hz - HZ) > 1
+    return length(np.abs(fit.motion.displacement[other])) / length(np.abs(at_hz(fit)))
+
+
+def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
+    """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
+    gaussians, motion = moving
+    rng = np.random.default_rng(4)
+    drift = 0.8 + 0.05 * np.cumsum(rng.normal(size=(VIEWS, T, 3)), 1) / np.sqrt(T / 2)
+    offset = 0.01 * rng.normal(size=(VIEWS, T, 3))
+    steady = fitted(gaussians, filmed(lambda p, v, t: 0.8 * p, gaussians, motion), "auto")
+    drifting = filmed(lambda p, v, t: drift[v, t] * p + offset[v, t], gaussians, motion)
+    taken_out, left_in = (fitted(gaussians, drifting, n) for n in ("auto", "none"))
+    size = length(np.abs(at_hz(steady)))
+    off = [length(np.abs(at_hz(f) - at_hz(steady))) / size for f in (taken_out, left_in)]
+    assert off[0] < 0.08
+    assert off[1] > 3 * off[0]
+    assert elsewhere(taken_out) < 0.1
+    assert elsewhere(left_in) > 3 * elsewhere(taken_out)
+    assert taken_out.figures["nuisance"] == ["exposure"]
+    assert 2 < taken_out.figures["exposure_gain_percent"] < 10
+    assert left_in.figures["nuisance"] == []

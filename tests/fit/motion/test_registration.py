@@ -124,13 +124,9 @@ def moving() -> tuple[Gaussians, ModalMotion]:
 
 
 def filmed(
-    at: Callable[[int], Gaussians],
-    n_views: int,
-    shake_px: float,
-    is_cut_out: bool = False,
-    exposed: Callable[[np.ndarray, int, int], np.ndarray] = lambda picture, v, t: picture,
+    at: Callable[[int], Gaussians], n_views: int, shake_px: float, is_cut_out: bool = False
 ) -> Observations:
-    """Fixed cameras that shake, each by itself; `at` gives the Gaussians at a timestep, `exposed` a picture's values.
+    """Fixed cameras that shake, each by itself; `at` gives the Gaussians at a timestep.
 
     Every picture is resampled from a finer one of the camera at rest: Gaussians rendered from a camera that turns pop,
     since their order in depth changes.
@@ -142,7 +138,7 @@ def filmed(
         frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K, rows, np.arange(T) / FPS))
         fine = replace(frames[-1], K=K_of(FINER * SIZE))
         turns = random_turns(T, shake_px, fine.K[0, 0] / FINER, seed=v)
-        for step, (moment, back) in enumerate(zip(moments, homographies(fine.K, turns), strict=True)):
+        for moment, back in zip(moments, homographies(fine.K, turns), strict=True):
             # down to faint alphas: their cut-off at 1/255 would flicker where things move
             view = view_jacobian(moment, fine, (FINER * SIZE, FINER * SIZE))
             blended = np.concatenate([view.image[..., :3], 1 - view.transmittance[..., None]], -1)
@@ -152,7 +148,7 @@ def filmed(
             )
             colour, alpha = np.split(moved.reshape(SIZE, FINER, SIZE, FINER, 4).mean((1, 3)), [3], -1)
             values = colour / np.maximum(alpha, 1e-3) if is_cut_out else colour + 1 - alpha
-            picture = stored(exposed(values, v, step)[None])[0]
+            picture = stored(values[None])[0]
             if is_cut_out:
                 picture[..., 3:] = (alpha.clip(0, 1) * 65535).round()
             pictures.append(picture)
@@ -252,24 +248,3 @@ def test_a_scene_that_moves_as_a_whole_is_not_stabilised(
     assert shake_px == 0
     assert seen.figures["shake_own_share"] < 0.2
     assert "pose" not in seen.figures["nuisance"]
-
-
-def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
-    """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
-    gaussians, motion = moving
-    rng = np.random.default_rng(4)
-    drift = 0.8 + 0.05 * np.cumsum(rng.normal(size=(6, T, 3)), 1) / np.sqrt(T / 2)
-    offset = 0.01 * rng.normal(size=(6, T, 3))
-    exposures = (lambda p, v, t: 0.8 * p), (lambda p, v, t: drift[v, t] * p + offset[v, t])
-    plain, drifting = (filmed(lambda t: _at(gaussians, motion, t, 0), 6, 0.0, exposed=e) for e in exposures)
-    steady, taken_out, left_in = (
-        fitted(gaussians, o, n) for o, n in ((plain, "auto"), (drifting, "auto"), (drifting, "none"))
-    )
-    off = [length(at_hz(f) - at_hz(steady)) / length(at_hz(steady)) for f in (taken_out, left_in)]
-    assert off[0] < 0.08
-    assert off[1] > 3 * off[0]
-    assert elsewhere(taken_out) < 0.1
-    assert elsewhere(left_in) > 3 * elsewhere(taken_out)
-    assert taken_out.figures["nuisance"] == ["exposure"]
-    assert 2 < taken_out.figures["exposure_gain_percent"] < 10
-    assert left_in.figures["nuisance"] == []
