@@ -14,7 +14,7 @@ from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.motion_animate import FREQS, gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import load_capture
+from tg4mm.capture import load_capture, load_images
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.appearance import (
@@ -36,6 +36,8 @@ from tg4mm.fit.motion.spectrum import modes_of
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.research.evaluate.run import fingerprint
+from tg4mm.research.evaluate.scores import Method, Scorer
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -210,3 +212,15 @@ def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
     np.testing.assert_allclose(without, [5.0])
     np.testing.assert_allclose(freqs, [5.0, 9.0])
     np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
+
+
+def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
+    """Displacement is the same with and without, and with more of it."""
+    g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
+    capture = load_capture(tmp_path / "data", "test")
+    images, scorer = load_images(capture), Scorer(g, {})
+    found = set()
+    for own in (None, appearance(), appearance(2e-3)):
+        method = Method("ours", replace(motion(), appearance=own))
+        found.add(fingerprint(scorer, [method], capture, images, 5.0))
+    assert len(found) == 3
