@@ -54,7 +54,7 @@ def measure(
     from tg4mm.show.measure import parse_sensor, prepare, read_sensors
     from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names
-    from tg4mm.show.measure.write import work_folder
+    from tg4mm.show.measure.write import work_folder, write_measurement
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)
@@ -67,25 +67,4 @@ def measure(
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
         found = measured(prepare(opened, keep), asked or None, reference)
-        typer.echo(_written(found, out, animate), nl=False)
-
-
-def _written(found, out: Path, animate: bool) -> str:
-    """The table, and where everything lies."""
-    from tg4mm.show.measure.animate import write_animations
-    from tg4mm.show.measure.plots import write_plots
-    from tg4mm.show.measure.table import format_table
-    from tg4mm.show.measure.uff import write_uff
-    from tg4mm.show.measure.write import write_csv_files, write_json_file
-
-    write_json_file(found, out)
-    write_csv_files(found, out)
-    write_uff(found, out / "measure.uff")
-    write_plots(found, out)
-    lines = [format_table(found)]
-    if animate:
-        lines += [
-            f"{path}: magnified {gain:.3g} times\n"
-            for path, gain in write_animations(found.prepared, found.shapes, out)
-        ]
-    return "".join([*lines, f"{out}\n"])
+        typer.echo(write_measurement(found, out, animate), nl=False)

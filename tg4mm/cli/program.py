@@ -19,6 +19,7 @@ from tg4mm.cli.generate import generate
 from tg4mm.cli.look import look
 from tg4mm.cli.magnify import BandsCommand
 from tg4mm.cli.measure import measure
+from tg4mm.cli.process import process
 from tg4mm.cli.render import render
 from tg4mm.cli.report import report
 from tg4mm.cli.sfm import sfm
@@ -69,7 +70,7 @@ app.command()(look)
 app.command()(train)
 app.command()(measure)
 app.command()(convert)
-for _command in (render, evaluate, report, view, export, sfm):
+for _command in (process, render, evaluate, report, view, export, sfm):
     app.command(cls=BandsCommand)(_command)
 app.add_typer(bench, name="bench")
 
@@ -88,9 +89,9 @@ def tg4mm(
 ) -> None:
     """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
-    look tells in seconds what vibrates in a video. sfm makes a dataset from videos or photographs, generate renders one
-    in Blender. train fits a model to a dataset and writes it to a run folder. render, view, measure, report and export
-    use a run folder.
+    look tells in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
+    commands, too: sfm makes a dataset from videos or photographs, train fits a model to it and writes it to a run
+    folder; render, view, measure, report and export use a run folder. generate renders a dataset in Blender.
 
     Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
     (1 + α) δ.

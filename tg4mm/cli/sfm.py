@@ -30,34 +30,75 @@ class Matching(StrEnum):
     sequential = "sequential"
 
 
+InputArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="INPUT",
+        help="A folder of photographs; or one video of a fixed or a moving camera; or a folder with a video (or a "
+        "folder of frames) for each fixed camera, cam_00.mp4 …, and optionally the scene at rest from all around, "
+        "sweep/ (photographs) or sweep.mp4.",
+    ),
+]
+KindOption = Annotated[
+    Kind | None,
+    typer.Option(
+        help=f"{' '.join(f'{kind}: {kind.about}.' for kind in Kind)} [default: found from the input]"
+    ),
+]
+FpsOption = Annotated[
+    float | None,
+    typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]"),
+]
+FromOption = Annotated[
+    float, typer.Option("--from", metavar="SECONDS", help="Where to begin in every recording.")
+]
+UntilOption = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]"),
+]
+ScaleOption = Annotated[float | None, typer.Option(help="Scale: metres per scene unit.")]
+BaselineOption = Annotated[
+    tuple[str, str, float] | None,
+    typer.Option(
+        metavar="A B METRES",
+        help="Scale: names of two cameras or photographs, and their distance.",
+    ),
+]
+LengthOption = Annotated[
+    tuple[str, float, float, str, float, float, float] | None,
+    typer.Option(
+        metavar="IMAGE X Y IMAGE X Y METRES",
+        help="Scale: a known length in the scene. Each end is a picture's name and its pixels from the left and "
+        "the upper edge, in the picture as given.",
+    ),
+]
+LengthFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Scale: a known length in a JSON or YAML file, each end in one or more pictures: "
+        "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
+    ),
+]
+SynchronousOption = Annotated[
+    bool,
+    typer.Option(
+        "--synchronous",
+        help="One signal started all cameras of a rig. [default: every camera has a clock of its own; offsets are "
+        "found from a steady vibration]",
+    ),
+]
+ThreadsOption = Annotated[
+    int, typer.Option(help="Threads; 0: all cores. With 1 thread the result is reproducible bit for bit.")
+]
+
+
 def sfm(
-    images: Annotated[
-        Path,
-        typer.Argument(
-            metavar="INPUT",
-            help="A folder of photographs; or one video of a fixed or a moving camera; or a folder with a video (or a "
-            "folder of frames) for each fixed camera, cam_00.mp4 …, and optionally the scene at rest from all around, "
-            "sweep/ (photographs) or sweep.mp4.",
-        ),
-    ],
+    images: InputArgument,
     out: Annotated[Path, typer.Option(help="Dataset folder; an unfinished one is resumed.")],
-    kind: Annotated[
-        Kind | None,
-        typer.Option(
-            help=f"{' '.join(f'{kind}: {kind.about}.' for kind in Kind)} [default: found from the input]",
-        ),
-    ] = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]"),
-    ] = None,
-    start: Annotated[
-        float, typer.Option("--from", metavar="SECONDS", help="Where to begin in every recording.")
-    ] = 0.0,
-    until: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]"),
-    ] = None,
+    kind: KindOption = None,
+    fps: FpsOption = None,
+    start: FromOption = 0.0,
+    until: UntilOption = None,
     camera_model: Annotated[
         str, typer.Option(help="Lens model, COLMAP's name: SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, …")
     ] = "SIMPLE_RADIAL",
@@ -87,42 +128,14 @@ def sfm(
             "80 at most]"
         ),
     ] = None,
-    unit_scale_m: Annotated[float | None, typer.Option(help="Scale: metres per scene unit.")] = None,
-    baseline: Annotated[
-        tuple[str, str, float] | None,
-        typer.Option(
-            metavar="A B METRES",
-            help="Scale: names of two cameras or photographs, and their distance.",
-        ),
-    ] = None,
-    length: Annotated[
-        tuple[str, float, float, str, float, float, float] | None,
-        typer.Option(
-            metavar="IMAGE X Y IMAGE X Y METRES",
-            help="Scale: a known length in the scene. Each end is a picture's name and its pixels from the left and "
-            "the upper edge, in the picture as given.",
-        ),
-    ] = None,
-    length_file: Annotated[
-        Path | None,
-        typer.Option(
-            help="Scale: a known length in a JSON or YAML file, each end in one or more pictures: "
-            "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
-        ),
-    ] = None,
-    synchronous: Annotated[
-        bool,
-        typer.Option(
-            "--synchronous",
-            help="One signal started all cameras of a rig. [default: every camera has a clock of its own; offsets are "
-            "found from a steady vibration]",
-        ),
-    ] = False,
+    unit_scale_m: ScaleOption = None,
+    baseline: BaselineOption = None,
+    length: LengthOption = None,
+    length_file: LengthFileOption = None,
+    synchronous: SynchronousOption = False,
     test_every: Annotated[int, typer.Option(help="Use every N-th camera as a test camera; 0: none.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of COLMAP's random draws.")] = 0,
-    threads: Annotated[
-        int, typer.Option(help="Threads; 0: all cores. With 1 thread the result is reproducible bit for bit.")
-    ] = 0,
+    threads: ThreadsOption = 0,
 ) -> None:
     """Make a dataset from photographs or videos.
 
@@ -134,8 +147,6 @@ def sfm(
         raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")
     from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 
-    if length is not None and length_file is not None:
-        raise Tg4mmError("--length and --length-file exclude each other: both say how large the scene is")
     config = SfmConfig(
         kind=None if kind is None else kind.value,
         camera_model=camera_model,
@@ -148,7 +159,7 @@ def sfm(
         stop_s=until,
         unit_scale_m=unit_scale_m,
         baseline=baseline,
-        length=_length(length, length_file),
+        length=length_of(length, length_file),
         test_every=test_every,
         synchronous=synchronous,
         seed=seed,
@@ -171,11 +182,14 @@ def sfm(
     typer.echo(str(out))
 
 
-def _length(
+def length_of(
     given: tuple[str, float, float, str, float, float, float] | None, path: Path | None
 ) -> Length | None:
+    """The known length that was given, in either way. Raises Tg4mmError for two, and as `read_length`."""
     from tg4mm.capture.sfm.scale import Length, read_length
 
+    if given is not None and path is not None:
+        raise Tg4mmError("--length and --length-file exclude each other: both say how large the scene is")
     if path is not None:
         return read_length(path)
     if given is None:

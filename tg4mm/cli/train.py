@@ -22,6 +22,16 @@ PresetOption = Annotated[
 ]
 
 
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override one setting, e.g. space.iterations=3000; may be repeated. --list-settings lists them.",
+    ),
+]
+
+
 def _list_settings(wanted: bool) -> None:
     if not wanted:
         return
@@ -42,14 +52,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Run folder; an unfinished one is resumed.")],
     preset: PresetOption = "modal",
     device: DeviceOption = Device.cpu,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Override one setting, e.g. space.iterations=3000; may be repeated. --list-settings lists them.",
-        ),
-    ] = None,
+    settings: SettingsOption = None,
     list_settings: Annotated[
         bool,
         typer.Option(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tg4mm.core.errors import RunError, Tg4mmError
-from tg4mm.core.files import write_json
-from tg4mm.core.untrusted import read_json
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.steps import Step, clock, run_steps
 from tg4mm.core.work_folder import WorkFolder
 
 STEPS_FILE = "demo.json"
@@ -64,16 +63,6 @@ class Places:
         return self.root / "report.html"
 
 
-@dataclass(frozen=True)
-class Step:
-    """One step: what it does, the file or folder that shows it was done, and how."""
-
-    name: str
-    title: str
-    result: Path
-    work: Callable[[], object]
-
-
 def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
     """Do the main job at `size`×`size` pixels under the folder `out`; returns the report's path.
 
@@ -83,63 +72,28 @@ def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
     if not SIZES[0] <= size <= SIZES[1]:
         raise Tg4mmError(f"--size {size}: expected {SIZES[0]} … {SIZES[1]} pixels")
     places = Places(Path(out))
-    steps = demo_steps(places, size)
     began = time.monotonic()
-    done = _read_done(places.root, size)
-    redo = False  # what follows a step that was done anew is done anew
-    for i, step in enumerate(steps, 1):
-        label = f"[{i}/{len(steps)}] {step.title}"
-        if not redo and step.name in done and step.result.exists():
-            say(f"{label}: already done")
-            continue
-        redo = True
-        say(f"{label} …")
-        start = time.monotonic()
-        step.work()
-        done = {
-            **{s.name: done[s.name] for s in steps[: i - 1]},
-            step.name: round(time.monotonic() - start, 2),
-        }
-        write_json(places.root / STEPS_FILE, _record(size, done))
-        say(f"{label}: {_clock(time.monotonic() - start)}")
-    _say_results(places, _clock(time.monotonic() - began), say)
+    record = {"format": "tg4mm-demo", "version": 2, "size": size}
+    folder = WorkFolder(places.root, STEPS_FILE, free=("done",))
+    folder.claim(record, {**record, "done": {}})
+    run_steps(folder, record, demo_steps(places, size), say)
+    _say_results(places, clock(time.monotonic() - began), say)
     return places.report
 
 
 def demo_steps(places: Places, size: int) -> list[Step]:
     """The steps in order; each calls what the command line calls."""
-    return [
-        Step(
-            "generate", f"Generate the mic scene, {size}×{size}", places.data, lambda: _generate(places, size)
-        ),
-        Step(
-            "train",
-            "Train: Gaussians at rest, then their motion",
-            places.run / "motion.safetensors",
-            lambda: _train(places),
-        ),
-        Step("render", f"Render the test cameras, α = {ALPHA:g}", places.magnified, lambda: _render(places)),
-        Step("orbit", f"Render an orbit, α = {ALPHA:g}", places.orbit / "orbit.mp4", lambda: _orbit(places)),
-        Step("evaluate", "Compare with ground truth", places.metrics, lambda: _evaluate(places)),
-        Step("export", "Export the splat file", places.splat, lambda: _export(places)),
-        Step("report", "Write the report", places.report, lambda: _report(places)),
+    parts: list[tuple[str, str, Path, Callable[[], object]]] = [
+        ("generate", f"Generate the mic scene, {size}×{size}", places.data, lambda: _generate(places, size)),
+        ("train", "Train: Gaussians at rest, then their motion", places.run, lambda: _train(places)),
+        ("render", f"Render the test cameras, α = {ALPHA:g}", places.magnified, lambda: _render(places)),
+        ("orbit", f"Render an orbit, α = {ALPHA:g}", places.orbit, lambda: _orbit(places)),
+        ("evaluate", "Compare with ground truth", places.metrics, lambda: _evaluate(places)),
+        ("export", "Export the splat file", places.splat, lambda: _export(places)),
+        ("report", "Write the report", places.report, lambda: _report(places)),
     ]
-
-
-def _record(size: int, done: Mapping[str, float]) -> dict[str, Any]:
-    return {"format": "tg4mm-demo", "version": 1, "size": size, "done": dict(done)}
-
-
-def _read_done(root: Path, size: int) -> dict[str, float]:
-    """Seconds of the finished steps. A new or empty folder becomes a demo's; any other without one is refused."""
-    folder = WorkFolder(root, STEPS_FILE, free=("done",))
-    folder.claim(_record(size, {}))
-    try:
-        return {str(k): float(v) for k, v in (folder.read() or {})["done"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise RunError(
-            f"{root / STEPS_FILE}: is not the record of a demo; remove it or choose another --out"
-        ) from None
+    names = [name for name, *_ in parts]
+    return [Step(*part, after=names[:i]) for i, part in enumerate(parts)]
 
 
 def _generate(places: Places, size: int) -> None:
@@ -170,7 +124,7 @@ def _render(places: Places) -> None:
     from tg4mm.show.render.sequence import render_sequence
 
     cameras = capture_cameras(load_capture(places.dataset, split="test"))
-    render_sequence(Run.open(places.run), cameras, _request(), _fresh(places.magnified, places.run))
+    render_sequence(Run.open(places.run), cameras, _request(), places.magnified)
 
 
 def _orbit(places: Places) -> None:
@@ -180,27 +134,7 @@ def _orbit(places: Places) -> None:
     from tg4mm.show.render.sequence import render_orbit
 
     cameras = orbit(load_capture(places.dataset), ORBIT_FRAMES)
-    render_orbit(Run.open(places.run), cameras, _request(), _fresh(places.orbit, places.run))
-
-
-def _fresh(folder: Path, run: Path) -> Path:
-    """The folder, cleared of a rendering of another model: the demo made both, so it need not refuse.
-
-    Only pictures and videos beside a render.json of ours are deleted; whatever else lies there stays.
-    """
-    from tg4mm.run.tensor_file import model_hash
-    from tg4mm.show.render.sequence import FORMAT, RECORD
-
-    try:
-        record = read_json(folder / RECORD)
-    except (OSError, ValueError):
-        return folder
-    if isinstance(record, dict) and record.get("format") == FORMAT and record.get("model") != model_hash(run):
-        for pattern in ("*.png", "*/*.png", "*.mp4"):
-            for path in folder.glob(pattern):
-                path.unlink()
-        (folder / RECORD).unlink()  # last, so that a kill in between leaves the folder ours
-    return folder
+    render_orbit(Run.open(places.run), cameras, _request(), places.orbit)
 
 
 def _evaluate(places: Places) -> None:
@@ -227,11 +161,6 @@ def _report(places: Places) -> None:
     files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}
     options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files, metrics=metrics)
     write_report(Run.open(places.run), places.report, options)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
 def _say_results(places: Places, took: str, say: Printer) -> None:

@@ -126,7 +126,7 @@ class Work:
 
 def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
     """OUT/sfm/, made or found again. Raises CaptureError where OUT holds other things, or another request's."""
-    asked = json.loads(json.dumps({"pictures": _files(sources), "settings": settings}))
+    asked = json.loads(json.dumps({"pictures": files_of(sources), "settings": settings}))
     work = WorkFolder(
         out / "sfm",
         NAME,
@@ -155,7 +155,7 @@ def _dict(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _files(sources: Sources) -> dict[str, list[Any]]:
+def files_of(sources: Sources) -> dict[str, list[Any]]:
     """Path and, for each file, its size and time of change."""
 
     def stamp(path: Path) -> list[Any]:

@@ -14,11 +14,15 @@ from tg4mm.capture.codec import reported_deviation
 from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.work_folder import WorkFolder
+from tg4mm.show.measure.animate import write_animations
 from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+from tg4mm.show.measure.plots import write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
+from tg4mm.show.measure.table import format_table
+from tg4mm.show.measure.uff import write_uff
 from tg4mm.show.measure.units import unit_of
 
 MARK = "measure.json"
@@ -27,6 +31,21 @@ MARK = "measure.json"
 def work_folder(out: Path) -> WorkFolder:
     """OUT as the folder of a measurement: what is measured again is written anew."""
     return WorkFolder(out, MARK, MeasureError)
+
+
+def write_measurement(found: Measurement, out: Path, animate: bool = True) -> str:
+    """Everything into the folder OUT; returns the table, and where it lies. animate: the shape at every peak, too."""
+    write_json_file(found, out)
+    write_csv_files(found, out)
+    write_uff(found, out / "measure.uff")
+    write_plots(found, out)
+    lines = [format_table(found)]
+    if animate:
+        lines += [
+            f"{path}: magnified {gain:.3g} times\n"
+            for path, gain in write_animations(found.prepared, found.shapes, out)
+        ]
+    return "".join([*lines, f"{out}\n"])
 
 
 def write_json_file(measurement: Measurement, out: Path) -> Path:

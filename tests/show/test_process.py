@@ -1,0 +1,81 @@
+"""`tg4mm process` on a small video of one fixed camera: what it leaves, and what a second call does."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.capture.sfm.videos import write_video
+from tg4mm.cli import main
+
+pytestmark = pytest.mark.slow
+HZ, FPS = 4.0, 20
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """2.5 s of 96×72 pixels, a part of which vibrates by .4 px."""
+    pytest.importorskip("av", reason="needs the extra sfm")
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(96.0), np.arange(72.0))
+    waves = [(*rng.uniform(-0.8, 0.8, 2), rng.uniform(0, 2 * np.pi)) for _ in range(30)]
+    part = np.exp(-((x - 48) ** 2 + (y - 36) ** 2) / 300)
+    frames = []
+    for k in range(50):
+        shift = 0.4 * np.sin(2 * np.pi * HZ * k / FPS) * part
+        grey = 128 + 12 * sum(np.cos(u * (x - shift) + v * y + p) for u, v, p in waves)
+        noisy = grey[..., None] + rng.normal(0, 2, (72, 96, 3))
+        frames.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    return write_video(tmp_path_factory.mktemp("video") / "shaft.mp4", frames, Fraction(FPS), crf=8)
+
+
+def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["process", str(video), "--out", str(out)]) == 0
+    made = {p.name for p in out.iterdir()}
+    assert made == {
+        "dataset",
+        "run",
+        "measured",
+        "magnified",
+        "magnified.mp4",
+        "report.html",
+        "page.html",
+        "process.json",
+    }
+    sensors = json.loads((out / "measured" / "measure.json").read_text(encoding="utf-8"))["sensors"]
+    strongest = [s["spectrum"]["peaks"][0]["frequency_hz"] for s in sensors if s["spectrum"]["peaks"]]
+    assert min(abs(hz - HZ) for hz in strongest) < 0.05
+    capsys.readouterr()
+
+    stamps = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file() and p.name != "process.json"}
+    assert main(["process", str(video), "--out", str(out)]) == 0
+    assert capsys.readouterr().out.count("already done") == 7
+    assert {p: p.stat().st_mtime_ns for p in stamps} == stamps
+
+    assert main(["process", str(video), "--out", str(out), "--alpha", "3", "--band", "3", "5"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("already done") == 5  # dataset, scale, run, measured, page
+    assert "magnified.mp4: 4 times the motion from 3 to 5 Hz" in said
+    assert (out / "magnified_1").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--from", "-1"], "--from is -1.0, expected 0 s or more"),
+        (["--sensor", "a=box:1"], "box"),
+        (["--set", "space.iteration=5"], "space.iterations"),
+        (["--band", "3", "5", "--band", "7", "9"], "one video magnifies one band"),
+    ],
+)
+def test_bad_input_leaves_nothing(video, tmp_path, capsys, options, message):
+    assert main(["process", str(video), "--out", str(tmp_path / "out"), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,159 @@
+"""From a video to numbers, a page and a magnified video, in one folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import load_capture
+from tg4mm.capture.sfm.config import SCENE_ONLY, SfmConfig, checked, files_of
+from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.capture.sfm.sources import find_sources
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_atomic
+from tg4mm.core.magnification import Magnification
+from tg4mm.core.steps import Say, Step, run_steps
+from tg4mm.core.work_folder import WorkFolder
+from tg4mm.run import Run
+from tg4mm.run.train import train
+from tg4mm.show.measure import Sensor, measure, prepare
+from tg4mm.show.measure.locate import check_sensors
+from tg4mm.show.measure.write import work_folder as measured_folder
+from tg4mm.show.measure.write import write_measurement
+from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
+from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
+from tg4mm.show.report.write import ReportOptions, write_report
+from tg4mm.show.result.read import result_of
+from tg4mm.show.web.write import export_html
+
+RECORD = "process.json"
+ORBIT = 90  # pictures
+# of a first answer: the fewest iterations that a scene of any size is given, and Gaussians that they can place
+QUICK = {"space.iterations": "1000", "space.max_gaussians": "10000"}
+
+
+@dataclass(frozen=True)
+class ProcessOptions:
+    """What the steps are told; the same meaning as in each one's own command."""
+
+    sfm: SfmConfig = field(default_factory=SfmConfig)
+    settings: Mapping[str, str] = field(default_factory=dict)  # of the training, "space.iterations": "3000" …
+    device: str = "cpu"
+    sensors: Sequence[Sensor] = ()  # (): the parts that move alike, and the whole scene
+    alpha: float | None = None  # of the magnified video; None: what shows the motion well
+    band: tuple[float, float] | None = None  # Hz; None: around the strongest vibration
+    quick: bool = False  # fewer Gaussians and iterations, and no pages
+    threads: int = -1  # of COLMAP; −1: all cores
+
+
+def process(source: Path, out: Path, options: ProcessOptions | None = None, say: Say = print) -> Path:
+    """Make all of OUT from photographs or recordings: `dataset/`, `run/`, `measured/`, `magnified.mp4`, the pages.
+
+    Finished steps are skipped, so the same call goes on after a kill, and one with other options does what they change:
+    the folder of another request is kept under another name. Returns OUT. Raises Tg4mmError on bad input, RunError
+    where OUT holds anything but what this made of the same source.
+    """
+    options = options or ProcessOptions()
+    checked(options.sfm)
+    pictures = files_of(find_sources(source))
+    record = {"format": "tg4mm-process", "version": 1, "source": str(source.resolve())}
+    folder = WorkFolder(out, RECORD, free=("done",))
+    with folder.held("processes into it"):
+        folder.claim(record, {**record, "done": {}})
+        run_steps(folder, record, _steps(source, out, options, pictures, say), say)
+    return out
+
+
+def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[Step]:
+    dataset, run, settings = out / "dataset", out / "run", asdict(options.sfm)
+    scale = {key: settings.pop(key) for key in SCENE_ONLY}
+    trained = {**(QUICK if options.quick else {}), **options.settings}
+    magnified = {"alpha": options.alpha, "band": options.band}
+    sensors = [[s.name, repr(s)] for s in options.sensors]
+
+    def make() -> None:
+        reconstruct(source, dataset, options.sfm, options.threads)
+
+    def fit() -> None:
+        train(dataset, run, "modal", options.device, _for_kind(dataset, trained))
+
+    def reported() -> Path:
+        chosen = ReportOptions(alpha=options.alpha, band=options.band, sensors=options.sensors)
+        return write_report(Run.open(run), out / "report.html", chosen)
+
+    steps = [
+        Step("dataset", "Poses and times", dataset, make, {"pictures": pictures, **settings}),
+        Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
+        Step("run", "The scene at rest and its motion", run, fit, {"settings": trained, "device": options.device},
+             ["dataset"]),
+        Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
+             {"sensors": sensors, "quick": options.quick}, ["scale", "run"]),
+        Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
+             magnified, ["run"]),
+    ]  # fmt: skip
+    pages = [
+        Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
+             ["scale", "run"]),
+        Step("page", "The page to send", out / "page.html", lambda: export_html(Run.open(run), out / "page.html"),
+             {}, ["scale", "run"]),
+    ]  # fmt: skip
+    return steps if options.quick else [*steps, *pages]
+
+
+def _for_kind(dataset: Path, settings: Mapping[str, str]) -> dict[str, str]:
+    """Without the sizes of a first answer where the capture is flat, whose fit takes seconds."""
+    deep = load_capture(dataset).kind.sees_depth
+    return {k: v for k, v in settings.items() if deep or QUICK.get(k) != v}
+
+
+def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
+    run = Run.open(path)
+    if run.load_motion() is None:
+        out.mkdir(exist_ok=True)
+        say(f"{out}: empty, since the scene is still")
+        return
+    check_sensors(run, options.sensors)
+    with measured_folder(out).held("writes a measurement there"):
+        found = measure(prepare(run), options.sensors or None)
+        say(write_measurement(found, out, animate=not options.quick))
+
+
+def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
+    """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
+    run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
+    result = result_of(run)
+    band = options.band or result.band
+    video.unlink(missing_ok=True)
+    folder.mkdir(exist_ok=True)
+    if band is None:
+        say(f"no {video}: no vibration was found; --band LO HI magnifies one all the same")
+        return
+    alpha = result.alpha if options.alpha is None else options.alpha
+    request = RenderRequest(Magnification.of(alpha, *band)).checked()
+    if (camera := _standing(run)) is not None:
+        render_sequence(run, [camera], request, folder, device=options.device)
+    else:
+        centre = run.load_space().means.median(dim=0).values.numpy()
+        render_orbit(
+            run, orbit(load_capture(run.dataset), ORBIT, centre), request, folder, device=options.device
+        )
+    made = next(folder.glob("*.mp4"), None)
+    if made is None:
+        raise RunError(f"{folder}: no video was written")
+    write_atomic(video, lambda temporary: shutil.copyfile(made, temporary))
+    say(f"{video}: {1 + alpha:g} times the motion from {band[0]:g} to {band[1]:g} Hz")
+
+
+def _standing(run: Run) -> Camera | None:
+    """The fixed camera that took most pictures; None where the camera moves, or nothing does."""
+    capture = load_capture(run.dataset)
+    counts = np.bincount(capture.camera_ids)
+    most = int(np.argmax(counts))
+    if capture.kind.moving or counts[most] < 2:
+        return None
+    return capture_cameras(capture.selected(np.flatnonzero(capture.camera_ids == most)))[0]
