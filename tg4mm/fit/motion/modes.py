@@ -166,3 +166,8 @@ class MotionFit:
     figures: dict[str, Any]  # for the log
     notes: list[str] = field(default_factory=list)  # what cannot be told, a line each
     config: MotionConfig = field(default_factory=MotionConfig)  # it was asked for with
+
+    @property
+    def untold_ground_hz(self) -> tuple[float, ...]:
+        """Frequencies at which a moving camera shows motion, but not which part stands still."""
+        return tuple(self.figures.get("untold_ground_hz", ()))

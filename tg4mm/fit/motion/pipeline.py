@@ -35,6 +35,7 @@ from tg4mm.fit.motion.uncertainty import (
     Uncertainty,
     few_view_uncertainty,
     split_half_uncertainty,
+    with_ground,
 )
 
 _SUPPORTS = 2  # fits within a support, at most
@@ -188,7 +189,8 @@ def _uncertainty(
     if len(estimate.folds) < 2:
         return None
     if len(problem.views) >= LEAST or model.observations.is_flat:
-        return split_half_uncertainty(estimate, model.n_frames)
+        found = split_half_uncertainty(estimate, model.n_frames)
+        return with_ground(found, model.ground_squares(), model.n_frames)
     small = coarser(problem, model.observations.frames)
     operator = small.on_cpu(small.everything, hyper.smoothness_weight)
     of_one_field = replace(operator, mixing=None)
@@ -204,7 +206,7 @@ def _result(
     figures: dict[str, Any],
 ) -> MotionFit:
     """With what is logged, and what cannot be told."""
-    observations, notes = model.observations, [*model.notes, *model.unclear(fields)]
+    observations, notes = model.observations, [*model.notes]
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
@@ -235,11 +237,14 @@ def without_motion(model: TemporalModel) -> MotionFit:
     empty = np.zeros((0, len(model.gaussians), 3), np.complex64)
     motion = ModalMotion(np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps)
     note = "no frequency stands out of the noise: the run holds no motion"
-    if hz := model.figures["frequencies_hz"]:
+    hz = model.figures["frequencies_hz"]
+    if model.ground_squares() is not None:
+        note = ""  # the model's notes say why
+    elif hz:
         named = ", ".join(f"{f:.4g}" for f in hz)
         note = (
             f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
             f"motion; {model.if_halves_disagree}"
         )
     figures = {"views": len(model.problem.views), **model.figures, "n_frequencies": 0}
-    return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, note])
+    return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, *([note] if note else [])])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,18 @@ def split_half_uncertainty(estimate: MotionEstimate, n_timesteps: int) -> Uncert
     power = max(float((estimate.folds[..., :3].mean(0) ** 2).sum()), 1e-30)
     ratios = {"noise_to_motion": noise, "uncertainty_to_motion": variance}
     return Uncertainty(arrays, {name: math.sqrt(float(v.sum()) / power) for name, v in ratios.items()})
+
+
+def with_ground(uncertainty: Uncertainty, squares: np.ndarray | None, n_timesteps: int) -> Uncertainty:
+    """With what it means that another part may stand still: squares [N] of the fields' error (`camera_path.py`)."""
+    if squares is None:
+        return uncertainty
+    old = uncertainty.arrays
+    ground = np.sqrt(squares / n_timesteps).astype(np.float32)
+    arrays = old | {"displacement": np.hypot(old["displacement"], ground), "ground": ground}
+    grown = np.linalg.norm(arrays["displacement"]) / max(float(np.linalg.norm(old["displacement"])), 1e-30)
+    ratio = float(uncertainty.figures["uncertainty_to_motion"] * grown)
+    return replace(uncertainty, arrays=arrays, figures=uncertainty.figures | {"uncertainty_to_motion": ratio})
 
 
 def few_view_uncertainty(

@@ -36,6 +36,12 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append(
             "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
         )
+    if hz := scene.fit.untold_ground_hz:
+        named = ", ".join(f"{f:.4g}" for f in hz)
+        out.append(
+            f"which of two parts that move against each other at {named} Hz stands still: every ± is at least as large "
+            "as the motion"
+        )
     if not scene.fit.uncertainty:
         out.append(
             "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"

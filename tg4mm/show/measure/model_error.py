@@ -4,7 +4,9 @@ The run says of every Gaussian how uncertain its motion is (docs/method.md, "Unc
 the pictures, and by how much it varies among neighbours. A sensor averages over its region and fits nothing but a
 rigid motion, so half of that is left along each axis: a number from a generated set with exact truth
 (docs/measure.md). Beside it stands what the halves differ by in proportion to the motion. An error of the model
-spreads over directions as noise would: a single camera's sight takes it up many times over.
+spreads over directions as noise would: a single camera's sight takes it up many times over. Which part stands still
+before a moving camera is one question for the whole region: that error stays whole, and where the run does not tell it,
+is as large as the motion.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     size = np.linalg.norm(np.where(series.is_told, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
     base = min(shared_error(scene, body) / rms, _MOST) if rms > 0 else 0.0
+    base = _MOST if scene.fit.untold_ground_hz else base
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.sqrt(np.where(series.is_observed, series.unit_variance, 0) / least)
     share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
@@ -39,8 +42,14 @@ def shared_error(scene: Prepared, body: Body) -> float:
     known = _along_an_axis(scene)
     if known is None:
         return 0.0
+    ground = scene.fit.uncertainty.get("ground", np.zeros(1))
+    return float(np.hypot(OF_UNCERTAINTY * _rms(scene, body, known), _rms(scene, body, ground)))
+
+
+def _rms(scene: Prepared, body: Body, values: np.ndarray) -> float:
+    """Over what is seen of a region, of values [N]."""
     seen = body.weights * scene.seen
-    return OF_UNCERTAINTY * float(np.sqrt((seen @ known.astype(np.float64) ** 2) / seen.sum()))
+    return float(np.sqrt((seen @ np.broadcast_to(values.astype(np.float64) ** 2, seen.shape)) / seen.sum()))
 
 
 def _along_an_axis(scene: Prepared) -> np.ndarray | None:
@@ -48,4 +57,7 @@ def _along_an_axis(scene: Prepared) -> np.ndarray | None:
     found = scene.fit.uncertainty
     if "across_sight" in found:
         return found["across_sight"]
-    return np.asarray(found["displacement"] / np.sqrt(3)) if found else None
+    if not found:
+        return None
+    of_model = found["displacement"] ** 2 - found.get("ground", np.zeros(1)) ** 2
+    return np.asarray(np.sqrt(np.maximum(of_model, 0) / 3))

@@ -180,6 +180,15 @@ class Projection:
         products = pictures.reshape(len(pictures), -1) @ weighted.reshape(len(basis), -1).T
         return pictures - np.tensordot(products, basis, 1)
 
+    def coefficients(self, picture: np.ndarray) -> np.ndarray:
+        """[12] of the columns, by least squares of a picture [H, W, 3]; weights 1, all columns active."""
+        basis = np.tensordot(self.root, self.nuisance.columns(self.mean), 1)
+        return self.root.T @ (basis.reshape(len(basis), -1) @ picture.ravel())
+
+    def coefficients_of_motion(self, motion: np.ndarray) -> np.ndarray:
+        """[12] of what a motion [N, 6] changes in the picture."""
+        return self.root.T @ (self.adjoint_columns.reshape(len(self.root), -1) @ motion.ravel())
+
     def correct(self, motions: np.ndarray, v_motions: np.ndarray) -> None:
         """Takes L Lᵀ of motions [R, N, 6] off `v_motions`: Jᵀ W J becomes the projected operator."""
         flat = self.adjoint_columns.reshape(len(self.adjoint_columns), -1)

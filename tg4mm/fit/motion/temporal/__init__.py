@@ -87,9 +87,9 @@ class TemporalModel(ABC):
         Functions that are no motion are let go, and what the cameras leave open is settled.
         """
 
-    def unclear(self, fields: np.ndarray) -> list[str]:
-        """What cannot be told of fields [R, N, 6]."""
-        return []
+    def ground_squares(self) -> np.ndarray | None:
+        """[N] squares of the fields' error by not knowing what stands still; None: that is no question."""
+        return None
 
     @abstractmethod
     def pixels_moved(self, fields: np.ndarray) -> float:

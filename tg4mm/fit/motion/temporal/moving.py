@@ -12,25 +12,24 @@ explain the frames, the one is taken in which most of the scene stands still.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from tg4mm.core.errors import RunError
-from tg4mm.core.memory import mapped_zeros, release
+from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
+from tg4mm.fit.motion.nuisance.camera_path import CameraPath, Reading
+from tg4mm.fit.motion.nuisance.poses import ALTERNATIONS, corrected_poses, pictures_of
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.fit.motion.observation_model import ObservationModel
-from tg4mm.fit.motion.observations import Observations, PosedFrames, whole_pictures
+from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.refine import refine_at_rest
 from tg4mm.fit.motion.sinusoids import polynomials, sinusoids
 from tg4mm.fit.motion.solver.operator import Fold
@@ -40,18 +39,12 @@ from tg4mm.fit.motion.temporal.frequencies import Frequencies
 from tg4mm.fit.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.fit.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
-_ALTERNATIONS = 3  # between poses and the scene at rest, at most
 _STILL_PX = 0.05  # rms correction of the poses below which another brings nothing
-_POSE_STEPS = 2
-_ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
 # Of the first fit, times the iterations of fixed cameras: with the camera's pose projected out, what moves against the
 # background is found late.
 _MORE_ITERATIONS = 2
-_STILL_SHARE = (
-    0.2  # of what is seen, that moves: beyond it which part stands still is not told (docs/captures.md)
-)
 _MOVES, _LARGEST = 0.25, 0.99  # of the largest amplitude; the quantile that is called the largest
 _LEAST_POWER = 1.5  # of a frequency, times the noise's
 # What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
@@ -66,6 +59,8 @@ class MovingCamera(Steady):
     """`TemporalModel` of one camera that moves."""
 
     if_halves_disagree: ClassVar[str] = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
+    path: CameraPath
+    ambiguity: np.ndarray | None = None  # [N] squares of the fields' error; None: no field was read
     min_reliability: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
 
     @staticmethod
@@ -81,7 +76,7 @@ class MovingCamera(Steady):
             gaussians, observations, config, device, checkpoint
         )
         observations = replace(observations, frames=frames)
-        problem, residuals = _residual_problem(gaussians, observations, config, device)
+        problem, residuals, left = _residual_problem(gaussians, observations, config, device)
         lowest_hz = _PERIODS / observations.duration_s
         frequencies = frequencies_of(
             observations, [_series(problem, residuals, observations, checkpoint)], _LEAST_POWER, lowest_hz
@@ -101,9 +96,11 @@ class MovingCamera(Steady):
             problem = problem.changed(mixing=mixing)
         folds = folds_of(len(frames), observations.size, True, config.split_half)
         scale = float(np.sqrt(2 / len(frames)))
+        viewmats, times = np.stack([f.viewmat for f in frames]), np.concatenate([f.times_s for f in frames])
+        path = CameraPath.of(times, viewmats, left, gaussians.means.numpy(), _seen_weights(problem))
         return MovingCamera(
             gaussians, observations, problem, targets, folds, config, figures, notes,
-            np.arange(targets.images.shape[1]), frequencies, scale,
+            np.arange(targets.images.shape[1]), frequencies, scale, path,
         )  # fmt: skip
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -116,7 +113,7 @@ class MovingCamera(Steady):
 
     def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
         """With the background still, each frequency by itself."""
-        means, seen = self.gaussians.means.numpy(), self._seen_weights
+        means, seen = self.gaussians.means.numpy(), self.path.seen
         pairs = [
             with_still_background(fields[k : k + 2], means, seen)
             for fields in folds
@@ -134,37 +131,74 @@ class MovingCamera(Steady):
         With the pose projected out the first fit spreads motion over what stands still. Where that is held still,
         the poses are told by it, and the amplitude comes out.
         """
-        fields = self.fix_gauge(folds[:, : 2 * len(self.hz)]).mean(0)[..., :3]
-        amplitudes = np.sqrt((fields**2).sum(2).reshape(len(self.hz), 2, -1).sum(1))
-        largest = np.quantile(amplitudes[:, self._seen_weights > 0], _LARGEST, axis=1, keepdims=True)
-        moves = amplitudes > _MOVES * largest
+        moves = self._moves(self.fix_gauge(folds[:, : 2 * len(self.hz)]).mean(0))
         slow = np.tile(moves.any(0), (folds.shape[1] - 2 * len(self.hz), 1))
         return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
-    def unclear(self, fields: np.ndarray) -> list[str]:
-        """Which part of fields [2 K, N, 6] stands still, where most of the picture moves."""
-        amplitudes = np.sqrt((fields[0::2, :, :3] ** 2 + fields[1::2, :, :3] ** 2).sum(-1))
-        seen = self._seen_weights
-        largest = np.quantile(amplitudes[:, seen > 0], _LARGEST, axis=1, keepdims=True)
-        share = float(((amplitudes > _MOVES * largest) * seen).sum(1).max() / seen.sum())
-        if share <= _STILL_SHARE:
+    def _moves(self, fields: np.ndarray) -> np.ndarray:
+        """[K, N] bool: by a quarter of the largest amplitude or more, of fields [2K, N, 6]."""
+        squares = (fields[..., :3] ** 2).sum(2)
+        amplitudes = np.sqrt(squares[0::2] + squares[1::2])
+        largest = np.quantile(amplitudes[:, self.path.seen > 0], _LARGEST, axis=1, keepdims=True)
+        return np.asarray(amplitudes > _MOVES * largest)
+
+    def settled(self, folds: np.ndarray) -> tuple[MovingCamera, np.ndarray]:
+        """The frequencies on which two folds agree, and of which the camera's path tells what stands still."""
+        model, folds = super().settled(folds)
+        readings = model._readings(folds.mean(0))
+        if not readings:
+            return model, folds
+        folds, is_told = folds.copy(), np.array([r.is_told for r in readings])
+        for k, reading in enumerate(readings):
+            if reading.rigid is not None:
+                folds[:, 2 * k] -= reading.rigid.real
+                folds[:, 2 * k + 1] -= reading.rigid.imag
+        figures: dict[str, Any] = {
+            "moving_share": [round(r.moving_share, 3) for r in readings],
+            "other_reading": [round(r.doubt, 4) for r in readings],
+        }
+        notes = [*model.notes]
+        if not is_told.all():
+            figures["untold_ground_hz"] = [round(float(f), 4) for f in model.hz[~is_told]]
+            notes.append(_not_told(model.hz[~is_told]))
+        ambiguity = sum((r.squares for r in readings if r.is_told), np.zeros(len(model.gaussians)))
+        model = replace(model, ambiguity=ambiguity, figures=model.figures | figures, notes=notes)
+        return model._with(is_told), folds[:, np.repeat(is_told, 2)]
+
+    def ground_squares(self) -> np.ndarray | None:
+        return self.ambiguity
+
+    def _readings(self, fields: np.ndarray) -> list[Reading]:
+        """Of every frequency's fields [2K, N, 6]."""
+        if not len(fields):
             return []
+        functions = np.sqrt(2 / len(self.path.times_s)) * sinusoids(self.path.times_s, self.hz)
+        path = self.path.without(fields, functions, self.problem.projections or ())
+        moves, pairs = self._moves(fields), fields[0::2, :, :3] + 1j * fields[1::2, :, :3]
         return [
-            f"{share:.0%} of what is seen moves: where more than {_STILL_SHARE:.0%} do, or most of the picture, its "
-            "motion cannot be told from the camera's own, and what is shown may be what stands still, moved back; "
-            "a fixed camera and a sweep tell (docs/capture-guide.md, tripod)"
+            self.path.reading(path, pairs[k], moves[k], float(hz), np.delete(self.hz, k), self.scale)
+            for k, hz in enumerate(self.hz)
         ]
 
-    @cached_property
-    def _seen_weights(self) -> np.ndarray:
-        """[N]: how much is seen of each Gaussian, in some frames."""
-        views = self.problem.views
-        ones = np.ones((*self.problem.size[::-1], 3), np.float32)
-        total = np.zeros(self.problem.n_gaussians)
-        for view in views[:: max(len(views) // _JUDGED, 1)]:
-            total += blend_sum(view, ones)[:, 0]
-            view.release()
-        return total
+
+def _not_told(hz: np.ndarray) -> str:
+    """What is said of frequencies whose motion may be the camera's own."""
+    named = ", ".join(f"{f:.4g}" for f in hz)
+    return (
+        f"how things move at {named} Hz, so that the run holds no motion there: neither how much of what is seen moves "
+        "nor the camera's path tells its motion from the camera's own; a fixed camera and a sweep tell "
+        "(docs/capture-guide.md, tripod)"
+    )
+
+
+def _seen_weights(problem: Problem) -> np.ndarray:
+    """[N]: how much is seen of each Gaussian, in some frames."""
+    ones = np.ones((*problem.size[::-1], 3), np.float32)
+    total = np.zeros(problem.n_gaussians)
+    for view in problem.views[:: max(len(problem.views) // _JUDGED, 1)]:
+        total += blend_sum(view, ones)[:, 0]
+        view.release()
+    return total
 
 
 def functions_of(observations: Observations, frequencies: Frequencies) -> np.ndarray:
@@ -178,15 +212,15 @@ def functions_of(observations: Observations, frequencies: Frequencies) -> np.nda
 
 def _residual_problem(
     gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str
-) -> tuple[Problem, np.ndarray]:
-    """The problem, and the residual of every frame [F, 1, H, W, 3] with exposure and pose projected out.
+) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """The problem, the residual of every frame [F, 1, H, W, 3] without exposure and pose, and [F, 6] of the pose in it.
 
     All pixels count alike: a residual holds the motion that is to be found, so that weights by its size would leave the
     fit what does not move.
     """
     views, projections, means = [], [], gaussians.means.numpy()
     n, (width, height) = len(observations.frames), observations.size
-    residuals = mapped_zeros((n, 1, height, width, 3))
+    residuals, left = mapped_zeros((n, 1, height, width, 3)), np.zeros((n, 6))
     with progress("residuals", n, "frames") as update:
         for k, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -199,11 +233,12 @@ def _residual_problem(
             projection = Projection.of(nuisance, shown, None, is_large, keeps=False)
             model = ObservationModel(frame, view, projection)
             residuals[k] = model.without_nuisance((picture - shown)[None])
+            left[k] = projection.coefficients(picture - shown)[POSE]
             model.release()
             views.append(view)
             projections.append(projection)
             update(k + 1)
-    return replace(Problem.of(views, gaussians, config, device), projections=projections), residuals
+    return replace(Problem.of(views, gaussians, config, device), projections=projections), residuals, left
 
 
 def _series(
@@ -229,7 +264,7 @@ def _refine_scene_and_poses(
 ) -> tuple[Gaussians, list[PosedFrames], dict[str, Any]]:
     """Gaussians and poses refined in turn on all frames, and how far poses went (pixels)."""
     frames, moved = observations.frames, []
-    for k in range(_ALTERNATIONS):
+    for k in range(ALTERNATIONS):
 
         def compute(
             frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
@@ -249,80 +284,3 @@ def _refine_scene_and_poses(
         if moved[-1] < _STILL_PX:
             break
     return gaussians, frames, {"pose_corrections_px": moved}
-
-
-def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
-    """[H, W, 3] float32 of every frame, over white."""
-    for frame in observations.frames:
-        yield next(whole_pictures(observations, frame.rows))[0]
-
-
-def corrected_poses(
-    gaussians: Gaussians, observations: Observations, k: int, pictures: np.ndarray | None = None
-) -> tuple[list[PosedFrames], np.ndarray, float]:
-    """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels.
-
-    `pictures` [F, H, W, 3], where they are given, become those of the frames with exposure taken out.
-    """
-    out, exposures, squares = [], [], []
-    means = gaussians.means.numpy()
-    label = f"poses, {k + 1} of {_ALTERNATIONS}"
-    with progress(label, len(observations.frames), "frames") as update:
-        for i, (frame, picture) in enumerate(
-            zip(observations.frames, pictures_of(observations), strict=True)
-        ):
-            first = frame
-            for _ in range(_POSE_STEPS):
-                view = view_jacobian(gaussians, frame, observations.size)
-                shown = view.over_white
-                nuisance = Nuisance(view, frame, means, _ALL)
-                n = _coefficients(nuisance, shown, picture - shown)
-                frame = replace(frame, viewmat=_corrected(frame.viewmat, n[POSE]))
-            if not np.isfinite(frame.viewmat).all():
-                raise RunError(
-                    f"the pose of frame {i} cannot be refined: what it shows is not the scene at rest"
-                )
-            out.append(frame)
-            exposures.append(n[:6].astype(np.float32))
-            if pictures is not None:
-                pictures[i] = (picture - exposures[i][3:]) / (1 + exposures[i][:3])
-                release(pictures)
-            squares.append(_apart(first, frame, means, gaussians.opacities.numpy()))
-            update(i + 1)
-    return out, np.array(exposures), float(np.sqrt(np.mean(squares)))
-
-
-def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """[12] of one frame: least squares, residuals beyond three robust deviations counting less."""
-    columns = nuisance.columns(shown).reshape(12, -1)
-    flat, weights = residual.reshape(-1), np.ones(residual.size, np.float32)
-    scale = np.sqrt((columns.astype(np.float64) ** 2).sum(1)) + 1e-12
-    n = np.zeros(12)
-    for _ in range(3):
-        weighted = columns * weights
-        gram = (weighted @ columns.T).astype(np.float64) / np.outer(scale, scale)
-        side = (weighted @ flat).astype(np.float64) / scale
-        n = np.linalg.solve(gram + 1e-6 * np.eye(12), side) / scale
-        error = flat - n.astype(np.float32) @ columns
-        spread = 1.4826 * float(np.median(np.abs(error))) + 1e-6
-        weights = 1 / (1 + (error / (_ROBUST * spread)) ** 2)
-    return n
-
-
-def _corrected(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """The pose that shows what the scene would show if it moved rigidly by n about the camera (`rigid_fields`)."""
-    out = viewmat.astype(np.float64).copy()
-    rotation = Rotation.from_rotvec(n[:3]).as_matrix()  # camera axes
-    out[:3] = rotation @ out[:3]
-    out[:3, 3] += n[3:]
-    return out.astype(np.float32)
-
-
-def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndarray) -> float:
-    """Mean squared distance in pixels between what two poses make of the Gaussians before the camera."""
-    pixels = []
-    for frame in (a, b):
-        x = means @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
-        pixels.append(x[:, :2] / np.maximum(x[:, 2:], 1e-6) * np.diag(frame.K)[:2])
-    seen = (x[:, 2] > 1e-3) & (np.abs(pixels[0]) < 2 * frame.K[:2, 2]).all(1) & (opacities > 0.1)
-    return float(((pixels[0] - pixels[1])[seen] ** 2).sum(1).mean()) if seen.any() else 0.0

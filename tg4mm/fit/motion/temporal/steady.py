@@ -41,16 +41,18 @@ class Steady(TemporalModel):
         """The frequencies' fields, of those on which two folds agree."""
         folds = self.fix_gauge(folds[:, : 2 * len(self.hz)])
         is_reliable = _reliability_of_pairs(folds) >= self.min_reliability
-        rows = np.repeat(is_reliable, 2)
+        return self._with(is_reliable), folds[:, np.repeat(is_reliable, 2)]
+
+    def _with(self, keep: np.ndarray) -> Self:
+        """Only the frequencies `keep` [K] bool; the log names all where none is kept."""
+        rows, frequencies = np.repeat(keep, 2), self.frequencies.selected(keep)
         mixing = [m[:, : len(rows)][:, rows] for m in self.problem.mixing or ()]
-        frequencies = self.frequencies.selected(is_reliable)
-        model = replace(
+        return replace(
             self,
             frequencies=frequencies,
             problem=self.problem.changed(mixing=mixing),
-            figures=self.figures | frequency_figures(frequencies) if is_reliable.any() else self.figures,
+            figures=self.figures | frequency_figures(frequencies) if keep.any() else self.figures,
         )
-        return model, folds[:, rows]
 
     def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
         """Fields [P, 2K, N, 6], whose gauge is fixed: what the cameras leave open is chosen."""
