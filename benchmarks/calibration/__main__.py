@@ -2,12 +2,14 @@
 
     python -m benchmarks.calibration DIR [--films 60] [--first 0] [--jobs 2] [--stages look whole baselines]
                                          [--python FILE]
+    python -m benchmarks.calibration DIR --kinds [--films 12]
 
 Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
 goes on. Stages: `look` is one pass over the video (`tg4mm.capture.look`); `whole` is sfm, train and measure with a
 sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase-based estimator on the same regions
 (--python: one that has pyidi). Each stage has its own table: how many errors lie within 1 and 2 of their ±, false
-lines, and how many of the vibrations are named by amplitude.
+lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
+generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from pathlib import Path
 
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import make_film
+from benchmarks.calibration.kinds import kinds_stage, kinds_table
 from benchmarks.calibration.score import Score, table
 
 STAGES: dict[str, Callable[..., dict[str, Score]]] = {
@@ -37,16 +40,23 @@ def scored(seed: int, folder: Path, wanted: tuple[str, ...], python: str) -> dic
     truth = make_film(seed, folder)
     out: dict[str, Score] = {}
     for stage in wanted:
-        kept = folder / f"{seed:04d}.{stage}.json"
-        if not kept.exists():
-            scores = STAGES[stage](folder / f"{seed:04d}.mp4", truth, python)
-            unfinished = kept.with_suffix(".part")
-            unfinished.write_text(
-                json.dumps({name: asdict(score) for name, score in scores.items()}, indent=1)
-            )
-            unfinished.replace(kept)
-        out |= {name: Score.of_json(values) for name, values in json.loads(kept.read_text()).items()}
+        run = partial(STAGES[stage], folder / f"{seed:04d}.mp4", truth, python)
+        out |= _kept(folder / f"{seed:04d}.{stage}.json", run)
     return out
+
+
+def scored_kind(seed: int, folder: Path) -> dict[str, Score]:
+    """A set's scores; made where they are not there."""
+    return _kept(folder / f"{seed:04d}.kinds.json", partial(kinds_stage, seed, folder))
+
+
+def _kept(file: Path, run: Callable[[], dict[str, Score]]) -> dict[str, Score]:
+    if not file.exists():
+        scores = run()
+        unfinished = file.with_suffix(".part")
+        unfinished.write_text(json.dumps({name: asdict(score) for name, score in scores.items()}, indent=1))
+        unfinished.replace(file)
+    return {name: Score.of_json(values) for name, values in json.loads(file.read_text()).items()}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -57,14 +67,20 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=["look"])
     parser.add_argument("--python", default=sys.executable, help="a Python that has pyidi, for `baselines`")
+    parser.add_argument("--kinds", action="store_true", help="sets of our generator, instead of films")
     given = parser.parse_args(arguments)
     job = partial(scored, folder=given.folder, wanted=tuple(given.stages), python=given.python)
+    if given.kinds:
+        job = partial(scored_kind, folder=given.folder)
     by_method: dict[str, list[Score]] = {}
     with ProcessPoolExecutor(max_workers=given.jobs) as pool:
         for k, scores in enumerate(pool.map(job, range(given.first, given.first + given.films)), 1):
-            print(f"{k} of {given.films} films", file=sys.stderr, flush=True)
+            print(f"{k} of {given.films} {'sets' if given.kinds else 'films'}", file=sys.stderr, flush=True)
             for name, score in scores.items():
                 by_method.setdefault(name, []).append(score)
+    if given.kinds:
+        print(kinds_table(by_method))
+        return
     for name, all_scores in by_method.items():
         print(f"\n## {name}, {len(all_scores)} films\n\n{table(all_scores)}")
 

@@ -121,8 +121,8 @@ def table(scores: Sequence[Score]) -> str:
         "",
         f"films on which nothing vibrates with a line: {sum(bool(s.false) for s in still)} of {len(still)}",
         f"false lines without a mark: {false} on {len(scores)} films; with one: {sum(s.marked for s in scores)}",
-        f"strongest vibration named: {_share(s.strongest_named for s in vibrating)}; "
-        f"of .1 px or more: {_share(s.strongest_named for s in sure)}",
+        f"strongest vibration named: {share(s.strongest_named for s in vibrating)}; "
+        f"of .1 px or more: {share(s.strongest_named for s in sure)}",
         f"median processor time: {np.median([s.seconds for s in scores]):.1f} s",
         "",
         "| true amplitude, px | named |",
@@ -130,12 +130,13 @@ def table(scores: Sequence[Score]) -> str:
     ]
     found = [pair for s in scores for pair in s.found]
     for low, high in pairwise(EDGES):
-        lines.append(f"| {low:g} to {high:g} | {_share(f for a, f in found if low <= a < high)} |")
+        lines.append(f"| {low:g} to {high:g} | {share(f for a, f in found if low <= a < high)} |")
     lines += ["", smallest_found(found)]
     return "\n".join(lines)
 
 
-def _share(flags: Iterable[bool]) -> str:
+def share(flags: Iterable[bool]) -> str:
+    """How many of how many are true."""
     flags = list(flags)
     return f"{sum(flags)} of {len(flags)}"
 
