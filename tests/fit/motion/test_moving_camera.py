@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ import torch
 from tests.fit.motion.filmed import error_of, scene, walk
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.nuisance.camera_path import CameraPath
 from tg4mm.fit.motion.nuisance.poses import corrected_poses
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.motion.temporal import moving
@@ -51,6 +54,19 @@ def test_views_in_temporary_files_give_the_same_motion(monkeypatch: pytest.Monke
     np.testing.assert_allclose(
         in_files.motion.displacement, in_memory.motion.displacement, rtol=0, atol=1e-4 * scale
     )
+
+
+@pytest.mark.slow
+def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = CameraPath.reading
+    monkeypatch.setattr(CameraPath, "reading", lambda *own: replace(real(*own), is_told=False))
+    gaussians, motion = scene(FREQUENCY)
+    fit = fit_motion(gaussians, walk(gaussians, motion, 90), MotionConfig(appearance=False))
+    assert len(fit.motion.freqs_hz) == 0
+    assert fit.untold_ground_hz == pytest.approx((FREQUENCY,), abs=0.05)
+    assert fit.figures["frequencies_hz"] == pytest.approx([FREQUENCY], abs=0.05)
+    assert not any("two halves" in note for note in fit.notes)
+    assert any("nor the camera's path tells its motion" in note for note in fit.notes)
 
 
 def test_poses_that_are_off_are_corrected() -> None:

@@ -16,7 +16,14 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.fit.motion.prior.graph import nearest
-from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
+from tg4mm.fit.motion.uncertainty import (
+    BLOCK,
+    MotionEstimate,
+    Uncertainty,
+    local_variance,
+    residual_displacement,
+    with_ground,
+)
 from tg4mm.research.evaluate.displacement import mean_squares
 from tg4mm.research.evaluate.subject import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
@@ -131,3 +138,15 @@ def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
     surer, others = (np.average(error[o], weights=weights[o]) for o in np.array_split(order, 2))
     assert surer < 0.25 * others
     assert log["uncertainty_to_motion"] > log["noise_to_motion"] > 0
+
+
+def test_not_being_sure_of_what_stands_still_is_an_error_beside_the_others() -> None:
+    n = 5
+    arrays = {"displacement": np.full(n, 3.0, np.float32), "noise": np.ones(n, np.float32)}
+    old = Uncertainty(arrays, {"noise_to_motion": 0.1, "uncertainty_to_motion": 0.3})
+    new = with_ground(old, np.full(n, 16.0 * 40), 40)
+    np.testing.assert_allclose(new.arrays["displacement"], 5.0)
+    np.testing.assert_allclose(new.arrays["ground"], 4.0)
+    np.testing.assert_array_equal(new.arrays["noise"], arrays["noise"])
+    assert new.figures == {"noise_to_motion": 0.1, "uncertainty_to_motion": pytest.approx(0.5)}
+    assert with_ground(old, None, 40) is old

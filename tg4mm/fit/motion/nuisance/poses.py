@@ -67,6 +67,10 @@ def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -
     """[12] of one frame: least squares, residuals beyond three robust deviations counting less."""
     columns = nuisance.columns(shown).reshape(12, -1)
     flat, weights = residual.reshape(-1), np.ones(residual.size, np.float32)
+    shows = columns[POSE].any(
+        0
+    )  # with a blank margin the spread would be 0, and only what fits by chance would count
+    shows = shows if shows.any() else ~shows
     scale = np.sqrt((columns.astype(np.float64) ** 2).sum(1)) + 1e-12
     n = np.zeros(12)
     for _ in range(3):
@@ -75,7 +79,7 @@ def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -
         side = (weighted @ flat).astype(np.float64) / scale
         n = np.linalg.solve(gram + 1e-6 * np.eye(12), side) / scale
         error = flat - n.astype(np.float32) @ columns
-        spread = 1.4826 * float(np.median(np.abs(error))) + 1e-6
+        spread = 1.4826 * float(np.median(np.abs(error[shows]))) + 1e-6
         weights = 1 / (1 + (error / (_ROBUST * spread)) ** 2)
     return n
 
