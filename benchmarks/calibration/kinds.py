@@ -16,12 +16,12 @@ import yaml
 
 from benchmarks.calibration.score import EDGES, Score, share
 from dataset_gen.scenes import NAMES
+from tg4mm.capture.codec import reported_deviation
 from tg4mm.capture.truth_file import Truth, load_truth
 from tg4mm.core.phasors import peak_displacement
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
-from tg4mm.show.measure.codec import reported_deviation
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
 from tg4mm.show.result.read import Reading, reading_of
 
