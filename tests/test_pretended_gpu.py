@@ -12,17 +12,15 @@ import torch
 
 from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.adam import assert_same_steps, oblong, watch_paper, watch_space
-from tests.helpers.motion_stage import stop_after
 from tests.helpers.pretend import NAME, Gpu, There, pretended_gpu, register
 from tests.helpers.space_cuda import spherical_harmonics
-from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.space import SpaceConfig, density, rest_views
+from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.fit.space import train as stage
 from tg4mm.research.bench.methods.tracking import TrackingConfig, track
 from tg4mm.research.evaluate.run import evaluate_run
@@ -89,28 +87,6 @@ def test_it_reckons_as_the_cpu_and_gradients_do(gpu: Gpu) -> None:
     torch.testing.assert_close(there.grad.cpu(), here.grad)
 
 
-def test_it_notices_what_is_left_behind_and_what_crosses(gpu: Gpu) -> None:
-    x = torch.ones(3).to(NAME)
-    with pytest.raises(RuntimeError, match="one device"):
-        x + torch.ones(3)
-    with pytest.raises(RuntimeError, match="one device"):
-        torch.cat([x, torch.ones(3)])
-    with pytest.raises(RuntimeError, match="one device"):
-        torch.stack([x.sum(), torch.tensor(1.0)])
-    assert torch.equal((x + torch.tensor(1.0)).cpu(), torch.full((3,), 2.0))  # CUDA takes single numbers, too
-    assert counted(gpu) == {"up": 1, "down": 1, "waits": 0}
-    assert float(x.sum()) == 3
-    assert counted(gpu)["down"] == 1
-    assert len(x[x > 0].cpu()) == 3
-    x[x > 0] = x + 1
-    x.repeat_interleave((x > 0).int())
-    assert counted(gpu)["waits"] == 3
-    torch.zeros(()).copy_(x.sum())
-    assert counted(gpu)["down"] == 1
-    with pytest.raises(RuntimeError):
-        x.numpy()
-
-
 def trained_space(data: Path, path: Path, iterations: int, device: str) -> Gaussians:
     capture = load_capture(data)
     views = rest_views(capture, load_images(capture))
@@ -130,14 +106,6 @@ def test_the_space_stage(
     counted(gpu)  # what the comparison fetched
     trained_space(made[0], tmp_path / "longer", 24, NAME)
     assert counted(gpu) == of_twelve  # twice the iterations bring nothing more to the host, nor to the device
-
-
-def test_the_space_stage_with_density_control(
-    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(density, "FIRST", 10)
-    monkeypatch.setattr(density, "EVERY", 5)
-    assert len(trained_space(made[0], tmp_path / "run", 30, NAME)) > SHORT.init_points
 
 
 @pytest.mark.slow
@@ -160,27 +128,6 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
     assert crossed[1] == {}
     sums = 2 * 4 * solved  # two of every step of conjugate gradients
     assert crossed[2] == crossed[0] | {"down": crossed[0]["down"] + sums}
-
-
-@pytest.mark.slow
-def test_a_motion_stage_killed_there_ends_here(
-    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data, source = made
-    capture = load_capture(data)
-    images, found = load_images(capture), []
-    for place in ("cpu", NAME):
-        run = Run.create(tmp_path / place, data, "modal", {})
-        run.save_space(source.load_space(), {})
-        if place == NAME:
-            with monkeypatch.context() as patch:
-                stop_after(3, patch)
-                with pytest.raises(Killed):
-                    train_motion(run, capture, images, FEW, place)
-        found.append(
-            torch.view_as_real(torch.from_numpy(train_motion(run, capture, images, FEW).displacement))
-        )
-    assert_close("displacement", found[1], found[0], 1e-2)
 
 
 @pytest.mark.slow

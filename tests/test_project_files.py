@@ -67,15 +67,6 @@ def test_workflows_name_files_that_are_there(repo_root: Path) -> None:
     assert not [name for name in named if not (repo_root / name).exists()]
 
 
-@pytest.mark.slow
-def test_the_data_of_the_tiny_training_is_made(repo_root: Path, tmp_path: Path) -> None:
-    """By the command that the workflow runs on Windows and macOS."""
-    pytest.importorskip("torch")
-    command = [sys.executable, "-m", "tests.helpers.synthetic", str(tmp_path / "tiny_3Hz")]
-    subprocess.run(command, cwd=repo_root, check=True)
-    assert (tmp_path / "tiny_3Hz" / "scene.json").is_file()
-
-
 def test_a_release_gives_the_readme_whole_addresses(repo_root: Path, tmp_path: Path) -> None:
     """On the package index a relative link leads nowhere, and a relative picture is not shown."""
     for name in ("README.md", "pyproject.toml"):

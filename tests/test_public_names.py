@@ -107,20 +107,6 @@ def test_without_torch_there_is_still_what_needs_none() -> None:
     assert "ModuleNotFoundError: import of torch halted" in done.stderr
 
 
-@pytest.mark.parametrize(
-    "first", ["tg4mm.measure", "import tg4mm.show.measure.sensors, tg4mm.show.render.cameras"]
-)
-def test_a_name_is_the_same_however_it_was_imported(first: str) -> None:
-    """No package hides a function of its name."""
-    code = (
-        f"import tg4mm\n{first}\nimport inspect\n"
-        "assert inspect.isfunction(tg4mm.measure) and inspect.isfunction(tg4mm.render)\n"
-        "assert tg4mm.show.measure.Sensor is tg4mm.Sensor and tg4mm.show.render.Camera is tg4mm.Camera\n"
-        "tg4mm.measure()"
-    )
-    assert "measure() missing 1 required positional argument: 'run'" in python(code).stderr
-
-
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'tg4mm' has no attribute 'fit_sapce'"):
         tg4mm.fit_sapce  # noqa: B018

@@ -1,15 +1,12 @@
 """Datasets for other trainers: read back by pycolmap, and by the readers of those layouts."""
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pycolmap
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
-from tg4mm.capture.convert import at_timesteps, write_colmap
+from tg4mm.capture.convert import at_timesteps
 from tg4mm.cli import main
 
 T = 4
@@ -44,17 +41,6 @@ def test_pycolmap_reads_cameras_poses_and_points(dataset, tmp_path):
     spots = [model.points3D[i] for i in sorted(model.points3D)]
     np.testing.assert_allclose([spot.xyz for spot in spots], capture.points.xyz)
     np.testing.assert_array_equal([spot.color for spot in spots], capture.points.rgb)
-
-
-def test_lenses_that_differ_are_different_cameras(dataset, tmp_path):
-    capture = load_capture(dataset)
-    Ks = capture.Ks.copy()
-    Ks[capture.camera_ids == 1, 0, 0] += 0.5
-    write_colmap(replace(capture, Ks=Ks), tmp_path / "c")
-    model = pycolmap.Reconstruction(str(tmp_path / "c" / "sparse" / "0"))
-    assert sorted(camera.focal_length_x for camera in model.cameras.values()) == sorted(
-        {*Ks[:, 0, 0].tolist()}
-    )
 
 
 def test_nerfstudio_times_are_read_back(dataset, tmp_path):
@@ -94,14 +80,6 @@ def test_nerfstudio_poses_lenses_and_points_are_read_back(dataset, tmp_path, spl
     np.testing.assert_allclose(read.viewmats[order], want.viewmats, atol=1e-9)
     np.testing.assert_allclose(read.Ks[order], want.Ks, atol=1e-9)
     np.testing.assert_allclose(read.points.xyz, want.points.xyz)
-
-
-def test_a_dataset_of_one_split_and_one_timestep(tmp_path):
-    make_synthetic_dataset(tmp_path / "data", n_views=2, n_timesteps=1, size=16, n_test=0)
-    assert convert(tmp_path / "data", tmp_path / "n", "nerfstudio") == 0
-    data = json.loads((tmp_path / "n" / "transforms.json").read_text())
-    assert [frame["time"] for frame in data["frames"]] == [0.0, 0.0]
-    assert "test_filenames" not in data
 
 
 def test_bad_input_is_one_line(dataset, tmp_path, capsys):

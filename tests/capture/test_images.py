@@ -86,11 +86,3 @@ def test_sixteen_bit_grey_keeps_its_low_byte_and_widens_the_others(folder):
     assert (images.data[0, ..., 3] == 65535).all()
     assert images.data[1, 0, 0].tolist() == [101 * 257] * 4
     np.testing.assert_allclose(images.alpha(1), 101 / 255, rtol=1e-6)
-
-
-def test_reading_many_pixels_shows_how_far_it_is(folder, monkeypatch, capsys):
-    load_images(load_capture(folder))
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr("tg4mm.capture.images._SHOWN", 0)
-    load_images(load_capture(folder))
-    assert "reading pictures: 2/2 pictures" in capsys.readouterr().err

@@ -169,10 +169,6 @@ class TestTimes:
         assert capture.timesteps.tolist() == [0, 1, 2]
         np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
 
-    def test_one_time_is_a_still_scene(self, studio: Path, tools) -> None:
-        self.timed(studio, tools, [0.5, 0.5, 0.5])
-        assert load_capture(studio).n_timesteps == 1
-
     def test_a_gap_is_a_timestep_without_pictures(self, studio: Path, tools) -> None:
         self.timed(studio, tools, [0.0, 0.25, 1.0], fps=30.0)
         capture = load_capture(studio)

@@ -38,13 +38,6 @@ def recorded(folder: Path) -> dict:
     return json.loads((folder / "render.json").read_text())
 
 
-def test_export_writes_the_splat_file(run_path: Path, tmp_path: Path, capsys) -> None:
-    target = tmp_path / "deep" / "scene.ply"
-    assert main(["export", str(run_path), "--out", str(target)]) == 0
-    assert capsys.readouterr().out == f"{target}\n"
-    np.testing.assert_array_equal(read_splat(target).means, Run.open(run_path).load_space().means)
-
-
 def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Path) -> None:
     main(["export", str(run_path), "--out", str(tmp_path / "a.ply")])
     splat = read_splat(tmp_path / "a.ply")
@@ -101,12 +94,6 @@ def test_render_takes_split_band_and_no_video(run_path: Path, tmp_path: Path) ->
     assert len(tree(out, "*.png")) == 3 * N_TIMESTEPS
     assert tree(out, "*.mp4") == set()
     assert (recorded(out)["alpha"], recorded(out)["band_hz"]) == (-1.0, [4.0, 6.0])
-
-
-def test_render_takes_cameras_of_a_file(run_path: Path, tmp_path: Path) -> None:
-    out, cameras = tmp_path / "path", Run.open(run_path).dataset / "000" / "transforms_test.json"
-    assert main(["render", str(run_path), "--alpha", "0", "--out", str(out), "--cameras", str(cameras)]) == 0
-    assert len(tree(out, "*.png")) == 2 * N_TIMESTEPS
 
 
 def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) -> None:
@@ -231,29 +218,6 @@ def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
     metrics = json.loads((run_path / "metrics.json").read_text())
     assert [entry["alpha"] for entry in metrics["alphas"]] == [0, 5, 20]
     assert metrics["band_hz"] == [4.0, 6.0]
-
-
-def test_train_hands_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    calls = []
-    monkeypatch.setattr("tg4mm.run.train.train", lambda *arguments: calls.append(arguments))
-    monkeypatch.setattr("tg4mm.show.result.result_of", lambda run: run)
-    monkeypatch.setattr("tg4mm.show.result.lines_of", lambda result: ["found", "next"])
-    options = ["--set", "space.seed=3", "--set", "motion.x=a=b", "--preset", "modal", "--device", "cpu"]
-    assert main(["train", str(tmp_path), "--out", "run", *options]) == 0
-    assert calls == [(tmp_path, Path("run"), "modal", "cpu", {"space.seed": "3", "motion.x": "a=b"})]
-    assert capsys.readouterr().out == "found\nnext\n"
-
-
-def test_generate_hands_everything_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def record(arguments: list[str]) -> int:
-        calls.append(list(arguments))
-        return 5
-
-    monkeypatch.setattr("tg4mm.cli.generate.run_generator", record)
-    assert main(["generate", "mic", "--out", "x", "--size", "32", "--help"]) == 5
-    assert calls == [["mic", "--out", "x", "--size", "32", "--help"]]
 
 
 def test_generate_runs_the_generator(capfd) -> None:

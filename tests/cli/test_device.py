@@ -18,8 +18,6 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.device import check_device, full_precision, gpu_figures
-from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import Run
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.render.sequence import RenderRequest, render_sequence
@@ -93,26 +91,6 @@ def test_full_precision_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> 
         assert torch.backends.cudnn.allow_tf32
 
 
-@pytest.mark.parametrize("t", [0, 1, 2.5])
-@pytest.mark.parametrize("band", [None, (4.0, 6.0), (7.0, 9.0)])
-def test_motion_kept_on_a_device_moves_alike(t: float, band: tuple[float, float] | None, run: Run) -> None:
-    """What a GPU does in float32, here on the CPU, against the sum in float64."""
-    gaussians, motion = run.load_space(), run.load_motion()
-    assert motion is not None
-    rng = np.random.default_rng(0)
-    turning = 0.1 * (rng.normal(size=motion.rotation.shape) + 1j * rng.normal(size=motion.rotation.shape))
-    motion = type(motion)(
-        motion.freqs_hz, motion.displacement, turning.astype(np.complex64), motion.fps, motion.n_timesteps
-    )
-    expected = animate(gaussians, motion, t, 20.0, band)
-    found = _animate_on_device(
-        gaussians, motion, *_fields_on(torch.device("cpu"), motion, few=False), None, t, 20.0, band
-    )
-    torch.testing.assert_close(found.means, expected.means, rtol=0, atol=1e-6)
-    torch.testing.assert_close(found.quats, expected.quats, rtol=0, atol=1e-6)
-    assert not torch.equal(expected.quats, gaussians.quats)
-
-
 @needs_cuda
 def test_pictures_rendered_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
     cameras = capture_cameras(load_capture(run.dataset, split="test"))
@@ -124,16 +102,6 @@ def test_pictures_rendered_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> Non
         a, b = read_png(path).astype(int), read_png(there / path.relative_to(here)).astype(int)
         assert np.abs(a - b).max() <= 3
         assert np.abs(a - b).mean() < 0.02
-
-
-@needs_cuda
-def test_figures_evaluated_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
-    here, there = (evaluate_run(run, out=tmp_path / f"{d}.json", device=d) for d in ("cpu", "cuda"))
-    for a, b in zip(here["alphas"], there["alphas"], strict=True):
-        for method, row in a["rows"].items():
-            assert row["ssim"] == pytest.approx(b["rows"][method]["ssim"], abs=1e-4)
-            assert row["psnr_db"] == pytest.approx(b["rows"][method]["psnr_db"], abs=0.05)
-    assert here["displacement_error"]["ours"] == pytest.approx(there["displacement_error"]["ours"], abs=1e-3)
 
 
 @needs_cuda

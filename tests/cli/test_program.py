@@ -127,17 +127,6 @@ def test_bad_settings_are_refused(tmp_path: Path, pairs: list[str], message: str
     assert message in refused(tg4mm("train", tmp_path, "--out", tmp_path / "run", *options))
 
 
-def test_value_of_a_setting_is_all_after_the_first_equals_sign() -> None:
-    from tg4mm.cli.train import split_settings
-
-    assert split_settings(["space.name=mic=a", " n = 4 "]) == {"space.name": "mic=a", "n": "4"}
-
-
-def test_unknown_setting_lists_the_known(tmp_path: Path) -> None:
-    line = refused(tg4mm("train", tmp_path, "--out", tmp_path / "run", "--set", "space.magic=1"))
-    assert "setting 'space.magic' is unknown; tg4mm train --list-settings lists all" in line
-
-
 @pytest.mark.parametrize("command", ["render", "evaluate", "export"])
 def test_folder_that_is_no_run_is_named(tmp_path: Path, command: str) -> None:
     options = ["--alpha", "5"] if command == "render" else []

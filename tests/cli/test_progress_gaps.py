@@ -7,7 +7,6 @@ compiled. What is short here is long for real data, so a gap counts by its share
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -65,28 +64,6 @@ def measured(call: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> tup
         patch.setattr(module, "_lines", watched)
         call()
     return meter.longest()
-
-
-def burn(seconds: float) -> None:
-    end = time.process_time() + seconds
-    while time.process_time() < end:
-        pass
-
-
-def test_a_stage_that_says_nothing_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def call() -> None:
-        with module.progress("first", 1, stream=io.StringIO()):
-            burn(0.02)
-        burn(0.1)
-        with (
-            module.progress("second", 1, stream=io.StringIO()),
-            module.progress("inner", 1, stream=io.StringIO()),
-        ):
-            burn(0.02)
-
-    gap, where, total = measured(call, monkeypatch)
-    assert where == "first … second"
-    assert 0.1 <= gap < total
 
 
 @pytest.fixture(scope="module")

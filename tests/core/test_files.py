@@ -26,19 +26,6 @@ def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path: Path) -> 
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_target_does_not_exist_while_it_is_written(tmp_path: Path) -> None:
-    target = tmp_path / "a"
-    seen = []
-
-    def write(temporary: Path) -> None:
-        temporary.write_text("whole")
-        seen.append((target.exists(), temporary.parent == target.parent))
-
-    write_atomic(target, write)
-    assert seen == [(False, True)]
-    assert target.read_text() == "whole"
-
-
 def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

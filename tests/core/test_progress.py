@@ -74,10 +74,6 @@ def test_of_a_brief_job_nothing_is_said(seconds: float, said: int) -> None:
     assert stream.getvalue().count("\n") == said
 
 
-def test_time_left_after_a_resume_counts_only_what_this_process_did() -> None:
-    assert "0:40 left" in lines(50, [(10.0, 60)])[0]
-
-
 def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> None:
     """Kernels are compiled for a minute within the first of 1000 units, of which ten take a second."""
     stream, clock = io.StringIO(), Clock()
@@ -89,14 +85,6 @@ def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> No
     assert "1:00 elapsed, time left unknown" in printed[0]
     assert "1:10 elapsed, 1:30 left" in printed[1]
     assert "1:20 elapsed, 1:20 left" in printed[2]
-
-
-def test_the_first_of_few_units_tells_the_time_left() -> None:
-    stream, clock = io.StringIO(), Clock()
-    job = PlainProgress("bench", 12, "runs", 0, stream, clock)
-    clock.now += 60.0
-    job.update(1)
-    assert "1:00 elapsed, 11:00 left" in stream.getvalue()
 
 
 def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:

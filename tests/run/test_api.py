@@ -79,13 +79,6 @@ def test_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_pictures_read_before_give_the_same(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
-    images = tg4mm.load_images(capture)
-    gaussians = tg4mm.fit_space(capture, SPACE, images=images)
-    again = tg4mm.fit_motion(capture, gaussians, MOTION, images=images)
-    np.testing.assert_array_equal(again.motion.displacement, fit.motion.displacement)
-
-
 def test_magnifying(fit: tg4mm.MotionFit) -> None:
     def means(magnification: float | tg4mm.Magnification = 0.0) -> np.ndarray:
         return tg4mm.animate(fit, 3, magnification).means.numpy()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -180,26 +179,6 @@ class TestStages:
         assert train(data, trained.path, settings=SETTINGS).path == trained.path
         assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()} == before
 
-    def test_a_finished_space_stage_is_kept_for_the_motion_stage(
-        self, trained: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        class Stopped(Exception):
-            pass
-
-        def stop(*args: object, **kwargs: object) -> None:
-            raise Stopped
-
-        with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.run.preset.train_motion", stop)
-            with pytest.raises(Stopped):
-                train(data, tmp_path / "run", settings=SETTINGS)
-        written = (tmp_path / "run" / "space.safetensors").stat().st_mtime_ns
-        with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.run.preset.train_space", stop)
-            run = train(data, tmp_path / "run", settings=SETTINGS)
-        assert (run.path / "space.safetensors").stat().st_mtime_ns == written
-        same_results(run, trained)
-
     def test_one_timestep_ends_after_the_space_stage(self, tmp_path: Path) -> None:
         path = tmp_path / "data"
         make_synthetic_dataset(path, n_views=3, n_timesteps=1, size=24, alphas=(), n_test=0)
@@ -209,20 +188,6 @@ class TestStages:
             assert not run.has_motion
             assert set(run.log()) == {"space"}
             assert train(source, tmp_path / name, settings=SETTINGS).has_space
-
-    def test_cameras_that_wander_in_few_pictures_are_refused_by_name(
-        self, data: Path, tmp_path: Path
-    ) -> None:
-        path = tmp_path / "data"
-        make_synthetic_dataset(path, n_views=2, n_timesteps=3, size=24, alphas=(), n_test=0)
-        for t in range(3):
-            file = path / f"{t:03d}" / "transforms_train.json"
-            transforms = json.loads(file.read_text())
-            for frame in transforms["frames"]:
-                frame["transform_matrix"][0][3] += 0.01 * t
-            file.write_text(json.dumps(transforms))
-        with one_line(f"{path}: no camera is fixed, and 6 pictures have a time"):
-            train(path, tmp_path / "run", settings=SETTINGS)
 
 
 def same_results(one: Run, other: Run) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.capture.sfm.videos import SIZE, still, write_video
 from tg4mm.capture import Capture, load_capture, load_images
@@ -58,20 +57,6 @@ def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture)
         q = K @ (viewmat[:3, :3] @ np.array(world) + viewmat[:3, 3])
         np.testing.assert_allclose(q[:2] / q[2], pixel)
     assert json.loads((capture.root / "scene.json").read_text())["pixels_per_unit"] == focal
-
-
-def test_points_lie_on_the_plane_with_the_pictures_colours(capture: Capture) -> None:
-    points = capture.points
-    assert points is not None
-    width, height = SIZE
-    assert len(points.xyz) == round(width / 3) * round(height / 3)
-    np.testing.assert_array_equal(points.xyz[:, 1], 1)
-    u = points.xyz[:, 0] * width + width / 2
-    v = -points.xyz[:, 2] * width + height / 2
-    assert 0 < u.min() < 3 > v.min() > 0
-    assert width > u.max() > width - 3
-    mean = np.asarray(Image.open(capture.root / "sfm/survey/bridge.png"))
-    np.testing.assert_array_equal(points.rgb, mean[np.floor(v).astype(int), np.floor(u).astype(int)])
 
 
 def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from fractions import Fraction
 from pathlib import Path
 
@@ -93,21 +92,6 @@ def test_its_cameras_come_back(tripod_dataset: Path) -> None:
     capture = load_capture(tripod_dataset)
     rows = list(rows_of(capture, 0).values())
     assert place_error(capture, rows, np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.05
-
-
-@pytest.mark.slow
-def test_photographs_of_another_size_and_lens_are_brought_to_the_films(tripod: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "in"
-    shutil.copytree(tripod, folder)
-    shutil.rmtree(folder / "sweep")
-    shoot_sweep(folder / "sweep", (360, 480))  # upright, and of twice the pixels
-    reconstruct(folder, tmp_path / "out", threads=1)
-    capture = load_capture(tmp_path / "out")
-    rows = rows_of(capture, 0)
-    assert (capture.width, capture.height) == SIZE
-    # They are turned by a quarter: the place is the same, the picture is that of the pinhole that is written.
-    assert place_error(capture, list(rows.values()), np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.06
-    assert Image.open(capture.paths[rows["sweep_004"]]).size == SIZE
 
 
 def test_photographs_stored_sideways_are_set_upright(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import pytest
 from tests.capture.sfm.videos import encoded, looked, still, texture, write_video
 from tg4mm.capture.sfm.defects import stretches_of, warn_clocks
 from tg4mm.capture.sfm.frozen import NoveltyMeter
-from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
 
 RATES = [24, 24000 / 1001, 25, 30, 30000 / 1001, 48, 50, 60, 60000 / 1001, 90, 100, 120, 144, 200, 240]
 SHARES = [Fraction(5, 6), Fraction(1, 6), Fraction(2, 5), Fraction(4, 5), Fraction(3, 5)]
@@ -47,17 +46,6 @@ def test_flickering_light_is_neither_frozen_nor_repeated(
     meter = met(pictures)
     assert meter.repeats is None
     assert not meter.is_frozen()
-    assert not meter.frozen_frames().any()
-
-
-@pytest.mark.parametrize("mains", [50, 60])
-@pytest.mark.parametrize("fps", RATES)
-def test_nor_where_the_light_is_all_that_changes(fps: float, mains: int) -> None:
-    """A picture without noise; where the light stands still too, it cannot be told from a frozen one."""
-    alias = abs(2 * mains / fps - round(2 * mains / fps)) * fps
-    meter = met(noisy(240, int, 0, lambda k: 1 + 0.03 * np.cos(4 * np.pi * mains * k / fps + 0.3)))
-    assert meter.repeats is None
-    assert meter.is_frozen() == (alias < 1e-6)
     assert not meter.frozen_frames().any()
 
 
@@ -111,17 +99,3 @@ def test_a_rate_that_jitters_is_kept(tmp_path: Path) -> None:
     assert fps == pytest.approx(30, rel=0.01)
     with pytest.warns(UserWarning, match="the frame rate varies"):
         warn_clocks([survey], None)
-
-
-def test_a_knock_takes_all_along() -> None:
-    """A textured thing that fills most of the picture jumps before a still background, or all jumps."""
-    wide = texture((200, 120))[..., 1].astype(np.float32)
-    first = wide[:, 20:180]
-    whole, part = wide[:, 17:177], first.copy()
-    part[:, 48:] = wide[:, 65:177]
-    shares = [ShiftMeter(first).together(picture) for picture in (whole, part)]
-    assert [s[0] for s in shares] == pytest.approx([3, 3], abs=0.3)
-    times = np.arange(60) / 30
-    for (x, y, together), n_knocks in zip(shares, (1, 0), strict=True):
-        shifts = np.where(np.arange(60)[:, None] < 30, 0, [x, y])
-        assert len(find_knocks(shifts, times, np.full(60, together))) == n_knocks

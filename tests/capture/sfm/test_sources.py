@@ -9,9 +9,9 @@ import pytest
 
 from tests.capture.sfm.scenes import save
 from tg4mm.capture.sfm.kind import possible_kinds
-from tg4mm.capture.sfm.pairs import EVERY, OVERLAP, picture_pairs
+from tg4mm.capture.sfm.pairs import OVERLAP, picture_pairs
 from tg4mm.capture.sfm.sources import find_sources, suggested_command
-from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
+from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
 
@@ -66,15 +66,6 @@ def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
     assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam_0", 3), ("cam_1", 2)]
     assert sources.sweep is not None
     assert len(sources.sweep.pictures) == 5
-
-
-def test_a_sweep_of_the_recordings_size_shares_their_lens(tmp_path: Path) -> None:
-    fill(tmp_path / "a", 2)
-    fill(tmp_path / "b", 1, (8, 6))
-    pictures = sorted(tmp_path.glob("*/*.png"))
-    groups = [shot.group for shot in sweep_shots(pictures, (8, 6), each=False)]
-    assert groups == ["shared", "shared", "sweep 6×8"]
-    assert "shared" not in [shot.group for shot in sweep_shots(pictures, (8, 6), each=True)]
 
 
 def test_a_recording_called_sweep_is_none_where_it_is_alone(tmp_path: Path) -> None:
@@ -152,12 +143,6 @@ class TestSuggestion:
             assert error == f"tg4mm: {path}: is no dataset yet; make one with: {command}\n"
             assert not (tmp_path / "run").exists()
 
-    def test_anything_else_gets_none(self, tmp_path: Path) -> None:
-        (tmp_path / "scene.json").write_text("{}")
-        (tmp_path / "a.txt").write_text("x")
-        for path in (tmp_path, tmp_path / "a.txt", tmp_path / "nowhere", str(tmp_path / "a.txt")):
-            assert suggested_command(path) is None
-
 
 def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
     fill(tmp_path, 2)
@@ -206,13 +191,3 @@ def test_every_pair_or_a_sequence() -> None:
     assert len(set(pairs)) == len(pairs)
     steps = {int(b) - int(a) for a, b in pairs}
     assert steps == {*range(1, OVERLAP + 1), 2 * OVERLAP, 4 * OVERLAP, 8 * OVERLAP}
-
-
-def test_a_sweep_beside_a_sequence_is_matched_with_all_of_its_own_and_some_frames() -> None:
-    names = [f"{i:03d}" for i in range(40)] + ["a", "b", "c"]
-    pairs = picture_pairs(names, sequence=40)
-    assert {pair for pair in pairs if "a" in pair} == {
-        ("a", "b"),
-        ("a", "c"),
-        *((f"{i:03d}", "a") for i in range(0, 40, EVERY)),
-    }

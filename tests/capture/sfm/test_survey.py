@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from tests.capture.sfm.scenes import save
 from tests.capture.sfm.videos import looked, still, texture, write_video
 from tg4mm.capture.sfm import survey as module
 from tg4mm.capture.sfm.clip import Clip, Window
-from tg4mm.capture.sfm.defects import check_usable, warn_clocks
+from tg4mm.capture.sfm.defects import check_usable
 from tg4mm.capture.sfm.kind import kind_of
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
@@ -62,13 +61,6 @@ class TestKnock:
         assert (knock.frame, knock.time_s) == (at, at / 30)
         assert knock.shift_px == pytest.approx(by, abs=0.2)
 
-    def test_trembling_vibration_and_drift_are_none(self) -> None:
-        assert find_knocks(self.shifts(), self.times_s) == []
-        swing = np.stack([2 * np.sin(2 * np.pi * 3.4 * self.times_s), 0 * self.times_s], axis=1)
-        assert find_knocks(swing, self.times_s) == []
-        drift = np.stack([3 * self.times_s, 0 * self.times_s], axis=1)
-        assert find_knocks(drift, self.times_s) == []
-
 
 class TestFaults:
     def test_too_short(self, tmp_path: Path) -> None:
@@ -82,16 +74,6 @@ class TestFaults:
             CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by (1|2)\d pixels"
         ):
             check_usable([survey], True)
-
-    def test_a_varying_rate_is_said(self, tmp_path: Path) -> None:
-        path = write_video(tmp_path / "a.mp4", still(12), 30, times=[0, 1, 2, 3, 5, 6, 7, 8, 9, 12, 13, 14])
-        with pytest.warns(
-            UserWarning, match=r"a\.mp4: the frame rate varies, with steps of 33\.3 to 100\.0 ms"
-        ):
-            warn_clocks([looked(path)], None)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            warn_clocks([looked(write_video(tmp_path / "b.mp4", still(12), 30))], None)
 
 
 class TestSurvey:
@@ -121,14 +103,6 @@ class TestSurvey:
         fps, times_s = survey.clock(240.0)  # slow motion, played at 30
         assert fps == 240.0
         np.testing.assert_allclose(times_s, np.arange(12) / 240)
-
-    def test_a_folder_has_no_clock_but_the_one_given(self, tmp_path: Path) -> None:
-        for i, frame in enumerate(still(4)):
-            save(tmp_path / "cam" / f"{i}.png", np.dstack([frame, np.full(frame.shape[:2], 255, np.uint8)]))
-        survey = looked(tmp_path / "cam")
-        with pytest.raises(CaptureError, match="--fps is missing: the pictures of cam need"):
-            survey.clock()
-        assert survey.clock(50.0)[1].tolist() == [0, 0.02, 0.04, 0.06]
 
     def test_frames_of_two_sizes_are_refused(self, tmp_path: Path) -> None:
         for i, shape in enumerate([(40, 60), (40, 60), (30, 60)]):

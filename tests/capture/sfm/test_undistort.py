@@ -70,18 +70,6 @@ def test_colour_does_not_bleed_in_from_the_transparent() -> None:
     assert out[edge][:, 1].max() < 15
 
 
-def test_sixteen_bits_become_eight(bent: np.ndarray) -> None:
-    lens = lens_of(camera())
-    wide = lens.apply(bent.astype(np.uint16) * 257).astype(int)
-    assert np.abs(wide - lens.apply(bent).astype(int)).max() <= 1
-
-
-def test_a_pinhole_is_left_as_it_is(bent: np.ndarray) -> None:
-    lens = lens_of(camera(model="PINHOLE"))
-    assert (lens.source, lens.size) == (None, SIZE)
-    np.testing.assert_array_equal(lens.apply(bent), bent)
-
-
 def test_cameras_get_one_size_and_their_principal_points_move_along() -> None:
     one, two = (1, 0), (2, 0)
     both: dict[Key, Lens] = lenses({one: camera(), two: camera(model="PINHOLE")})

@@ -74,13 +74,6 @@ def test_dropped_frames_keep_their_gap(tmp_path: Path) -> None:
     assert steps == (pytest.approx(1 / 30), pytest.approx(0.1))
 
 
-def test_a_rate_that_the_container_does_not_know_is_one_over_the_median_step() -> None:
-    times = [Fraction(k, 24) for k in range(9)]
-    assert frame_rate(Path("a"), times, (Fraction(30),)) == 24
-    assert frame_rate(Path("a"), times, ()) == 24
-    assert frame_rate(Path("a"), times, (Fraction(24000, 1001), Fraction(30))) == Fraction(24000, 1001)
-
-
 def test_stamps_that_do_not_rise_are_refused() -> None:
     with pytest.raises(CaptureError, match=r"a: its time stamps do not rise, which leaves no frame rate"):
         frame_rate(Path("a"), [Fraction(0)] * 5, ())

@@ -34,12 +34,6 @@ def read(tmp_path):
     return read_bytes
 
 
-def test_a_plain_file(read, make):
-    splat = read(make.ply())
-    check_plain(splat)
-    assert splat.sh_degree == 0
-
-
 def in_order(make, order, kinds, extra=()):
     """The default content with its properties in another order and of other types, and further properties."""
     values = {name: 0.25 * (i + 1) + np.arange(2) for i, name in enumerate(make.names)}

@@ -265,14 +265,6 @@ def test_legal_infinities_are_read_and_the_others_left_out_with_their_count(kind
         assert why in told
 
 
-def test_what_is_left_out_is_logged(tmp_path, caplog):
-    columns = stored(still(n=3, k=1))
-    columns["y"][1] = np.nan
-    ply(tmp_path / "a.ply", columns)
-    read_splat(tmp_path / "a.ply")
-    assert f"{tmp_path / 'a.ply'}: 1 of 3 Gaussians are left out, for a position" in caplog.text
-
-
 def test_motion_that_is_no_number_takes_its_gaussian_along(tmp_path):
     splat = random_splat(n=6, m=2, deviation=True)
     splat.displacement[1, 4, 2] = np.nan + 1j
@@ -464,18 +456,3 @@ def test_what_tg4mm_exports_as_gltf_comes_back_with_its_motion(tmp_path):
     np.testing.assert_allclose(read.displacement, splat.displacement, atol=1e-5)
     np.testing.assert_allclose(read.means, splat.means, atol=1e-5)
     assert not read.rotation.any()  # the format has no place for it
-
-
-@pytest.mark.parametrize("form", ["binary_little_endian", "binary_big_endian", "ascii"])
-def test_plyfile_writes_what_we_read(form, tmp_path):
-    import plyfile
-
-    splat = still(n=9, k=4)
-    columns = stored(splat)
-    table = np.zeros(9, [(name, "f4") for name in columns])
-    for name, column in columns.items():
-        table[name] = column
-    element = plyfile.PlyElement.describe(table, "vertex")
-    order = ">" if "big" in form else "<"
-    plyfile.PlyData([element], text=form == "ascii", byte_order=order).write(str(tmp_path / "a.ply"))
-    assert_alike(read_splat(tmp_path / "a.ply"), splat, (1e-5, 1e-4, 1e-5, 1e-5, 1e-5))
