@@ -15,7 +15,7 @@ from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
-from tg4mm.capture.pictures import FilePictures, MaskedPictures, StackedPictures
+from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.observations import observe
@@ -65,7 +65,7 @@ def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
     rows, strip = [7, 3, 3], slice(1, 3)
     found = files.strips(rows)(strip)
     assert found.dtype == stack.data.dtype
-    np.testing.assert_array_equal(found, StackedPictures(stack).strips(rows)(strip))
+    np.testing.assert_array_equal(found, stack.strips(rows)(strip))
 
 
 @pytest.mark.parametrize("cached", [0, 1 << 30])
@@ -104,7 +104,7 @@ def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, messa
 def test_what_is_masked_stays_as_in_the_first_picture(capture: Capture) -> None:
     mask = np.zeros(SIZE, bool)
     mask[1:3, 2:5] = True
-    plain = StackedPictures(load_images(capture))
+    plain = load_images(capture)
     masked = MaskedPictures(plain, mask)
     assert (masked.size, masked.maximum) == (plain.size, plain.maximum)
     raw, out = plain.strips([0, 4, 6]), masked.strips([0, 4, 6])

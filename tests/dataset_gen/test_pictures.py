@@ -8,7 +8,7 @@ from dataset_gen.colour import over_white, straight, to_display
 from dataset_gen.errors import GenerateError
 from dataset_gen.pictures import PictureFormat
 from dataset_gen.sensor import Sensor
-from tg4mm.capture.images import ImageStack
+from tg4mm.capture.pictures import ImageStack
 from tg4mm.core.pictures.decode import decode
 
 EVERY = [PictureFormat(i, b) for i in ("png8", "png16", "exr") for b in ("transparent", "white")]

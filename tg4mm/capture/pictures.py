@@ -1,4 +1,4 @@
-"""A capture's pictures, in memory or on disk, as the motion stage reads them: a camera's distinct ones, by strips.
+"""A capture's pictures, held once in memory, or on disk and decoded when their turn comes; both are read by strips.
 
 From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes, of which more than
 256 MiB lie in a temporary file (`mapped_zeros`).
@@ -6,18 +6,126 @@ From disk, what one camera saw is decoded when its turn comes and let go after: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from tg4mm.capture import Capture, ImageStack, load_images
+from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.pictures.decode import THREADS, decode, image_header
+from tg4mm.core.progress import Update, progress
+
+WHITE = (1.0, 1.0, 1.0)
+_SHOWN = 50_000_000  # pixels, which take some two seconds: reading more shows how far it is
+
+
+@dataclass(frozen=True)
+class ImageStack:
+    """C images of one size, as stored: RGBA with straight alpha, display-referred sRGB."""
+
+    data: np.ndarray  # [C, H, W, 4] uint8 or uint16
+
+    def __post_init__(self) -> None:
+        if self.data.ndim != 4 or self.data.shape[-1] != 4 or self.data.dtype not in (np.uint8, np.uint16):
+            raise ValueError(
+                f"data is {self.data.dtype} {self.data.shape}, expected uint8 or uint16 (C, H, W, 4)"
+            )
+
+    def __len__(self) -> int:
+        """C, the number of images."""
+        return len(self.data)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.data.shape[1], self.data.shape[2]
+
+    @property
+    def maximum(self) -> int:
+        """The stored value that means 1."""
+        return int(np.iinfo(self.data.dtype).max)
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        """Some pictures, to be asked for by rows."""
+        indices = np.asarray(rows)
+        return lambda strip: self.data[indices, strip]
+
+    def stored(self, i: int) -> np.ndarray:
+        """[H, W, 4] uint8 or uint16: image i."""
+        return self.data[i]
+
+    def alpha(self, i: int) -> np.ndarray:
+        """[H, W] float32 coverage in 0..1 of image i."""
+        return self.data[i, ..., 3] * np.float32(1 / self.maximum)
+
+    def rgb(self, i: int, background: tuple[float, float, float] = WHITE) -> np.ndarray:
+        """[H, W, 3] float32 in 0..1: image i over the background, colour · alpha + background · (1 − alpha).
+
+        Composited on display-referred values, as NeRF-synthetic's users do and as 3DGS's renderer blends.
+        """
+        alpha = self.alpha(i)[..., None]
+        colour = self.data[i, ..., :3] * np.float32(1 / self.maximum)
+        return colour * alpha + np.asarray(background, np.float32) * (1 - alpha)
+
+
+def load_images(capture: Capture) -> ImageStack:
+    """Decode every image of a capture, by threads.
+
+    Args:
+        capture: of any kind; all images stay in memory, 4 bytes a pixel (8 at 16 bits).
+
+    Returns:
+        C images, 16 bits for all if any file has them (8-bit values × 257).
+
+    Raises:
+        CaptureError: a file is missing, truncated or damaged, or its size has changed.
+    """
+    c, height, width = len(capture), capture.height, capture.width
+    with ThreadPoolExecutor(THREADS) as pool:
+        bits = max(header.bits for header in pool.map(image_header, capture.paths))
+        try:
+            data = np.empty((c, height, width, 4), np.uint16 if bits == 16 else np.uint8)
+        except MemoryError:
+            need = c * height * width * bits / 2 / 2**30
+            raise CaptureError(
+                f"{capture.root}: {c} pictures of {width}×{height} pixels need {need:.1f} GiB of memory"
+            ) from None
+
+        def load(i: int) -> None:
+            data[i] = _stored(capture.paths[i], (height, width), bits)
+
+        shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
+        with shown as update:
+            _finish(pool, [pool.submit(load, i) for i in range(c)], update)
+    return ImageStack(data)
+
+
+def _stored(path: Path, size: tuple[int, int], bits: int) -> np.ndarray:
+    """[H, W, 4] uint8 or uint16 of a file of that size; 8-bit values are widened where `bits` is 16."""
+    image, (height, width) = decode(path), size
+    if image.shape[:2] != size:
+        raise CaptureError(f"{path}: is {image.shape[1]}×{image.shape[0]} pixels, expected {width}×{height}")
+    return image.astype(np.uint16) * 257 if bits == 16 and image.dtype == np.uint8 else image
+
+
+def _finish(pool: ThreadPoolExecutor, futures: Iterable, update: Update | None = None) -> None:
+    """Wait for all; on the first error, and on Ctrl-C, start no further ones."""
+    try:
+        for done, future in enumerate(futures, 1):
+            future.result()
+            if update:
+                update(done)
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+
 
 # Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
 IN_MEMORY = 2 << 30
@@ -37,25 +145,6 @@ class Pictures(Protocol):
 
     def strips(self, rows: Sequence[int]) -> Strips:
         """Some pictures, to be asked for by rows."""
-
-
-@dataclass(frozen=True)
-class StackedPictures:
-    """Pictures in memory."""
-
-    images: ImageStack
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.images.data.shape[1], self.images.data.shape[2]
-
-    @property
-    def maximum(self) -> int:
-        return self.images.maximum
-
-    def strips(self, rows: Sequence[int]) -> Strips:
-        indices = np.asarray(rows)
-        return lambda strip: self.images.data[indices, strip]
 
 
 @dataclass(frozen=True)
@@ -109,13 +198,7 @@ class FilePictures:
 
     def stored(self, i: int) -> np.ndarray:
         """[H, W, 4] uint8 or uint16: picture i."""
-        path, (height, width) = self.capture.paths[i], self.size
-        image = decode(path)
-        if image.shape[:2] != (height, width):
-            found = f"{image.shape[1]}×{image.shape[0]}"
-            raise CaptureError(f"{path}: is {found} pixels, expected {width}×{height}")
-        widen = self.maximum > 255 and image.dtype == np.uint8
-        return image.astype(np.uint16) * 257 if widen else image
+        return _stored(self.capture.paths[i], self.size, self.maximum.bit_length())
 
 
 @dataclass(frozen=True)
@@ -146,11 +229,6 @@ class MaskedPictures:
             return data
 
         return strip
-
-
-def pictures_of(images: ImageStack | FilePictures) -> Pictures:
-    """The same pictures, as the motion stage reads them."""
-    return StackedPictures(images) if isinstance(images, ImageStack) else images
 
 
 def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:

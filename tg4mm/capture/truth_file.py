@@ -56,7 +56,7 @@ def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
     try:
         arrays = read_npz(file)
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{file} is damaged or not an .npz of plain arrays: {_one_line(error)}") from None
+        raise CaptureError(f"{file} is damaged or not an .npz of plain arrays: {error}") from None
     freqs = _array(file, arrays, "frequencies_hz", (None,), np.floating).astype(np.float64)
     if (freqs < 0).any():
         raise CaptureError(f"{file}: frequencies_hz holds {freqs.min():g} Hz, expected ≥ 0")
@@ -113,7 +113,3 @@ def _array(
     if np.issubdtype(kind, np.inexact) and not np.isfinite(array).all():
         raise CaptureError(f"{file}: {key} holds a value that is not finite")
     return array
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__

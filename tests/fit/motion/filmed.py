@@ -10,7 +10,6 @@ import torch
 
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
-from tg4mm.capture.pictures import pictures_of
 from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -59,7 +58,7 @@ def clips(
         pictures += [picture(g, viewmat, noise) for g in moved]
         times = np.arange(n_frames) / FPS
         frames.append(PosedFrames(f"cam_{c:02d}", viewmat.astype(np.float32), K_of(SIZE), rows, times))
-    stack = pictures_of(ImageStack(np.stack(pictures)))
+    stack = ImageStack(np.stack(pictures))
     return Observations(Kind(kind), "independent", frames, stack, FPS, n_frames, True)
 
 
@@ -78,7 +77,7 @@ def walk(
         off[:3, :3] = [[1, -z, y], [z, 1, -x], [-y, x, 1]]
         known = (off @ viewmat).astype(np.float32)
         frames.append(PosedFrames(f"{t:03d}", known, K_of(SIZE), np.array([t]), np.array([t / FPS])))
-    stack = pictures_of(ImageStack(np.stack(pictures)))
+    stack = ImageStack(np.stack(pictures))
     return Observations(Kind.handheld, "moving", frames, stack, FPS, n_frames, True)
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from tests.fit.motion.scenes import of_amplitudes
 from tg4mm.capture import ImageStack
-from tg4mm.capture.pictures import pictures_of
 from tg4mm.core.choices import Kind
 from tg4mm.fit.motion.mode_selection import frequency_notes, peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
@@ -18,7 +17,7 @@ from tg4mm.fit.motion.observations import Observations, PosedFrames
 
 def observed(fps: float, n_frames: int = 90) -> Observations:
     frames = PosedFrames("cam", np.eye(4), np.eye(3), np.arange(n_frames), np.arange(n_frames) / fps)
-    pictures = pictures_of(ImageStack(np.zeros((n_frames, 2, 2, 4), np.uint8)))
+    pictures = ImageStack(np.zeros((n_frames, 2, 2, 4), np.uint8))
     return Observations(Kind.tripod, "synchronous", [frames], pictures, fps, n_frames, True)
 
 

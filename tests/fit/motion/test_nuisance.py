@@ -15,7 +15,6 @@ from tests.fit.motion.scenes import SCENES, Camera, camera_of, motion_of, view_o
 from tests.fit.rasterize.oracle import Scene
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
-from tg4mm.capture.pictures import pictures_of
 from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
@@ -195,7 +194,7 @@ def filmed(
             raw[..., :3] = (frame(shown, v, t).clip(0, 1) * 65535).round()
             pictures.append(raw)
         frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K_of(SIZE), rows, np.arange(T) / FPS))
-    stack = pictures_of(ImageStack(np.stack(pictures)))
+    stack = ImageStack(np.stack(pictures))
     return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, True)
 
 

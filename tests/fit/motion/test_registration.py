@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests.fit.motion.filmed import FPS, K_of
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
-from tg4mm.capture.pictures import over_white, pictures_of
+from tg4mm.capture.pictures import over_white
 from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
@@ -63,7 +63,7 @@ K_WIDE = np.array([[110, 0, 50], [0, 110, 30], [0, 0, 1]], np.float32)
 def turned_textures(turns: np.ndarray) -> RegisteredPictures:
     back = homographies(K_WIDE, turns)
     pictures = np.stack([texture(*through(h, WIDE)) for h in back])
-    return RegisteredPictures(pictures_of(ImageStack(stored(pictures))), back)
+    return RegisteredPictures(ImageStack(stored(pictures)), back)
 
 
 def test_a_turned_picture_is_turned_back() -> None:
@@ -86,10 +86,7 @@ def test_transparent_pictures_are_turned_back_as_they_look_over_white() -> None:
     straight = stored(colour[None])
     straight[..., 3:] = (alpha * 65535).round()
     blended = stored((colour * alpha + 1 - alpha)[None])
-    shown = [
-        RegisteredPictures(pictures_of(ImageStack(p)), back).strips([0])(slice(None))
-        for p in (straight, blended)
-    ]
+    shown = [RegisteredPictures(ImageStack(p), back).strips([0])(slice(None)) for p in (straight, blended)]
     np.testing.assert_allclose(shown[0], shown[1], atol=1e-3)
 
 
@@ -105,7 +102,7 @@ def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> 
         pictures.append(texture(x - inside * moves * np.sin(1.3 * t), y) * (0.9 + 0.02 * np.cos(t)))
     noisy = np.stack(pictures) + 0.004 * np.random.default_rng(1).normal(size=(n, *WIDE, 3))
     frames = PosedFrames("0", np.eye(4, dtype=np.float32), K_WIDE, np.arange(n), np.arange(n) / FPS)
-    stack = pictures_of(ImageStack(stored(noisy)))
+    stack = ImageStack(stored(noisy))
     found = camera_rotations(Observations(Kind.tripod, "synchronous", [frames], stack, FPS, n, False))
     off = 110 * np.sqrt(((found - turns)[:, :2] ** 2).sum(1).mean())
     assert off < (0.06 if moves else 0.01)
@@ -152,7 +149,7 @@ def filmed(
             if is_cut_out:
                 picture[..., 3:] = (alpha.clip(0, 1) * 65535).round()
             pictures.append(picture)
-    stack = pictures_of(ImageStack(np.stack(pictures)))
+    stack = ImageStack(np.stack(pictures))
     return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, False)
 
 

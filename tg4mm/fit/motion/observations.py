@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
+from tg4mm.capture.pictures import FilePictures, Pictures, over_white
 from tg4mm.capture.scene import codec_period
 from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.core.choices import Kind
@@ -100,7 +100,7 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
     of_time = capture.fps, capture.n_timesteps
     period = codec_period(capture.root)
-    return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole, period)
+    return Observations(capture.kind, clock, frames, images, *of_time, is_whole, period)
 
 
 def check_shows_motion(capture: Capture) -> None:
