@@ -134,7 +134,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         say(f"no {video}: no vibration was found; --band LO HI magnifies one all the same")
         return
     alpha = result.alpha if options.alpha is None else options.alpha
-    request = RenderRequest(Magnification.of(alpha, *band)).checked()
+    request = RenderRequest(Magnification.of(alpha, band)).checked()
     if (camera := _standing(run)) is not None:
         render_sequence(run, [camera], request, folder, device=options.device)
     else:
