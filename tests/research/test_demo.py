@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
 import tg4mm.research.demo as demo
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.splatfile import read_splat
 from tg4mm.run import Run
 
@@ -75,13 +74,6 @@ def test_after_a_kill_it_goes_on_with_the_step_that_was_not_finished(quick, tmp_
     assert (tmp_path / "report.html").exists()
 
 
-def test_a_missing_result_is_made_again_with_all_that_follows(quick, tmp_path):
-    demo.run_demo(tmp_path, 32, Said())
-    (tmp_path / "run" / "metrics.json").unlink()
-    demo.run_demo(tmp_path, 32, said := Said())
-    assert said.count("already done") == 4
-
-
 def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch):
     demo.run_demo(tmp_path, 32, Said())
     run = Run.open(tmp_path / "run")
@@ -127,12 +119,6 @@ def test_a_folder_that_holds_anything_but_a_demo_is_left_alone(quick, tmp_path, 
     assert path.read_text() == "mine"
 
 
-def test_a_broken_record_is_named(tmp_path):
-    (tmp_path / "demo.json").write_text(json.dumps({"format": "tg4mm-demo"}))
-    with pytest.raises(RunError, match=r"was made with version = \(not set\), asked is 2"):
-        demo.run_demo(tmp_path, 32, Said())
-
-
 def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
     import tg4mm.research.generator as generator
 
@@ -140,11 +126,3 @@ def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
     with pytest.raises(Tg4mmError, match="status 2"):
         demo.run_demo(tmp_path, 32, Said())
     assert json.loads((tmp_path / "demo.json").read_text())["done"] == {}
-
-
-def test_two_datasets_are_one_too_many(tmp_path: Path):
-    for name in ("a", "b"):
-        (tmp_path / "data" / name).mkdir(parents=True)
-        (tmp_path / "data" / name / "scene.json").write_text("{}")
-    with pytest.raises(Tg4mmError, match="it holds: a, b"):
-        _ = demo.Places(tmp_path).dataset

@@ -1,10 +1,18 @@
-"""Space-time slices, difference maps and spectra of a synthetic sinusoid."""
+"""Space-time slices, difference maps, spectra, and blending weights against the compositing formula."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from tg4mm.capture import Capture
+from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.slices import amplitude_spectrum, difference_maps, most_moving_line, space_time_slice
+from tg4mm.show.weights import blending_weights
 
 T, H, W, FPS, FREQ = 30, 12, 64, 30.0, 3.0
 ROW = 7
@@ -31,17 +39,6 @@ def test_a_row_slice_shows_the_sinusoid_and_its_frequency(video) -> None:
     frequencies = np.fft.rfftfreq(T, 1 / FPS)
     assert frequencies[amplitude.argmax()] == pytest.approx(FREQ)
     assert amplitude.max() == pytest.approx(4.0, rel=0.01)
-
-
-def test_a_column_slice_has_time_to_the_right(video) -> None:
-    picture = space_time_slice(video, "column", 32)
-    assert picture.shape == (H, T, 3)
-    np.testing.assert_array_equal(picture[:, 5], video[5, :, 32])
-
-
-def test_a_slice_is_a_copy(video) -> None:
-    space_time_slice(video, "row", ROW)[:] = 0
-    assert video[:, ROW].min() > 0.2
 
 
 def test_lines_outside_the_video_are_refused(video) -> None:
@@ -72,13 +69,6 @@ def test_difference_maps_are_equation_17(video) -> None:
     assert len(difference_maps(video)[0]) == T - 1
 
 
-def test_differences_of_bytes_do_not_wrap_around() -> None:
-    video = np.array([10, 0, 255], np.uint8)[:, None, None] * np.ones((1, 2, 2), np.uint8)
-    maps, scale = difference_maps(video)
-    np.testing.assert_array_equal(maps[:, 0, 0], [10, 255])
-    assert scale == 255
-
-
 @pytest.mark.parametrize("count", [0, T])
 def test_more_maps_than_frames_are_refused(video, count) -> None:
     with pytest.raises(ValueError, match=f"{count} difference maps asked of 30 frames, expected 1 to 29"):
@@ -96,11 +86,57 @@ def test_the_spectrum_is_the_weighted_mean_amplitude() -> None:
     np.testing.assert_allclose(amplitude_spectrum(motion)[1][1], 5e-3 / 3, rtol=1e-6)
 
 
-def test_weights_that_do_not_fit_are_refused() -> None:
-    motion = ModalMotion(
-        np.array([3.0]), np.zeros((1, 3, 3), np.complex64), np.zeros((1, 3, 3), np.complex64), FPS, T
+SIZE, FOCAL, DISTANCE = 32, 40.0, 4.0
+EPS2D = 0.3  # pixels², the low-pass that gsplat adds
+
+
+def balls(means: list[list[float]], scale: float, opacities: list[float]) -> Gaussians:
+    n = len(means)
+    quats = torch.tensor([[1.0, 0, 0, 0]]).expand(n, 4)
+    # A dark colour: weights must not depend on it.
+    return Gaussians(
+        torch.tensor(means), quats, torch.full((n, 3), scale), torch.tensor(opacities), -torch.ones(n, 1, 3)
     )
-    with pytest.raises(ValueError, match=r"\(2,\), expected \(3,\)"):
-        amplitude_spectrum(motion, np.ones(2))
-    with pytest.raises(ValueError, match="sum is 0"):
-        amplitude_spectrum(motion, np.zeros(3))
+
+
+def capture(n_images: int, camera_ids: list[int]) -> Capture:
+    """Cameras on the z axis looking along +z; camera 1 stands twice as far away."""
+    viewmats = np.stack([np.eye(4)] * n_images)
+    viewmats[:, 2, 3] = [DISTANCE * (1 + c) for c in camera_ids]
+    k = np.array([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]])
+    return Capture(
+        root=Path(),
+        split="train",
+        width=SIZE,
+        height=SIZE,
+        fps=30.0,
+        n_timesteps=n_images,
+        viewmats=viewmats,
+        Ks=np.stack([k] * n_images),
+        timesteps=np.arange(n_images),
+        camera_ids=np.array(camera_ids),
+        paths=(Path("x.png"),) * n_images,
+    )
+
+
+def alpha_image(scale: float, opacity: float, depth: float) -> np.ndarray:
+    """Opacity of a centred ball in each pixel: o exp(−r² / 2σ²), nothing below 1/255."""
+    variance = (FOCAL * scale / depth) ** 2 + EPS2D
+    offsets = np.arange(SIZE) + 0.5 - SIZE / 2
+    alpha = opacity * np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * variance))
+    return np.where(alpha >= 1 / 255, alpha, 0.0)
+
+
+def test_one_behind_another_gets_what_the_first_lets_through() -> None:
+    front, back = alpha_image(0.2, 0.6, DISTANCE), alpha_image(0.2, 0.8, DISTANCE + 1)
+    weights = blending_weights(balls([[0, 0, 1.0], [0, 0, 0.0]], 0.2, [0.8, 0.6]), capture(1, [0]))
+    assert weights.shape == (2,)
+    np.testing.assert_allclose(weights, [(back * (1 - front)).sum(), front.sum()], rtol=2e-3)
+    assert weights[0] < 0.75 * back.sum()  # without the front one it would weigh this much more
+
+
+def test_each_image_counts_also_where_a_camera_took_several() -> None:
+    gaussians = balls([[0, 0, 0.0]], 0.2, [0.6])
+    near, far = (alpha_image(0.2, 0.6, DISTANCE * k).sum() for k in (1, 2))
+    weights = blending_weights(gaussians, capture(5, [0, 1, 0, 0, 1]))
+    np.testing.assert_allclose(weights, [3 * near + 2 * far], rtol=2e-3)

@@ -15,33 +15,21 @@ from dataset_gen.options import parser, request_from
 from tests.helpers.curves import points_of
 from tests.research.bench.conftest import MODAL, PAPER
 from tg4mm.cli import main
-from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.pages.page import Figure
-from tg4mm.research.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
-from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture, read_ablation
+from tg4mm.research.bench.ablation.catalogue import ABLATIONS, rows_of
+from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, read_ablation
 from tg4mm.research.bench.ablation.run import run_ablation
 from tg4mm.research.bench.ablation.sets import KINDS, alphas_for
 from tg4mm.research.bench.folder import circumstances
 from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.pages.markdown import trained_otherwise
-from tg4mm.research.bench.pages.tables import _SAYS, PIVOTS
-from tg4mm.research.bench.pages.text import escaped
 from tg4mm.research.bench.pages.write import _ablation
 from tg4mm.research.bench.request import check_settings, setting_names
-from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.run import Run
 from tg4mm.run.train import train
-
-VARIED = {
-    "initialisation": {"space.init"},
-    "decoder": {"paper.mlp_layers", "paper.mlp_width"},
-    "residual": {"paper.residual"},
-    "difference": {"paper.difference"},
-    "smoothness": {"motion.smoothness_weight"},
-}
 
 
 def every() -> list[tuple[str, str]]:
@@ -69,22 +57,6 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
 
 
-@pytest.mark.parametrize("name", VARIED)
-def test_rows_vary_what_they_name(name: str) -> None:
-    preset = chosen_preset(name, None)
-    given = {"space.seed": "3"}
-    for row in rows_of(name, preset, given):
-        assert set(row.settings) - {"space.seed"} <= VARIED[name]
-        assert row.settings["space.seed"] == "3"
-
-
-@pytest.mark.parametrize("preset", ["paper-tuned", "paper"])
-def test_iterations_vary_one_phase_at_a_time(preset: str) -> None:
-    rows = [dict(r.settings) for r in rows_of("iterations", preset, {})]
-    assert all(len(settings) == 1 for settings in rows)
-    assert {k for settings in rows for k in settings} == {"paper.iterations", "paper.motion_iterations"}
-
-
 def test_multiples_are_of_what_the_user_gives() -> None:
     found = [
         r.settings["motion.iterations"] for r in rows_of("iterations", "modal", {"motion.iterations": "40"})
@@ -103,11 +75,6 @@ def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
 def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("smoothness") / "out"
     return out, ablation_table(run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent))
-
-
-def test_the_weight_that_was_found_stands_apart(smoothness: tuple[Path, str]) -> None:
-    lines = points_of((smoothness[0] / "results.svg").read_text(encoding="utf-8"))
-    assert [len(line) for line in lines.values()] == [1, 5]
 
 
 def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
@@ -255,12 +222,6 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     assert len(asked) == len(KINDS) - 1  # what is there is not rendered again
 
 
-def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(Tg4mmError, match="is not what tg4mm generate makes"):
-        run_ablation("amplitude", [data], tmp_path / "out", None, MODAL, Plan(), silent)
-    assert not (tmp_path / "out").exists()
-
-
 def by_hand(values: dict[tuple[str, str], tuple[dict[str, float], float | None]]) -> dict[str, Any]:
     """Results of two rows on two sets: {(set, row): ({α: SSIM}, displacement error)}."""
     rows = list(dict.fromkeys(row for _, row in values))
@@ -287,28 +248,6 @@ def test_means_over_sets_are_of_all_of_them() -> None:
     assert one["rows"]["α = 20"]["modal"]["ssim"] is two["rows"]["α = 20"]["modal"]["ssim"] is None
     assert one["scalars"]["displacement_error"] is None
     assert two["scalars"]["displacement_error"] == pytest.approx(0.3)
-
-
-def test_the_chart_has_no_row_that_a_set_lacks() -> None:
-    results = by_hand({
-        ("easy", "hull"): ({"5": 0.95, "20": 0.9}, None), ("hard", "hull"): ({"5": 0.75, "20": 0.7}, None),
-        ("easy", "points"): ({"5": 0.94, "20": 0.89}, None),
-    })  # fmt: skip
-    drawn = picture(results)
-    assert drawn is not None
-    rows = {name.split(",")[0] for name in points_of(drawn)}
-    assert "hull" in rows
-    assert "points" not in rows
-
-
-def test_every_letter_of_every_table_is_known_to_latex() -> None:
-    """pdfLaTeX stops at a letter that no package declares."""
-    texts = [
-        a.title + a.remark + "".join(r.label for r in rows_of(n, a.presets[0], {}))
-        for n, a in ABLATIONS.items()
-    ]
-    texts += [title for title, _ in COLUMNS.values()] + [_SAYS[key] + METRICS[key][0] for key in PIVOTS]
-    assert {letter for text in texts for letter in escaped(text) if ord(letter) > 127} == set()
 
 
 def test_a_run_by_other_code_is_named() -> None:

@@ -72,25 +72,6 @@ def test_its_scores_are_what_the_example_does(joined: tuple[Path, dict]) -> None
     assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
 
 
-def test_a_broken_dataset_is_reported_and_the_rest_goes_on(joined: tuple[Path, dict]) -> None:
-    out, results = joined
-    assert [f["set"] for f in results["failed"]] == ["broken"]
-    assert "- broken: " in (out / "results.md").read_text(encoding="utf-8")
-    assert {line["set"] for line in results["lines"]} == {"mic_5Hz_0_005"}
-
-
-def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: Path, capsys) -> None:
-    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
-    shutil.copytree(data / "magnified" / "x005", theirs)
-    arguments = ["bench", "scenes", str(data), "--out", str(tmp_path / "out"), "--methods", "linear-2d"]
-    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 0
-    results = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-    (line,) = [x for x in results["lines"] if x["row"] == "theirs"]
-    assert list(line["alphas"]) == ["5"]
-    assert line["alphas"]["5"]["ssim"] == pytest.approx(1, abs=1e-4)  # put over white at 8 bits
-    assert "theirs has no pictures at α = 20" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -115,18 +96,6 @@ def run_linear(data: Path, out: Path, *more: str) -> tuple[int, dict]:
     """Exit status and results of the quickest method."""
     status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
     return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
-
-
-def test_a_set_without_the_alpha_asked_for_is_reported_and_the_rest_goes_on(
-    data: Path, tmp_path: Path, capsys
-) -> None:
-    other = tmp_path / "other"
-    shutil.copytree(data, other)
-    shutil.rmtree(other / "magnified" / "x020")
-    status, results = run_linear(data, tmp_path / "out", str(other), "--alphas", "20")
-    assert status == 1
-    assert [(f["set"], "ground truth for 5" in f["why"]) for f in results["failed"]] == [("other", True)]
-    assert {line["set"] for line in results["lines"]} == {data.name}
 
 
 def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tmp_path: Path, capsys) -> None:
@@ -209,15 +178,6 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(
     ]
     assert [line["row"] for line in results["lines"]] == ["linear-2d"]
     assert (out / "results.html").is_file()
-
-
-def test_speed_is_of_magnified_pictures(data: Path, tmp_path: Path) -> None:
-    """At α = 0 a video is passed on as it is, which is no speed of a method."""
-    _, results = run_linear(data, tmp_path / "out")
-    (line,) = results["lines"]
-    records = {p.stem: json.loads(p.read_text()) for p in (tmp_path / "out" / "runs").rglob("x*.json")}
-    speeds = [records[name]["frames_per_s"] for name in ("x005", "x020")]
-    assert line["frames_per_s"] == pytest.approx(sum(speeds) / 2)
 
 
 def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
@@ -393,30 +353,6 @@ def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: P
         "linear-2d",
     ]
     assert main(arguments) == 0
-
-
-def test_a_job_says_which_alpha_has_failed(data: Path, tmp_path: Path, capsys) -> None:
-    spoilt_at_20(data, tmp_path / "theirs", None)
-    arguments = [
-        "bench",
-        "job",
-        str(data),
-        "theirs",
-        "--out",
-        str(tmp_path / "out"),
-        "--methods",
-        "linear-2d",
-    ]
-    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 2
-    assert f"theirs on {data.name}: α = 20: " in capsys.readouterr().err
-    assert list((tmp_path / "out").rglob("scores.json"))
-
-
-def test_a_dataset_that_cannot_be_read_is_said_at_once(data: Path, tmp_path: Path, capsys) -> None:
-    (tmp_path / "broken").mkdir()
-    run_linear(data, tmp_path / "out", str(tmp_path / "broken"))
-    said = capsys.readouterr().err
-    assert said.index("broken: left out: ") < said.index(f"{data.name}, linear-2d")
 
 
 def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:

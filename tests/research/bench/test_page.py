@@ -1,8 +1,7 @@
-"""The HTML page stands alone and works in a browser; tables are whole in LaTeX."""
+"""The HTML page stands alone and works in a browser; tables, curves and LaTeX hold what they were given."""
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -12,12 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.helpers.curves import points_of
 from tests.show.view.browser import browser
+from tg4mm.research.bench.ablation.page import picture
 from tg4mm.research.bench.methods.external import External
-from tg4mm.research.bench.pages.markdown import how
-from tg4mm.research.bench.pages.tables import full_table, groups_of, tables_of
-from tg4mm.research.bench.pages.text import Table, escaped, latex_table
-from tg4mm.research.bench.pages.write import write_page
+from tg4mm.research.bench.pages.plots import curves
+from tg4mm.research.bench.pages.shown import write_sheet
+from tg4mm.research.bench.pages.text import Table, escaped, latex_table, shown, table
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
 
 
@@ -36,15 +36,6 @@ def test_the_page_loads_nothing(made: Path) -> None:
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*\"", page)
     assert page.count("<video") == 4  # the ground truth and three methods
     assert page.count('class="compare"') == 1
-
-
-def test_it_can_be_written_again_from_what_is_on_disk(made: Path) -> None:
-    before = (made / "results.html").read_bytes()
-    write_page(made, json.loads((made / "results.json").read_text(encoding="utf-8")))
-    after = (made / "results.html").read_bytes()
-    assert re.sub(rb"data:video/mp4;base64,[^\"]*", b"", after) == re.sub(
-        rb"data:video/mp4;base64,[^\"]*", b"", before
-    )
 
 
 def test_in_a_browser(made: Path) -> None:
@@ -84,14 +75,6 @@ def test_figures_of_a_paper_are_files_too(made: Path, data: Path) -> None:
     assert sizes["differences"] == (720, 4 * (720 // 5 + 22) + 4)  # five maps side by side, of six timesteps
 
 
-def test_every_table_is_there_in_latex(made: Path) -> None:
-    results = json.loads((made / "results.json").read_text())
-    (group,) = groups_of(results)
-    for table in (*tables_of(results, group), full_table(results, group)):
-        text = (made / "tables" / f"1_{table.key}.tex").read_text(encoding="utf-8")
-        assert text.count(r"\\") == len(table.rows) + 1
-
-
 def test_a_table_longer_than_a_page_goes_on_on_the_next() -> None:
     text = latex_table(Table("x", "A", "B", ["set", "α"], [["mic", str(i)] for i in range(100)]))
     assert text.startswith(r"\begin{longtable}{lr}")
@@ -109,14 +92,53 @@ def test_latex_prints_what_the_cells_hold() -> None:
     assert escaped("a\\b") == r"a\textbackslash{}b"
 
 
-def test_it_speaks_of_methods_that_are_there() -> None:
-    """Times are matched for the paper's presets; the 2D methods see what others do not."""
+def test_table_columns_line_up_and_keep_their_cells() -> None:
+    text = table(["set", "SSIM"], [["mic", "0.9"], ["a|b\nc", shown(None, "{:.1f}")]])
+    lines = text.splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert lines[1] == "|:-------|-----:|"
+    assert lines[3] == "| a\\|b c |    – |"
 
-    def words(*methods: str) -> tuple[bool, bool]:
-        said = how({"band": True, "same_time": "needed", "methods": list(methods), "lines": []})
-        return "trained once more" in said, "2d" in said
 
-    assert words("modal") == (False, False)
-    assert words("modal", "paper-tuned") == (True, False)
-    assert words("modal", "phase-2d") == (False, True)
-    assert words("modal", "papers", "ours-2d") == (False, False)  # made elsewhere
+def test_labels_of_a_sheet_have_greek_letters(tmp_path: Path) -> None:
+    """A font without a letter draws the same box for each that it lacks."""
+    labels = []
+    for letter in "αβ":
+        write_sheet(tmp_path / "sheet.png", {letter: np.full((4, 8, 3), 255, np.uint8)})
+        with Image.open(tmp_path / "sheet.png") as sheet:
+            labels.append(np.asarray(sheet))
+    assert not np.array_equal(*labels)
+
+
+def test_curves_pass_through_their_values() -> None:
+    series = {"ours": [0.9, 0.8, 0.7], "ceiling": [0.9, None, 0.9]}
+    lines = points_of(curves(["0", "5", "20"], series, "α", "SSIM"))
+    ours, ceiling = lines["ours, 0"], lines["ceiling, 0"]
+    assert [len(ours), len(ceiling)] == [3, 2]
+    assert ours[0] == ceiling[0]
+    assert ours[1][1] - ours[0][1] == pytest.approx(ours[2][1] - ours[1][1], abs=0.01)
+    assert ours[1][0] - ours[0][0] == pytest.approx(ours[2][0] - ours[1][0], abs=0.01)
+
+
+def test_no_line_leads_over_a_break() -> None:
+    whole = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y"))
+    broken = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y", [1]))
+    assert [len(line) for line in broken.values()] == [1, 3]
+    assert [*broken["s, 0"], *broken["s, 1"]] == whole["s, 0"]
+
+
+@pytest.mark.parametrize(
+    ("curves_of", "apart", "points"),
+    [(["k", "k", "", "k"], [False] * 4, [4]), ([""] * 4, [True, False, False, False], [1, 3])],
+    ids=["one setting scaled", "the first of another kind"],
+)
+def test_a_figure_over_the_rows_is_one_line_but_for_what_stands_apart(
+    curves_of: list[str], apart: list[bool], points: list[int]
+) -> None:
+    rows = ["a", "b", "c", "d"]
+    results = {
+        "picture": "displacement_error", "x_label": "", "title": "title", "rows": rows, "ticks": rows,
+        "curves": curves_of, "apart": apart, "sets": [{"label": "mic"}],
+        "lines": [{"set": "mic", "row": r, "scalars": {"displacement_error": 0.1 * k}} for k, r in enumerate(rows)],
+    }  # fmt: skip
+    assert [len(line) for line in points_of(picture(results) or "").values()] == points

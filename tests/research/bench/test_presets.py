@@ -25,17 +25,6 @@ ROOT = Path(__file__).parents[3]
 SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_steps_need_only_what_comes_before_them(name: str) -> None:
-    known: set[str] = set()
-    for step in steps_of(name, "out", choices=Choices(("theirs=dir",))):
-        assert set(step.needs) <= known, step.name
-        known.add(step.name)
-    jobs = [n for n in known if n.startswith("job/")]
-    assert len(jobs) == len(PRESETS[name].scenes) * (len(PRESETS[name].methods) + 1)
-    assert "page" in known
-
-
 def accepted(line: str) -> dict[str, Any]:
     """The values that the program reads from a command, by the parsers of its own command line."""
     python, *module, name = (words := shlex.split(line))[:4]
@@ -83,15 +72,6 @@ def test_a_configuration_file_has_the_same_choices() -> None:
         choices_from({"external": "t=d"})
     with pytest.raises(BenchError, match=r"alphas is \[5\], expected a text"):
         choices_from({"alphas": [5]})
-
-
-def test_options_of_a_preset_reach_its_commands(tmp_path: Path, capsys) -> None:
-    for name in ("test_video.py", "vqa.py"):
-        (tmp_path / name).write_text("")
-    options = ["--alphas", "5", "--md-vqa", str(tmp_path), "--vqa-python", "python3.9"]
-    assert main(["bench", "--preset", "smoke", "--out", "out", "--dry-run", *options]) == 0
-    found = accepted(capsys.readouterr().out.splitlines()[-1])
-    assert (found["alphas"], found["md_vqa"], found["vqa_python"]) == ("5", tmp_path, "python3.9")
 
 
 @pytest.mark.parametrize(
@@ -187,14 +167,6 @@ def test_the_page_is_made_though_a_job_failed(tmp_path: Path) -> None:
     assert page.endswith(" --collect")
 
 
-def test_what_is_wrong_with_a_configuration_is_said(tmp_path: Path) -> None:
-    done = run_snakemake(
-        tmp_path, {"preset": "large", "out": "x", "python": sys.executable}, "--dry-run", "--cores", "1"
-    )
-    assert done.returncode == 1
-    assert "'large', expected smoke" in done.stdout + done.stderr
-
-
 @pytest.mark.slow
 def test_smoke(tmp_path: Path) -> None:
     """The benchmark whole, from rendering to the page."""
@@ -210,3 +182,14 @@ def test_smoke(tmp_path: Path) -> None:
     assert rows["modal"]["gain"] > 0.2 * rows["ceiling"]["gain"] > 0.1
     assert rows["modal"]["closure"] > 0.2
     assert (tmp_path / "out" / "bench" / "results.html").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_steps_need_only_what_comes_before_them(name: str) -> None:
+    known: set[str] = set()
+    for step in steps_of(name, "out", choices=Choices(("theirs=dir",))):
+        assert set(step.needs) <= known, step.name
+        known.add(step.name)
+    jobs = [n for n in known if n.startswith("job/")]
+    assert len(jobs) == len(PRESETS[name].scenes) * (len(PRESETS[name].methods) + 1)
+    assert "page" in known

@@ -21,7 +21,6 @@ from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import SEEN, Plan, Training, _request
 from tg4mm.research.bench.methods import trained
-from tg4mm.research.bench.methods.known import ABOUT, NAMES
 from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.research.bench.sets import open_set, open_sets, truth_at
@@ -100,19 +99,6 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
-def test_the_cost_of_each_stage(done: Done, data: Path) -> None:
-    out, results = done
-    page = (out / "results.md").read_text(encoding="utf-8")
-    for row, space, motion in (("modal", "60", "4"), ("paper-tuned", "80", "20")):
-        log = entry(results, row)["log"]
-        found = cells(page, "Cost", data.name, row)[3:7]
-        peaks = [
-            max(v["peak_memory_mib"] for k, v in log.items() if (k == "motion") == is_motion)
-            for is_motion in (False, True)
-        ]
-        assert found == [space, motion, *(f"{peak:.0f}" for peak in peaks)]
-
-
 def test_kinds_of_capture_are_told_apart(done: Done, data: Path) -> None:
     _, results = done
     assert kinds_tables(results) == []  # there is one
@@ -130,21 +116,6 @@ def test_kinds_of_capture_are_told_apart(done: Done, data: Path) -> None:
     assert cell["frequency, Hz"] == f"{abs(run['strongest_hz'] - 5.0):.3f}"
 
 
-def test_settings_stand_on_both_pages(done: Done) -> None:
-    out, _ = done
-    for name in ("results.md", "results.html"):
-        page = (out / name).read_text(encoding="utf-8")
-        assert "Settings other than the defaults" in page
-        assert "--set space.iterations=60" in page
-
-
-def test_goals_do_not_stand_on_public_pages(done: Done) -> None:
-    out, results = done
-    assert "goals" not in results
-    for name in ("results.md", "results.html"):
-        assert "missed" not in (out / name).read_text(encoding="utf-8")
-
-
 def test_the_rows_that_frame_the_others(done: Done) -> None:
     _, results = done
     lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
@@ -153,23 +124,6 @@ def test_the_rows_that_frame_the_others(done: Done) -> None:
     assert lines["nothing moves"]["gain"] == pytest.approx(0, abs=1e-9)
     assert lines["ceiling"]["gain"] > 0.7
     assert lines["ceiling"]["ssim_moving"] > lines["nothing moves"]["ssim_moving"]
-
-
-def test_pictures_of_eight_bits_score_as_renderings_do(done: Done) -> None:
-    _, results = done
-    for line in results["lines"]:
-        if line["row"] == "modal":
-            exact = entry(results, "modal")["rows"]
-            for alpha, scores in line["alphas"].items():
-                assert scores["ssim"] == pytest.approx(exact[alpha]["modal"]["ssim"], abs=1e-3)
-
-
-def test_of_renderings_only_ssim_is_measured(done: Done) -> None:
-    """The other metrics are of the pictures on disk, where every method is scored alike."""
-    _, results = done
-    assert {entry(results, "modal")["rows"]["20"]["modal"][k] for k in ("psnr_db", "flip")} == {None}
-    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
-    assert lines["modal"]["flip"] > 0
 
 
 def test_preparation_is_not_timed_and_done_once(
@@ -250,14 +204,6 @@ class TestSameTime:
         config = parse_settings(training.settings, "paper-tuned")["paper"]
         assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
 
-    @pytest.mark.parametrize("factor", [1e-6, 0.01])
-    def test_a_small_share_is_still_trainable(self, factor: float) -> None:
-        config = parse_settings(same_time_training("paper-tuned", {}, factor).settings, "paper-tuned")[
-            "paper"
-        ]
-        assert config.iterations > config.warm_up >= 1
-        assert config.motion_iterations >= 1
-
     @pytest.mark.parametrize(
         ("rule", "modal_s", "paper_s", "factor"),
         [
@@ -331,10 +277,6 @@ def test_means_of_the_motion_are_of_the_same_sets_too() -> None:
         "static_leak": (0.7, 0.9),
         "total_s": (2.0, 2.0),
     }
-
-
-def test_every_method_is_described() -> None:
-    assert set(ABOUT) == set(NAMES)
 
 
 def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:

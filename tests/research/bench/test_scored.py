@@ -1,21 +1,31 @@
-"""Scores of pictures: known answers, the mask of what moves, and files that will not do."""
+"""Scores of pictures with known answers, video quality by a checkout, and what of a motion can be observed."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
 from tg4mm.core.pictures.frames import write_png
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.scored import cameras_of, moving_pixels, score_pictures, video_of, with_closure
+from tg4mm.research.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
+from tg4mm.research.bench.scored import cameras_of, score_pictures, video_of, with_closure
+from tg4mm.research.bench.sets import BenchSet, open_set
+from tg4mm.research.bench.vqa import PROGRAMS, Checkout, checkouts
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.subject import Subject
+from tg4mm.show.weights import blending_weights
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +107,6 @@ def test_what_moves_is_scored_by_itself(truth: Capture, tmp_path: Path) -> None:
     assert 0 < scores["moving_share"] < 1
 
 
-def test_nothing_that_moves() -> None:
-    assert not moving_pixels(np.full((5, 8, 8, 3), 0.5, np.float32)).any()
-
-
 def test_pictures_that_will_not_do(truth: Capture, tmp_path: Path) -> None:
     folder = written(truth, tmp_path / "made", 1.0)
     first = folder / truth.paths[0].relative_to(truth.root)
@@ -129,15 +135,105 @@ def test_closure_is_nothing_without_its_two_ends() -> None:
     assert alone["theirs"]["closure"] is None
 
 
-def test_every_camera_moves_the_progress(truth: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[tuple[object, ...]] = []
+VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
 
-    @contextmanager
-    def progress(label: str, total: int, **_: object) -> Iterator[Callable[[int], None]]:
-        said.append((label, total))
-        yield lambda done: said.append((done,))
 
-    monkeypatch.setattr("tg4mm.research.bench.scored.progress", progress)
-    score_pictures(truth, truth.root, label="modal, α = 5, scores")
-    steps = np.cumsum([len(rows) for rows in cameras_of(truth)])
-    assert said == [("modal, α = 5, scores", len(truth)), *((n,) for n in steps)]
+def checkout(folder: Path, metric: str, program: str) -> Checkout:
+    (folder / PROGRAMS[metric][0]).write_text(program)
+    (found,) = checkouts({metric: folder}, sys.executable)
+    return found
+
+
+def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
+    says = "import sys\nassert open(sys.argv[-1], 'rb').read(12)[4:8] == b'ftyp'\n"
+    md = checkout(
+        tmp_path, "md_vqa", says + "assert sys.argv[1] == '-i'\nprint('loaded 3 models')\nprint(81.04)\n"
+    )
+    assert md(VIDEO, 30.0) == 81.04
+    line = "print('The quality score of the video (range [0,1]) is 0.20890.', sys.argv[1:4] == [])\n"
+    fast = checkout(tmp_path, "fast_vqa", says + "assert sys.argv[1:4] == ['-m', 'FAST-VQA', '-v']\n" + line)
+    assert fast(VIDEO, 30.0) == pytest.approx(0.2089)
+
+
+@pytest.mark.parametrize(
+    ("program", "message"),
+    [
+        ("raise SystemExit('no weights')", "status 1: no weights"),
+        ("print('none')", "the last line that it printed is 'none', expected one with the score"),
+        ("print('loaded 3 models')\nprint('score: nan')", "the last line that it printed is 'score: nan'"),
+        ("", "the last line that it printed is ''"),
+    ],
+)
+def test_what_goes_wrong_is_said(tmp_path: Path, program: str, message: str) -> None:
+    with pytest.raises(BenchError, match=message):
+        checkout(tmp_path, "md_vqa", program)(VIDEO, 30.0)
+
+
+def test_a_folder_without_the_program(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"--fast-vqa .*: holds no vqa.py"):
+        checkouts({"fast_vqa": tmp_path}, "python3")
+
+
+Scene = tuple[Gaussians, ModalMotion, BenchSet]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    root = tmp_path_factory.mktemp("observed") / "sway"
+    made = make_synthetic_dataset(
+        root, n_views=3, n_timesteps=6, size=48, freqs=(5.0,), amplitude=0.02, alphas=(5,), n_test=3
+    )
+    return *made, open_set(root, "sway")
+
+
+def moving(motion: ModalMotion) -> np.ndarray:
+    size = rms_motion(motion)
+    return size > 0.3 * size.max()
+
+
+def test_the_true_motion_is_observed(scene: Scene) -> None:
+    gaussians, motion, data = scene
+    agrees = agreement(gaussians, motion, data)
+    assert (agrees[moving(motion)] > 0.9).mean() > 0.9
+
+
+def test_a_motion_that_the_pictures_do_not_show_is_not(scene: Scene) -> None:
+    """As of a mirror: the surface moves, what is seen in it does not, or moves otherwise."""
+    gaussians, motion, data = scene
+    late = replace(motion, displacement=motion.displacement * 1j)  # a quarter of a period
+    assert (agreement(gaussians, late, data)[moving(motion)] >= AGREES).mean() < 0.1
+
+
+def test_what_stands_still_agrees_with_nothing(scene: Scene) -> None:
+    gaussians, motion, data = scene
+    still = replace(motion, displacement=0 * motion.displacement)
+    assert np.abs(agreement(gaussians, still, data)).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("n", "hz"), [(30, 5.0), (31, 5.0), (61, 5.0), (51, 3.0), (16, 10.0), (90, 0.5), (20, 14.0)]
+)
+def test_the_timesteps_that_are_looked_at_show_several_phases(n: int, hz: float) -> None:
+    times = looked_at(n, 30.0, hz)
+    phases = {round(hz * t / 30.0 % 1, 6) for t in times}
+    assert len(phases) >= min(3, round(30 / hz))
+    assert len(times) == len(set(times)) <= 12
+    assert max(times) < n
+
+
+def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of what moves is observed, the motion is right there and 40 % too small elsewhere."""
+    gaussians, motion, data = scene
+    train = load_capture(data.root)
+    seen = np.zeros(len(gaussians), bool)
+    seen[np.flatnonzero(moving(motion))[::2]] = True
+    monkeypatch.setattr("tg4mm.research.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
+    estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
+    subject = Subject(gaussians, estimated, motion, None, AS_CAPTURED, False, None)
+    found = observed_figures(subject, data, train)
+    weights = blending_weights(gaussians, train) * (rms_motion(motion) > 0.01 * rms_motion(motion).max())
+    assert found["observed_share"] == pytest.approx(weights[seen].sum() / weights.sum(), rel=1e-3)
+    assert 0.2 < found["observed_share"] < 0.8
+    assert found["displacement_error_observed"] < 0.02
+    everything = displacement_figures(estimated, motion, blending_weights(gaussians, train))
+    assert everything["relative_error"] > 0.1

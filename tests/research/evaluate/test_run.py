@@ -151,16 +151,6 @@ def test_a_capture_of_one_timestep_is_scored_at_rest(scene, tmp_path) -> None:
     assert "nothing moves" in format_table(metrics)
 
 
-def test_without_truth_there_is_no_ceiling(scene, tmp_path) -> None:
-    root, gaussians, motion = scene
-    copy = tmp_path / "copy"
-    shutil.copytree(root, copy, ignore=shutil.ignore_patterns("truth"))
-    metrics = evaluate_run(make_run(tmp_path, copy, gaussians, motion), alphas=[20])
-    assert list(rows_of(metrics, 20)) == [STATIC, OURS]
-    assert metrics["displacement"] is None
-    assert metrics["alphas"][1]["gap_to_ceiling"] is None
-
-
 def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
     root, gaussians, motion = scene
     copy = tmp_path / "copy"
@@ -172,13 +162,6 @@ def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
     (copy / "truth" / "motion.npz").write_bytes(b"PK")
     with pytest.raises(CaptureError, match=r"motion\.npz is damaged"):
         evaluate_run(run)
-
-
-def test_a_place_that_cannot_be_made_is_known_before_scoring(half, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(module, "_score_alpha", lambda *_: pytest.fail("was scored"))
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(NotADirectoryError):
-        evaluate_run(half, out=tmp_path / "file" / "x" / "metrics.json")
 
 
 def test_a_foreign_file_is_not_overwritten_by_figures(half) -> None:
@@ -205,12 +188,6 @@ def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
     with pytest.raises(RunError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):
         evaluate_run(other)
     assert not (other.path / "metrics.json").exists()
-
-
-def test_an_alpha_without_ground_truth_is_named(half) -> None:
-    metrics = evaluate_run(half, alphas=[5, 7.5])
-    assert "there: 5, 20" in metrics["absent"]["α = 7.5"]
-    assert [e["alpha"] for e in metrics["alphas"]] == [0, 5]
 
 
 def test_a_killed_evaluation_goes_on_where_it_was(half, monkeypatch) -> None:

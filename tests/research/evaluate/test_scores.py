@@ -1,11 +1,18 @@
-"""When two poses are the same: the key of a motion state."""
+"""When two poses are the same, and how much of a motion is seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import Capture, load_capture
 from tg4mm.core.magnification import Magnification
+from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.scores import Method
+from tg4mm.research.evaluate.scores import Method, change_figures, closure
 
 FPS, T = 30.0, 30
 
@@ -44,12 +51,6 @@ def test_keys_are_equal_exactly_when_poses_are(m) -> None:
             assert (keys[i] == keys[j]) == np.allclose(a, b, atol=1e-6), (moments[i], moments[j])
 
 
-def test_a_sine_at_3_hz_has_five_states_in_a_second() -> None:
-    """sin(2π t / 10): 0, ±sin 36°, ±sin 72°; a general phase has all ten of its period."""
-    assert len({method({3.0: -1j}).state(t, 5.0) for t in range(T)}) == 5
-    assert len({method({3.0: 0.6 + 0.8j}).state(t, 5.0) for t in range(T)}) == 10
-
-
 def test_a_rotation_out_of_phase_with_the_displacement_counts() -> None:
     """Displacement −i, rotation 1: the sine repeats at t = 1 and 4, the rotation does not."""
     plain, turning = method({3.0: -1j}), method({3.0: -1j}, rotation=1j)
@@ -64,13 +65,61 @@ def test_the_rest_pose_is_one_for_all_methods() -> None:
     assert method({3.0: 1.0}).state(0, 0.0) != ()
 
 
-def test_methods_that_move_are_kept_apart() -> None:
-    ours = method({3.0: -1j})
-    other = Method("ceiling", ours.motion)
-    assert ours.state(1, 0.0) != other.state(1, 0.0)
-
-
 def test_band_edges_are_inside() -> None:
     inside = Magnification.of(1.0, (3.0, 4.0)).inside(np.array([2.9, 3.0, 4.0, 4.1]))
     np.testing.assert_array_equal(inside, [False, True, True, False])
     assert Magnification().inside(np.array([0.0, 99.0])).all()
+
+
+Scene = tuple[Capture, Gaussians, ModalMotion]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    root = tmp_path_factory.mktemp("change") / "posts_3Hz_0_02"
+    made = make_synthetic_dataset(root, n_views=3, n_timesteps=10, size=40, n_test=2, alphas=())
+    return load_capture(root, split="test"), *made
+
+
+def figures(scene: Scene, motion: ModalMotion | None, alpha: float = 0.0) -> dict[str, float | None]:
+    capture, gaussians, exact = scene
+    return change_figures(gaussians, Method("ours", motion), Method("ceiling", exact), capture, alpha)
+
+
+def scaled(motion: ModalMotion, by: complex) -> ModalMotion:
+    return replace(
+        motion,
+        displacement=(by * motion.displacement).astype(np.complex64),
+        rotation=(by * motion.rotation).astype(np.complex64),
+    )
+
+
+def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene: Scene) -> None:
+    found = figures(scene, scene[2], alpha=5.0)
+    assert found["change_gain"] == pytest.approx(1)
+    assert found["change_residual"] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_small_motion_half_as_large_is_half_the_change(scene: Scene) -> None:
+    found = figures(scene, scaled(scene[2], 0.5))
+    assert found["change_gain"] == pytest.approx(0.5, abs=0.03)
+    assert found["change_residual"] < 0.06
+
+
+def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene: Scene) -> None:
+    found = figures(scene, scaled(scene[2], 1j))
+    assert found["change_gain"] == pytest.approx(0, abs=0.15)
+    assert found["change_residual"] == pytest.approx(1, abs=0.15)
+
+
+def test_without_a_change_there_is_nothing_to_compare(scene: Scene) -> None:
+    capture, gaussians, exact = scene
+    still = Method("ceiling", scaled(exact, 0))
+    found = change_figures(gaussians, Method("ours", exact), still, capture, 0.0)
+    assert found == {"change_gain": None, "change_residual": None}
+
+
+def test_closure_is_where_ssim_lies_between_nothing_and_the_ceiling() -> None:
+    assert closure(0.95, 0.9, 1.0) == pytest.approx(0.5)
+    assert closure(0.85, 0.9, 1.0) == pytest.approx(-0.5)
+    assert closure(0.9, 0.9, 0.9) is None

@@ -15,7 +15,7 @@ from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.core.splatfile import read_splat
-from tg4mm.research.paper.embeddings import FOLDER, at_points, interpolation, series_of
+from tg4mm.research.paper.embeddings import FOLDER, at_points, series_of
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.research.paper.motion import rotation_between
 from tg4mm.run.poses import poses_of
@@ -114,12 +114,6 @@ def flip(file: Path) -> None:
     file.write_bytes(data)
 
 
-def test_embeddings_that_were_damaged_are_made_anew(trained):
-    first = series_of(trained, "linear", plan(2.0, "linear")).embeddings.copy()
-    flip(max((trained.path / FOLDER).glob("*.f32"), key=lambda f: f.stat().st_mtime))
-    np.testing.assert_array_equal(series_of(trained, "linear", plan(2.0, "linear")).embeddings, first)
-
-
 def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
     import tg4mm.research.paper.embeddings as module
 
@@ -143,15 +137,6 @@ def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
     for file in (trained.path / FOLDER).glob("*"):
         file.unlink()
     np.testing.assert_array_equal(series_of(trained, "phase", wanted).embeddings, damaged)
-
-
-def test_between_timesteps_embeddings_are_interpolated():
-    t = np.arange(6)
-    wave = 2 + np.cos(2 * np.pi * t / 6) - 0.5 * np.sin(4 * np.pi * t / 6)
-    for at in (0.25, 3.5, 7.0):
-        expected = 2 + np.cos(2 * np.pi * at / 6) - 0.5 * np.sin(4 * np.pi * at / 6)
-        assert interpolation(at, 6) @ wave == pytest.approx(expected)
-    np.testing.assert_allclose(interpolation(2.0, 7), np.eye(7)[2], atol=1e-12)
 
 
 def test_rotation_between_quaternions():

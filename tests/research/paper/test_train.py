@@ -10,7 +10,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -18,7 +17,7 @@ from safetensors.torch import load_file
 from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.animate import animate
-from tg4mm.research.paper.config import PAPER, PAPER_TUNED
+from tg4mm.research.paper.config import PAPER
 from tg4mm.research.paper.model import load_model, load_planes, planes_name
 from tg4mm.run import Run
 from tg4mm.run.train import parse_settings, train
@@ -37,35 +36,6 @@ def stored(path: Path) -> dict[str, torch.Tensor]:
 
 
 class TestSettings:
-    def test_the_defaults_are_the_papers(self) -> None:
-        assert (PAPER.channels, PAPER.resolution, PAPER.iterations, PAPER.motion_iterations) == (
-            32,
-            512,
-            20_000,
-            7_000,
-        )
-        assert (PAPER.learning_rate, PAPER.mlp_layers, PAPER.mlp_width, PAPER.residual) == (
-            1e-4,
-            0,
-            256,
-            True,
-        )
-        configs = parse_settings({}, "paper")
-        assert configs["paper"] == PAPER
-        assert (configs["space"].l2, configs["space"].dssim, configs["space"].sh_degree) == (0.0, 0.0, 3)
-        assert parse_settings({}, "paper-tuned")["paper"] == PAPER_TUNED
-        # two triplanes of the published size are its 192 MB
-        assert 2 * 3 * PAPER.channels * PAPER.resolution**2 * 4 / 2**20 == 192
-
-    def test_booleans_are_true_or_false(self) -> None:
-        assert parse_settings({"paper.residual": "false"}, "paper")["paper"].residual is False
-        with one_line("setting paper.residual is 'no', expected true or false"):
-            parse_settings({"paper.residual": "no"}, "paper")
-
-    def test_settings_of_another_preset_are_unknown(self) -> None:
-        with one_line("setting 'motion.triplane' is unknown; tg4mm train --list-settings"):
-            parse_settings({"motion.triplane": "8"}, "paper")
-
     @pytest.mark.parametrize(
         ("name", "value", "message"),
         [
@@ -114,14 +84,6 @@ class TestTraining:
         one, other = means[0] - means[2], means[3] - means[2]
         assert torch.nn.functional.cosine_similarity(one, other, dim=0) < -0.1
 
-    def test_sizes_are_in_the_log(self, trained: Run) -> None:
-        log = trained.log()
-        assert log["triplane"]["parameters_space_triplane"] == 3 * 4 * 16 * 16
-        assert log["triplane"]["mib_two_triplanes"] == 2 * 3 * 4 * 16 * 16 * 4 / 2**20
-        assert 0 < log["triplane"]["active_share"] <= 1
-        on_disk = sum(f.stat().st_size for f in trained.path.glob("*.safetensors")) / 2**20
-        assert log["motion"]["mib_on_disk"] == pytest.approx(on_disk)
-
     def test_the_rest_scene_and_its_modes_are_what_is_decoded(self, trained: Run) -> None:
         model, motion = load_model(trained), trained.load_motion()
         assert motion is not None
@@ -138,14 +100,6 @@ class TestTraining:
         before = {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")}
         train(data, trained.path, "paper-tuned", settings=SETTINGS)
         assert {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")} == before
-
-    def test_without_residual_the_planes_replace(self, data: Path, tmp_path: Path) -> None:
-        run = train(data, tmp_path / "run", "paper-tuned", settings=SETTINGS | {"paper.residual": "false"})
-        model = load_model(run)
-        assert model.residual is False
-        zero = torch.zeros(len(model.cells), model.channels)
-        assert not model.embedding(zero).any()
-        assert load_planes(run, 1, model).any()
 
 
 @pytest.mark.slow
@@ -226,10 +180,3 @@ class TestRefusals:
         copy.save_part("triplane", tensors, residual=True)
         with pytest.raises(RunError, match=r"has no tensor base\.sh"):
             load_model(copy)
-
-    def test_values_that_are_not_finite_are_refused(self, copy: Run) -> None:
-        model = load_model(copy)
-        bad = torch.full((len(model.cells), model.channels), np.nan)
-        copy.save_part(planes_name(1), {"values": bad.T.contiguous()})
-        with pytest.raises(RunError, match="values holds a value that is not finite"):
-            load_planes(copy, 1, model)

@@ -1,12 +1,14 @@
-"""Sampling at fixed points: the same as dense planes in torch, values, gradients and training."""
+"""Sampling at fixed points and the decoder, against plain torch."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
-from torch.nn.functional import grid_sample
+from torch.nn.functional import gelu, grid_sample
 
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.research.paper.decoder import BASE, base_below, base_of, new_decoder
 from tg4mm.research.paper.triplane import PLANES, cells_of, sample, sample_torch, scene_box
 
 R, C, N = 16, 8, 60
@@ -77,40 +79,6 @@ def test_adam_on_active_cells_is_adam_on_dense_planes(points):
     assert torch.equal(active(planes.detach(), others), active(start, others))
 
 
-def test_weights_sum_to_one_and_the_transpose_holds_every_entry(points):
-    cells = cells_of(points, scene_box(points), R)
-    np.testing.assert_allclose(cells.weight.sum(-1), 1, atol=1e-6)
-    assert cells.first[-1] == 12 * N == len(cells.point)
-    values = torch.randn(len(cells), 4, generator=torch.Generator().manual_seed(0)).requires_grad_()
-    v = torch.randn(N, 12, generator=torch.Generator().manual_seed(1))
-    out = sample(values, cells)
-    out.backward(v)
-    assert values.grad is not None
-    # <S x, v> = <x, Sᵀ v>
-    left, right = (out.double() * v.double()).sum(), (values.double() * values.grad.double()).sum()
-    torch.testing.assert_close(left, right, atol=1e-4, rtol=1e-5)
-
-
-def test_points_of_one_plane_are_found_by_slice(points):
-    cells = cells_of(points, scene_box(points), R)
-    for k in range(3):
-        part = cells.dense[cells.of_plane(k)]
-        assert (part // R**2 == k).all()
-    assert sum(len(cells.dense[cells.of_plane(k)]) for k in range(3)) == len(cells)
-
-
-def test_points_outside_the_box_lie_on_its_border():
-    box = np.array([[0.0, 0, 0], [1, 1, 1]])
-    inside, outside = (cells_of(np.array([p]), box, 8) for p in ([1.0, 0.0, 0.5], [7.0, -3.0, 0.5]))
-    np.testing.assert_array_equal(inside.dense, outside.dense)
-    np.testing.assert_array_equal(inside.weight, outside.weight)
-
-
-def test_a_flat_scene_has_a_box():
-    flat = np.random.default_rng(0).normal(size=(30, 3)) * [1, 1, 0]
-    assert np.isfinite(cells_of(flat, scene_box(flat), 8).weight).all()
-
-
 def test_results_do_not_depend_on_the_number_of_threads(points):
     import numba
 
@@ -133,3 +101,40 @@ def test_values_of_another_shape_are_refused(points):
     cells = cells_of(points, scene_box(points), R)
     with pytest.raises(ValueError, match=rf"values have shape \(3, 8\), expected \({len(cells)}, channels\)"):
         sample(torch.zeros(3, 8), cells)
+
+
+@pytest.fixture
+def gaussians() -> Gaussians:
+    g = torch.Generator().manual_seed(0)
+    return Gaussians(
+        torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.01,
+        torch.rand(5, generator=g) * 0.9 + 0.05, torch.randn(5, 16, 3, generator=g),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("layers", [0, 8])
+def test_on_the_base_below_them_an_embedding_decodes_to_the_gaussians(gaussians, layers):
+    decoder = new_decoder(12, 16, layers, 32, torch.Generator().manual_seed(0))
+    embedding = torch.randn(5, 12)
+    out = decoder.decode(base_below(gaussians, decoder, embedding), embedding)
+    assert decoder.n_layers == layers
+    assert all(decoder.parameters[f"{head}.weight"].any() for head in BASE)
+    for name in ("means", "scales", "opacities", "sh"):
+        torch.testing.assert_close(getattr(out, name), getattr(gaussians, name))
+    torch.testing.assert_close(out.quats, torch.nn.functional.normalize(gaussians.quats, dim=1))
+
+
+def test_heads_are_gelu_and_linear_on_attributes_before_activation(gaussians):
+    g = torch.Generator().manual_seed(1)
+    decoder = new_decoder(6, 16, 0, 0, g)
+    for p in decoder.parameters.values():
+        p += torch.randn(p.shape, generator=g) * 0.1
+    x = torch.randn(5, 6, generator=g)
+    out, base = decoder.decode(base_of(gaussians), x), base_of(gaussians)
+    residual = {
+        h: gelu(x) @ decoder.parameters[f"{h}.weight"].T + decoder.parameters[f"{h}.bias"] for h in BASE
+    }
+    torch.testing.assert_close(out.means, base["means"] + residual["means"])
+    torch.testing.assert_close(out.scales, (base["log_scales"] + residual["log_scales"]).exp())
+    torch.testing.assert_close(out.opacities, (base["logits"] + residual["logits"][:, 0]).sigmoid())
+    torch.testing.assert_close(out.sh, base["sh"] + residual["sh"].reshape(5, 16, 3))

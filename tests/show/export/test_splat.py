@@ -129,28 +129,6 @@ def test_a_killed_sequence_goes_on(run, tmp_path):
     assert before["frame_0002.ply"][0] == after["frame_0002.ply"][0]
 
 
-def test_chosen_timesteps_only(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(), timesteps=[3])
-    assert sorted(path.name for path in out.iterdir()) == ["export.json", "frame_0003.ply"]
-    with pytest.raises(Tg4mmError, match="timestep 5 is outside 0 … 4"):
-        export_ply_sequence(run, tmp_path / "frames", RenderRequest(), timesteps=[5])
-
-
-def test_without_motion_the_file_is_static(run, tmp_path):
-    still = Run.create(tmp_path / "still", tmp_path / "data", "modal", {})
-    still.save_space(run.load_space(), {})
-    assert read_splat(export_ply(still, tmp_path / "a.ply")).n_modes == 0
-    with pytest.raises(RunError, match="--alpha 3"):
-        export_ply_sequence(still, tmp_path / "frames", RenderRequest(Magnification.of(3.0)))
-
-
-def test_a_motion_of_other_gaussians_is_refused(run):
-    motion = run.load_motion()
-    fewer = replace(motion, displacement=motion.displacement[:, 1:], rotation=motion.rotation[:, 1:])
-    with pytest.raises(RunError, match="the scene has"):
-        to_splat(run.load_space(), fewer)
-
-
 def test_folders_and_files_are_told_apart(run, tmp_path):
     with pytest.raises(Tg4mmError, match="is a folder"):
         export_ply(run, tmp_path)
@@ -191,3 +169,10 @@ def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_a
 
 def sure(run: Run) -> tuple[np.ndarray, np.ndarray]:
     return run.load_uncertainty(), run.load_noise()
+
+
+def test_a_motion_of_other_gaussians_is_refused(run):
+    motion = run.load_motion()
+    fewer = replace(motion, displacement=motion.displacement[:, 1:], rotation=motion.rotation[:, 1:])
+    with pytest.raises(RunError, match="the scene has"):
+        to_splat(run.load_space(), fewer)

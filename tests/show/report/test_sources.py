@@ -1,10 +1,14 @@
-"""By how much motion is magnified, and which scores count."""
+"""By how much motion is magnified, which scores count, costs and commands in words, and clips."""
 
+from __future__ import annotations
+
+import io
 import json
 import os
 import shutil
 from dataclasses import replace
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -12,7 +16,10 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.files import json_digest
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.run import Run
+from tg4mm.show.report import videos as video
+from tg4mm.show.report.closing import program, size_on_disk
 from tg4mm.show.report.sources import choose_alpha, metrics_of
+from tg4mm.show.report.videos import clip
 from tg4mm.show.result.read import reading_of
 
 
@@ -107,5 +114,37 @@ def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
         metrics_of(own, None)
 
 
-def test_without_ground_truth_there_are_none(bare_run):
-    assert metrics_of(bare_run, pytest.fail) == {}
+def test_folders_count_all_their_files(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "x").write_bytes(b"123")
+    (tmp_path / "y").write_bytes(b"12")
+    assert size_on_disk(tmp_path) == 5
+    assert size_on_disk(tmp_path / "y") == 2
+    (tmp_path / "z").hardlink_to(tmp_path / "y")
+    assert size_on_disk(tmp_path) == 5
+
+
+def test_commands_name_the_program_as_the_shell_finds_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    monkeypatch.setenv("PATH", str(tmp_path / "elsewhere"))
+    assert program() == f"{tmp_path}/python -m tg4mm"
+    (tmp_path / "tg4mm").touch(mode=0o755)
+    assert program() == f"{tmp_path}/tg4mm"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert program() == "tg4mm"
+
+
+def frames_of(data: bytes) -> np.ndarray:
+    return iio.imread(io.BytesIO(data), extension=".mp4", plugin="FFMPEG")
+
+
+def test_large_pictures_are_reduced_and_small_ones_enlarged():
+    assert frames_of(clip(np.zeros((2, 900, 450, 3), np.uint8), 30, 0.1)).shape[1:3] == (720, 360)
+    assert frames_of(clip(np.zeros((2, 48, 32, 3), np.uint8), 30, 0.1)).shape[1:3] == (384, 256)
+
+
+def test_a_clip_that_is_too_large_is_made_smaller(monkeypatch):
+    noise = np.random.default_rng(0).integers(0, 256, (4, 400, 400, 3), dtype=np.uint8)
+    whole = clip(noise, 30, 0.1)
+    monkeypatch.setattr(video, "_MOST", len(whole) // 2)
+    assert len(clip(noise, 30, 0.1)) <= len(whole) // 2

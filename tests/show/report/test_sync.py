@@ -72,13 +72,6 @@ def test_the_button_pauses_and_starts_all(page: Any) -> None:
     until(page, "document.querySelector('[data-play]').textContent == 'Pause'")
 
 
-def test_the_speed_is_that_of_all(page: Any) -> None:
-    page.locator('[data-speed="0.25"]').click()
-    assert of_videos(page, "playbackRate") == [0.25, 0.25]
-    pressed = page.evaluate("[...document.querySelectorAll('[data-speed]')].map(b => b.ariaPressed)")
-    assert pressed == ["false", "false", "true"]
-
-
 def test_the_slider_takes_all_to_a_time_of_the_record(page: Any) -> None:
     page.locator("[data-seek]").fill("1.5")
     assert of_videos(page, "paused") == [True, True]
@@ -95,12 +88,3 @@ def test_one_that_lags_is_brought_back(page: Any) -> None:
     page.locator("[data-play]").click()
     page.evaluate(f"{VIDEOS}[1].currentTime += 0.7")
     until(page, f"Math.abs({VIDEOS}[0].currentTime - {VIDEOS}[1].currentTime) < 0.2")
-
-
-def test_nothing_moves_for_who_wants_that(file: Path, chromium: Any) -> None:
-    page = chromium.new_page(reduced_motion="reduce")
-    page.goto(file.as_uri())
-    until(page, f"{VIDEOS}.every(v => v.readyState >= 2)")
-    assert of_videos(page, "paused") == [True, True]
-    until(page, "document.querySelector('[data-play]').textContent == 'Play'")
-    page.close()

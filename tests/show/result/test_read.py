@@ -15,13 +15,9 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
-from tg4mm.core.errors import RunError
-from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.result import Length, Result, lines_of, result_of
 from tg4mm.show.result.model import with_deviation
-from tg4mm.show.result.reach import pixel_rows
-from tg4mm.show.result.read import series_of
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +34,6 @@ def test_frequencies_and_amplitudes_are_the_motions(result: Result) -> None:
         assert v.damping is None
     assert (result.n_cameras, result.n_timesteps, result.fps, result.unit_scale_m) == (3, 30, 30.0, 0.1)
     assert result.agreement == (0.99, 0.9)
-
-
-def test_the_place_is_where_it_moves_so_far(result: Result, run: Run) -> None:
-    motion, means = run.load_motion(), run.load_space().means.numpy()
-    for v in result.vibrations:
-        (k,) = np.flatnonzero(motion.freqs_hz == v.hz)
-        there = np.flatnonzero((np.abs(means - v.place) < 1e-6).all(1))
-        assert np.linalg.norm(motion.displacement[k, there[0]]) == pytest.approx(v.amplitude.value, rel=0.01)
 
 
 def test_pixels_are_how_far_a_point_lands_apart(result: Result, run: Run) -> None:
@@ -66,28 +54,6 @@ def test_pixels_are_how_far_a_point_lands_apart(result: Result, run: Run) -> Non
         top = max(a.max() for a in apart)
         assert 0.75 * top < v.pixels.value <= 1.001 * top
         assert v.pixels.deviation / v.pixels.value == pytest.approx(v.amplitude.deviation / v.amplitude.value)
-
-
-def test_pixel_rows_are_the_projections_derivative() -> None:
-    rng = np.random.default_rng(0)
-    means, K = rng.normal(size=(5, 3)), np.array([[50.0, 0, 16], [0, 55.0, 16], [0, 0, 1]])
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[2, 3] = np.linalg.qr(rng.normal(size=(3, 3)))[0], 8.0
-
-    def land(points: np.ndarray) -> np.ndarray:
-        q = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
-        return q[:, :2] / q[:, 2:]
-
-    rows, inside = pixel_rows(means, viewmat, K, (32, 32))
-    assert inside.any()
-    for axis in range(3):
-        step = 1e-5 * np.eye(3)[axis]
-        np.testing.assert_allclose(
-            rows[inside, :, axis],
-            ((land(means + step) - land(means - step)) / 2e-5)[inside],
-            rtol=1e-6,
-            atol=1e-6,
-        )
 
 
 def test_the_lines_say_it_in_every_unit(result: Result, run: Run) -> None:
@@ -113,15 +79,6 @@ def test_the_next_command_works(result: Result, run: Run, tmp_path: Path) -> Non
     words[words.index("--out") + 1] = str(tmp_path / "o")
     assert main([*words[1:], "--no-video"]) == 0
     assert len(list((tmp_path / "o").rglob("*.png"))) == 2 * 30
-
-
-def test_without_a_scale_there_are_no_millimetres(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
-    scene = copy.dataset / "scene.json"
-    scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
-    text = "\n".join(lines_of(result_of(copy)))
-    assert " mm" not in text
-    assert f"millimetres: unit_scale_m (metres per scene unit) in {scene} is not known" in text
 
 
 def test_without_its_dataset_a_run_tells_what_it_can(run: Run, tmp_path: Path) -> None:
@@ -214,13 +171,6 @@ def test_nothing_found_and_nothing_to_find(run: Run, tmp_path: Path) -> None:
     assert "--alpha 0 --split train" in lines[-1]
 
 
-def test_an_unfinished_run_is_refused(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
-    (copy.path / "motion.safetensors").unlink()
-    with pytest.raises(RunError, match="its motion stage is not finished"):
-        result_of(copy)
-
-
 def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(
     run: Run, tmp_path: Path
 ) -> None:
@@ -252,18 +202,6 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(run: Ru
     for v in found.vibrations:
         assert v.pixels.deviation / v.pixels.value < 0.3 * v.amplitude.deviation / v.amplitude.value
     assert "towards the only camera" in "\n".join(found.cannot)
-
-
-def test_series_is_the_motion_along_the_shape() -> None:
-    """Elliptic paths too: in units of the shape's own amplitude."""
-    rng = np.random.default_rng(0)
-    shape = rng.normal(size=(9, 3))
-    displacement = (shape * np.exp(0.7j))[None].astype(np.complex64)
-    motion = ModalMotion(np.array([4.0]), displacement, 0 * displacement, 30.0, 30)
-    series = series_of(motion, displacement[0], np.ones(9))
-    np.testing.assert_allclose(
-        np.abs(series), np.abs(np.cos(2 * np.pi * 4 * np.arange(30) / 30 + 0.7)), atol=1e-6
-    )
 
 
 @pytest.mark.parametrize(
@@ -312,3 +250,12 @@ def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_
         alphas[preset] = result_of(made).alpha
     assert alphas["modal"] == 1
     assert alphas["paper"] == result_of(run).alpha > 1
+
+
+def test_without_a_scale_there_are_no_millimetres(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    scene = copy.dataset / "scene.json"
+    scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
+    text = "\n".join(lines_of(result_of(copy)))
+    assert " mm" not in text
+    assert f"millimetres: unit_scale_m (metres per scene unit) in {scene} is not known" in text

@@ -47,12 +47,6 @@ def test_render_export_and_evaluate_take_auto(run: Run, tmp_path: Path, capsys) 
     assert capsys.readouterr().err.count("--band auto: ") == 3
 
 
-def test_auto_without_a_vibration_is_refused(run: Run, tmp_path: Path) -> None:
-    still = other_motion(run, tmp_path, 0.0)
-    with pytest.raises(Tg4mmError, match=r"--band auto: no vibration was found in .*; --band LO HI looks"):
-        auto_band(still)
-
-
 def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None:
     with pytest.raises(
         Tg4mmError, match=r"--band 4 5: no motion was found there; there is .*3 Hz \(--band 2 4\)"
@@ -97,12 +91,6 @@ def test_a_filter_lets_neighbours_through(run: Run) -> None:
         refuse_empty(run, plan(11.5, 12.5, **soft))
 
 
-def test_small_magnification_needs_no_word(run: Run) -> None:
-    assert too_far(run, plan(2, 4, 1.0)) is None
-    assert too_far(run, Magnification()) is None
-    assert too_far(run, plan(2, 4, -1.0)) is None
-
-
 def test_noise_that_is_magnified_beyond_a_pixel_is_said(run: Run, tmp_path: Path) -> None:
     """Of a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
     copy = other_motion(run, tmp_path, 0.02)
@@ -123,12 +111,6 @@ def test_turns_beyond_half_a_radian_are_said(run: Run) -> None:
     assert turned == pytest.approx(101 * 2 * 0.02 / 1.3, rel=0.3)
     reach = reading_of(run).reach(np.array([101.0, 0.0]))
     assert f"becomes {reach.pixels:.3g} px" in line
-
-
-def test_the_line_reaches_the_user_and_the_exit_is_0(run: Run, tmp_path: Path, capsys) -> None:
-    command = ["render", str(run.path), "--alpha", "100", "--orbit", "1", "--out", str(tmp_path / "o")]
-    assert main(command) == 0
-    assert "α = 100: the largest motion becomes" in capsys.readouterr().err
 
 
 def copied(run: Run, tmp_path: Path) -> Run:
@@ -156,3 +138,9 @@ def test_a_factor_below_minus_one_says_that_motion_is_reversed(run: Run, tmp_pat
     options = ["--alpha", "-5", "--band", "2", "4", "--orbit", "1", "--out", str(tmp_path / "o")]
     assert main(["render", str(run.path), *options]) == 0
     assert "reversed" in capsys.readouterr().err
+
+
+def test_auto_without_a_vibration_is_refused(run: Run, tmp_path: Path) -> None:
+    still = other_motion(run, tmp_path, 0.0)
+    with pytest.raises(Tg4mmError, match=r"--band auto: no vibration was found in .*; --band LO HI looks"):
+        auto_band(still)

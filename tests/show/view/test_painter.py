@@ -1,7 +1,11 @@
-"""Pictures of the scene: what `tg4mm render` writes, magnified, coloured; and the Gaussians under a pixel."""
+"""Pictures of the scene: what `tg4mm render` writes, magnified, coloured, in time, and no more than is needed."""
 
+from __future__ import annotations
+
+import threading
 from itertools import pairwise
 
+import numba
 import numpy as np
 import pytest
 
@@ -9,12 +13,13 @@ from tg4mm.core.colour import amount_colours
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.motion.animate import animate
+from tg4mm.run import Run
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.scene import open_scene
-
-LARGE = Look(Magnification.of(20.0))
+from tg4mm.show.view.scene import Scene, open_scene
+from tg4mm.show.view.screen import RATE, Canvas, Pace, Screen
+from tg4mm.show.view.session import Clock, Session
 
 
 @pytest.fixture(scope="module")
@@ -31,21 +36,6 @@ def test_the_picture_is_the_one_that_render_writes(scene, painter, alpha, band):
         Look(Magnification.of(alpha, *([band] if band else []))), t / scene.motion.fps, camera
     )
     assert np.abs(shown.astype(int) - wanted).max() <= 1
-
-
-def test_magnification_and_moment_change_the_picture(scene, painter):
-    camera = scene.cameras[0]
-    pictures = [
-        painter.paint(look, seconds, camera).astype(int)
-        for look, seconds in (
-            (Look(Magnification.of(-1.0)), 0.1),
-            (Look(Magnification.of(0.0)), 0.1),
-            (Look(Magnification.of(20.0)), 0.1),
-            (Look(Magnification.of(20.0)), 0.3),
-        )
-    ]
-    for one, other in pairwise(pictures):
-        assert np.abs(one - other).max() > 2
 
 
 def test_colours_are_those_of_the_band_s_strongest_frequency(scene):
@@ -102,10 +92,103 @@ def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, pain
     assert corner.sum() < 0.05
 
 
-def test_the_first_magnification_can_be_seen(scene):
-    alpha = scene.alpha_to_see()
+def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    painter, drawn = Painter(scene), threading.Event()
+    monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
     camera = scene.cameras[0]
-    assert alpha in {1, 2, 5, 10, 20, 50, 100}
-    painter = Painter(scene)
-    rest, moved = (painter.paint(Look(Magnification.of(a)), 0.1, camera).astype(int) for a in (-1.0, alpha))
-    assert np.abs(rest - moved).max() > 30
+
+    def draw() -> None:
+        assert painter.paint(Look(), 0.0, camera).dtype == np.uint8
+        drawn.set()
+
+    with painter.beside() as let_paint:
+        thread = threading.Thread(target=draw)
+        thread.start()
+        assert not drawn.wait(0.5)  # the kernels are the measurement's
+        for _ in range(200):
+            let_paint()
+            if drawn.is_set():
+                break
+        assert drawn.is_set()
+    thread.join()
+
+
+def settled(seconds_per_pixel: float, canvas: tuple[int, int], rounds: int = 60) -> tuple[int, int]:
+    pace = Pace()
+    for _ in range(rounds):
+        width, height = pace.size(*canvas)
+        pace = pace.after(width * height * seconds_per_pixel, width * height)
+    return pace.size(*canvas)
+
+
+def test_a_fast_machine_draws_the_canvas_as_it_is():
+    assert settled(1e-9, (1280, 900)) == (1280, 900)
+
+
+def test_a_slow_machine_keeps_the_rate_with_fewer_pixels():
+    per_pixel = 8e-8
+    width, height = settled(per_pixel, (1280, 900))
+    assert width * height * per_pixel == pytest.approx(0.7 / RATE, rel=0.3)
+    assert width / height == pytest.approx(1280 / 900, rel=0.01)
+
+
+CANVAS = Canvas((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+@pytest.fixture
+def session(scene):
+    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration))
+
+
+@pytest.fixture
+def screen(session, sent):
+    screen = Screen(session, lambda picture, quality: sent.append((picture, quality)))
+    screen._pace = Pace(pixels=100.0 * 100)  # as on a slow machine
+    return screen
+
+
+def test_a_still_page_is_drawn_twice_and_then_left_alone(screen, sent):
+    assert [screen.refresh(CANVAS, t) for t in (0.0, 0.1, 0.2, 0.3)] == [True, True, False, False]
+    assert sent[0][0].shape[0] < 240
+    assert sent[1][0].shape == (240, 320, 3)
+    assert sent[1][1] > sent[0][1]
+
+
+def test_every_change_is_shown(screen, session, sent):
+    screen.refresh(CANVAS, 0.0)
+    screen.refresh(CANVAS, 0.0)
+    session.magnify(-1.0)
+    assert session.changed.is_set()
+    assert screen.refresh(CANVAS, 0.0)
+    session.set_clock(lambda clock, now: clock.sought(now, 0.1))
+    assert screen.refresh(CANVAS, 0.0)
+    moved = Canvas((0.0, -3.0, 0.5), CANVAS.wxyz, CANVAS.fov, 320, 240)
+    assert screen.refresh(moved, 0.0)
+    assert len({picture.tobytes() for picture, _ in sent}) >= 4
+
+
+def test_playing_draws_again_and_again(screen, session, sent):
+    session.set_clock(lambda clock, now: Clock(clock.duration, since=0.0, playing=True))
+    assert all(screen.refresh(CANVAS, 0.03 * i) for i in range(4))
+    assert np.abs(sent[0][0].astype(int).mean() - 255) > 0.5  # something is in view
+
+
+def test_a_run_without_frequencies_is_shown_and_says_so(run, tmp_path, sent):
+    made = Run.create(tmp_path / "run", run.dataset, "modal", {})
+    made.save_space(run.load_space(), {})
+    made.save_motion(run.load_motion().selected(np.zeros(2, bool)), {})
+    opened = open_scene(made)
+    assert opened.notes == ("No frequency was found in this run: there is nothing to magnify.",)
+    assert opened.duration == 0
+    assert opened.alpha_to_see() == 0
+    session = Session(opened, Look(Magnification.of(20.0)), Clock(opened.duration, playing=True))
+    screen = Screen(session, lambda picture, quality: sent.append(picture))
+    assert screen.refresh(CANVAS, 0.0)
+    assert sent[0].min() < 200

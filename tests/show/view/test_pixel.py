@@ -1,14 +1,20 @@
-"""The waveform of a pixel: the blended motion of the Gaussians seen there, or what the pictures say."""
+"""The waveform of a pixel, and snapshots and clips that hold what the page shows."""
 
+from __future__ import annotations
+
+import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.show.view.conftest import DEVIATION
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
-from tg4mm.show.view.scene import open_scene
+from tg4mm.show.view.saving import save_clip, save_snapshot
+from tg4mm.show.view.screen import Canvas
+from tg4mm.show.view.session import Clock, Session
 
 
 def on_the_ball(scene):
@@ -42,15 +48,6 @@ def test_of_two_gaussians_it_is_their_weighted_mean(scene):
     assert np.abs(found.displacement).max() == pytest.approx(found.amplitudes.max(), rel=0.3)
 
 
-def test_background_is_no_place(scene):
-    assert seen_at(scene, np.full(len(scene.weights), 1e-6)) is None
-
-
-def test_a_scene_at_rest_has_none(still_run):
-    still = open_scene(still_run)
-    assert modal_waveform(still, np.ones(len(still.weights))) is None
-
-
 def test_the_pictures_say_the_same(scene):
     weights = on_the_ball(scene)
     fitted = modal_waveform(scene, weights)
@@ -65,8 +62,40 @@ def test_the_pictures_say_the_same(scene):
     assert measured.floor.shape == measured.amplitudes.shape == measured.frequencies.shape
 
 
-def test_the_ball_around_a_point_is_as_large_as_four_pixels(scene):
+@pytest.fixture
+def session(scene):
+    return Session(scene, Look(Magnification.of(20.0)), Clock(scene.duration, offset=0.1))
+
+
+@pytest.fixture
+def canvas(scene):
     camera = scene.cameras[0]
-    point = camera.position + 2.0 * camera.forward
-    nearest = min(np.linalg.norm(point - c.position) / c.K[0, 0] for c in scene.cameras)
-    assert Measurer(scene).radius(point) == pytest.approx(4 * nearest)
+    from scipy.spatial.transform import Rotation
+
+    wxyz = Rotation.from_matrix(camera.viewmat[:3, :3].T).as_quat(scalar_first=True)
+    return Canvas(tuple(camera.position), tuple(wxyz), 2 * np.arctan(24 / camera.K[1, 1]), 65, 48)
+
+
+def test_a_snapshot_is_the_picture_at_full_size(session, canvas, tmp_path):
+    path = save_snapshot(session, canvas, 0.0, tmp_path / "new")
+    shown = session.painter.paint(session.look, 0.1, canvas.camera((65, 48)))
+    np.testing.assert_array_equal(np.asarray(Image.open(path)), shown)
+    assert path.name == "snapshot_0001.png"
+    assert save_snapshot(session, canvas, 0.0, tmp_path / "new").name == "snapshot_0002.png"
+
+
+def test_a_clip_is_one_pass_at_the_speed_it_plays(session, canvas, tmp_path):
+    session.set_clock(lambda c, now: c.changed(now, speed=0.5))
+    told = []
+    path = save_clip(session, canvas, tmp_path, told.append)
+    reader = imageio_ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    width, height = meta["size"]
+    frames = [np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader]
+    assert (width, height) == (64, 48)
+    assert meta["fps"] == pytest.approx(30)
+    assert len(frames) == 24  # 12 timesteps at 30 Hz, half speed
+    assert told[-1] == 1.0
+    wanted = session.painter.paint(session.look, 10 * 0.5 / 30, canvas.camera((64, 48)))
+    assert np.abs(frames[10].astype(int) - wanted).mean() < 6
+    assert not list(tmp_path.glob(".*"))

@@ -79,13 +79,6 @@ def test_pictures_are_our_rasterisers(page, moving_run, camera, alpha, time, ban
     assert psnr(drawn, ours(moving_run, camera, time, alpha, band)) >= LEAST_DB
 
 
-def test_another_magnification_time_or_band_is_another_picture(page, moving_run, camera):
-    """The comparison can fail: what is not that picture is far below the limit."""
-    drawn = picture(page, camera, alpha=20, time=2.5)
-    for wrong in ((2.5, 0), (5, 20), (2.5, 20, (5.0, 7.0))):
-        assert psnr(drawn, ours(moving_run, camera, *wrong)) < LEAST_DB - 5
-
-
 def test_magnification_0_shows_motion_of_a_fraction_of_a_pixel(page, moving_run, camera):
     """What changes from timestep 0 to 4 is as in our pictures: centres are not rounded to coarse steps."""
     change = picture(page, camera, alpha=0, time=4) - picture(page, camera, alpha=0, time=0)
@@ -134,20 +127,6 @@ def test_controls_set_what_is_shown(page):
     assert page.evaluate("() => tg4mm.state().band") is None
     page.get_by_role("button", name="½").click()
     assert page.evaluate("() => tg4mm.state().speed") == 0.5
-
-
-def test_it_plays_and_pauses(page):
-    page.evaluate("() => tg4mm.show({ time: 0, speed: 1 })")
-    page.get_by_role("button", name="Play").click()
-    page.wait_for_timeout(1500)
-    page.keyboard.press("Escape")
-    page.locator("canvas").focus()
-    page.keyboard.press("Space")
-    first = page.evaluate("() => tg4mm.state()")
-    page.wait_for_timeout(300)
-    assert not first["playing"]
-    assert first["time"] > 0
-    assert page.evaluate("() => tg4mm.state().time") == first["time"]
 
 
 def test_dragging_turns_the_scene_and_reset_turns_it_back(page):

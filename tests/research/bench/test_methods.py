@@ -1,4 +1,4 @@
-"""2D baselines: what moves in the band moves 1 + α times as far, all else stays; the published limits hold."""
+"""The 2D baselines and the deformation field: what moves in the band moves as it should, all else stays."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from tests.research.bench.conftest import MODAL
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.magnify.half_octaves import half_octave_bands
 from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.methods.tracking import HexPlane, checked_settings, tracking
 from tg4mm.research.bench.methods.video import (
     Linear2D,
     Phase2D,
@@ -19,7 +23,8 @@ from tg4mm.research.bench.methods.video import (
     collapse,
     laplacian,
 )
-from tg4mm.research.bench.sets import BenchSet
+from tg4mm.research.bench.sets import BenchSet, open_set
+from tg4mm.run import Run
 
 T, FPS, HZ = 30, 30.0, 5.0
 
@@ -87,14 +92,6 @@ def test_the_smoothing_takes_noise_out_of_the_motion() -> None:
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_sizes_that_are_no_power_of_two() -> None:
-    video = moving(0.1)[:, :50, :41]
-    response = band_response(band_set(3.5, 6.5), 5.0, Plan())
-    made = Phase2D().magnified(video, response, 5.0)
-    assert made.shape == video.shape
-    assert gain(made, moving(0.6)[:, :50, :41], video) == pytest.approx(1, abs=0.2)
-
-
 @pytest.mark.parametrize(("chroma", "share"), [(True, 1.0), (False, 0.0)])
 def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: float) -> None:
     def coloured(shift: float) -> np.ndarray:
@@ -107,19 +104,6 @@ def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: f
     signal = np.array([[0.596, -0.274, -0.322]]).T
     videos = (v.astype(np.float64) @ signal for v in (made, coloured(1.1), coloured(0.1)))
     assert gain(*videos) == pytest.approx(share, abs=0.1)
-
-
-@pytest.mark.parametrize("size", [(64, 64), (50, 41), (9, 33)])
-def test_a_laplacian_pyramid_is_put_together_again(size: tuple[int, int]) -> None:
-    video = np.random.default_rng(0).random((2, *size, 3)).astype(np.float32)
-    assert np.abs(collapse(laplacian(video)) - video).max() < 1e-5
-
-
-def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
-    video = moving(0.1)
-    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
-    free, held = (Linear2D(cutoff=c).magnified(video, response, 10.0) for c in (2.0, 64.0))
-    assert gain(held, moving(1.1), video) < 0.5 * gain(free, moving(1.1), video)
 
 
 def test_without_a_band_every_frequency_is_magnified() -> None:
@@ -152,6 +136,27 @@ def test_half_octaves_ring_less_far_from_an_object_that_moves_than_sharp_octaves
     assert gain(*(v[..., None] for v in (own(video(1)), video(21), video(1)))) > 0.6
 
 
+def test_sizes_that_are_no_power_of_two() -> None:
+    video = moving(0.1)[:, :50, :41]
+    response = band_response(band_set(3.5, 6.5), 5.0, Plan())
+    made = Phase2D().magnified(video, response, 5.0)
+    assert made.shape == video.shape
+    assert gain(made, moving(0.6)[:, :50, :41], video) == pytest.approx(1, abs=0.2)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (50, 41), (9, 33)])
+def test_a_laplacian_pyramid_is_put_together_again(size: tuple[int, int]) -> None:
+    video = np.random.default_rng(0).random((2, *size, 3)).astype(np.float32)
+    assert np.abs(collapse(laplacian(video)) - video).max() < 1e-5
+
+
+def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
+    video = moving(0.1)
+    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    free, held = (Linear2D(cutoff=c).magnified(video, response, 10.0) for c in (2.0, 64.0))
+    assert gain(held, moving(1.1), video) < 0.5 * gain(free, moving(1.1), video)
+
+
 @pytest.mark.parametrize("size", [(64, 64), (50, 42)])
 def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarsest(
     size: tuple[int, int],
@@ -172,3 +177,45 @@ def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarses
     between = torch.from_numpy((radius > 2.0**-octaves) & (radius < 2**-0.75))
     assert (share[between] - 1).abs().max() < 0.006
     assert share.abs().max() < 1.006
+
+
+def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> None:
+    field = HexPlane(4, 2, 5, 3, 8, seed=0)
+    points = torch.rand(20, 3) * 2 - 1
+    assert not field(points, 0.3).any()
+    torch.nn.init.normal_(field.head.weight)
+    field(points, 0.3).square().sum().backward()
+    assert all(p.grad is not None and p.grad.any() for p in field.parameters())
+
+
+def test_roughness_is_that_of_the_planes() -> None:
+    field = HexPlane(3, 1, 4, 2, 8, seed=0)
+    with torch.no_grad():
+        for plane in field.planes:
+            plane.fill_(1.0)
+    assert [v.item() for v in field.roughness()] == [0.0, 0.0]
+    with torch.no_grad():
+        field.planes[2][:, :, 1] = 2.0
+    space, time = field.roughness()
+    assert space.item() == 0.0
+    assert time.item() > 0.0
+
+
+@pytest.mark.slow
+def test_training_finds_the_motion_and_a_second_call_does_not_train(data: Path, tmp_path: Path) -> None:
+    method = tracking(MODAL, {"tracking.iterations": "400", "tracking.resolution": "16"})
+    first = method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,)))
+    assert first["displacement"]["per_frequency"][0]["mac"] > 0.3
+    assert first["rows"]["5"]["tracking"]["change_gain"] > 0.2
+    assert Run.open(tmp_path / "run").log()["motion"]["iterations"] == 400
+    given = {"tracking.iterations": "400", "tracking.resolution": "16"}
+    assert method.training.overrides == {**MODAL, **given}
+    assert method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,))) == first
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("colour", "1"), ("iterations", "0"), ("mlp_rate", "fast"), ("seed", "-1")]
+)
+def test_settings_that_will_not_do(name: str, value: str) -> None:
+    with pytest.raises(Tg4mmError, match=f"tracking.{name}"):
+        checked_settings({f"tracking.{name}": value})

@@ -1,4 +1,6 @@
-"""The page as a file: whole, alone, and refused where it could not be."""
+"""The page as a file: fields and numbers to their stated errors, whole, alone, and refused where it could not be."""
+
+from __future__ import annotations
 
 import base64
 import hashlib
@@ -9,12 +11,112 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.web.write import Page, export_html, make_page, render
+from tg4mm.show.web.pack import SH_STEP, MotionFields, Packed, motion_fields, pack, unpack
+from tg4mm.show.web.write import export_html, make_page, render
+
+
+@pytest.fixture(scope="module")
+def packed(moving_run) -> Packed:
+    motion = moving_run.load_motion()
+    return pack(moving_run.load_space(), motion_fields(motion), motion.appearance)
+
+
+def test_positions_and_opacities_are_exact(moving_run, packed):
+    exact, _ = unpack(packed.block, packed.layout)
+    gaussians = moving_run.load_space()
+    np.testing.assert_array_equal(exact[:, :3], gaussians.means)
+    np.testing.assert_array_equal(exact[:, 3], gaussians.opacities)
+
+
+def test_shape_and_colour_come_back_to_their_stated_errors(moving_run, packed):
+    values = unpack(packed.block, packed.layout)[1].astype(np.float64)
+    gaussians = moving_run.load_space()
+    np.testing.assert_allclose(np.exp(values[:, :3]), gaussians.scales, rtol=4e-3)
+    quats = torch.nn.functional.normalize(gaussians.quats, dim=1).numpy()
+    np.testing.assert_allclose(values[:, [6, 3, 4, 5]], quats, atol=5e-4)
+    sh = values[:, 7 : 7 + 48].reshape(-1, 16, 3)
+    np.testing.assert_allclose(sh[:, 0], gaussians.sh[:, 0], rtol=5e-4, atol=1e-6)
+    np.testing.assert_allclose(sh[:, 1:], gaussians.sh[:, 1:], atol=SH_STEP / 2 + 1e-6)
+
+
+def test_motion_and_light_come_back(moving_run, packed):
+    values = unpack(packed.block, packed.layout)[1].astype(np.float64)
+    motion = moving_run.load_motion()
+    fields, layout = motion_fields(motion), packed.layout
+    first = 7 + 3 * layout.sh_count
+    last = first + 6 * layout.n_fields
+    held = values[:, first:last].reshape(-1, layout.n_fields, 6).transpose(1, 0, 2)
+    np.testing.assert_allclose(held, fields.fields, rtol=5e-4, atol=1e-7)
+    light = values[:, last:].reshape(-1, layout.n_lights, layout.light_count, 3).transpose(1, 0, 2, 3)
+    light = light * packed.light_sizes[:, None, None, None]
+    np.testing.assert_allclose(light, motion.appearance.shapes, rtol=5e-4, atol=1e-8)
+
+
+def test_a_colour_past_float16_is_refused(moving_run):
+    gaussians = moving_run.load_space()
+    sh = gaussians.sh.clone()
+    sh[3, 2, 1] = 1e5
+    with pytest.raises(RunError, match="coefficient of colour is 100000; a page holds up to 65504"):
+        pack(replace(gaussians, sh=sh), motion_fields(moving_run.load_motion()))
+
+
+def test_more_fields_than_a_page_holds_are_refused(moving_run):
+    gaussians = moving_run.load_space()
+    fields = MotionFields(
+        np.zeros((97, len(gaussians), 6), np.float32), np.ones((97, 2)), np.ones((60, 97), complex)
+    )
+    with pytest.raises(RunError, match="has 97 independent fields; a page holds up to 96"):
+        pack(gaussians, fields)
+
+
+def modal(displacement: np.ndarray, rotation: np.ndarray) -> ModalMotion:
+    freqs = np.arange(1.0, 1 + len(displacement))
+    return ModalMotion(freqs, displacement.astype(np.complex64), rotation.astype(np.complex64), 30.0, 30)
+
+
+def phasors(found: MotionFields) -> np.ndarray:
+    sized = found.fields * found.sizes.repeat(3, axis=1)[:, None]
+    return np.tensordot(found.series, sized, axes=1)
+
+
+def noise(*shape: int, seed: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+
+def relative_error(found: MotionFields, motion: ModalMotion) -> list[float]:
+    both = phasors(found)
+    pairs = (both[..., :3], motion.displacement), (both[..., 3:], motion.rotation)
+    return [float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in pairs]
+
+
+@pytest.mark.parametrize("n", [50, 10_000])
+def test_phasors_come_back(n):
+    motion = modal(1e-3 * noise(2, n, 3), 5 * noise(2, n, 3, seed=4))
+    found = motion_fields(motion)
+    assert found.fields.shape == (4, n, 6)
+    assert max(relative_error(found, motion)) < 1e-5
+    assert max(relative_error(found, modal(1.01 * motion.displacement, motion.rotation))) > 5e-3
+
+
+def test_many_modes_of_one_field_are_one_field():
+    shape, series = noise(1, 80, 6).real, noise(15, 1, 1)
+    found = motion_fields(modal(series * shape[..., :3], series * shape[..., 3:]))
+    assert found.fields.shape[0] == 1
+    assert np.abs(found.fields).max() == pytest.approx(1)
+
+
+def test_a_weak_field_is_kept_and_a_negligible_one_left_out():
+    strong, weak = noise(1, 40, 3), noise(1, 40, 3, seed=4)
+    assert len(motion_fields(modal(np.concatenate([strong, 1e-3 * weak]), np.zeros((2, 40, 3)))).fields) == 4
+    assert len(motion_fields(modal(np.concatenate([strong, 1e-5 * weak]), np.zeros((2, 40, 3)))).fields) == 2
 
 
 def scene_of(text: str) -> dict:
@@ -89,21 +191,6 @@ def test_bad_outs_are_refused_and_nothing_is_written(moving_run, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_options_of_other_formats_are_refused(moving_run, tmp_path, capsys):
-    command = [
-        "export",
-        str(moving_run.path),
-        "--format",
-        "html",
-        "--out",
-        str(tmp_path / "a.html"),
-        "--alpha",
-        "3",
-    ]
-    assert main(command) == 2
-    assert "a page holds the motion itself" in capsys.readouterr().err
-
-
 def test_a_run_whose_dataset_is_gone_is_refused(moving_run, tmp_path):
     run = Run.create(tmp_path / "run", tmp_path / "gone", "modal", {})
     run.save_space(moving_run.load_space(), {})
@@ -131,27 +218,3 @@ def test_the_program_is_built_from_its_sources(repo_root):
     assert not found, (
         f"changed since the last build: {found}; cd tg4mm/show/web/player && npm ci && npm run build"
     )
-
-
-def test_a_program_older_than_its_sources_is_seen(repo_root, tmp_path):
-    player = repo_root / "tg4mm" / "show" / "web" / "player"
-    for name in json.loads((player / "dist" / "sources.json").read_text()):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes((player / name).read_bytes())
-    (tmp_path / "dist" / "sources.json").write_bytes((player / "dist" / "sources.json").read_bytes())
-    assert stale(tmp_path) == []
-    (tmp_path / "src" / "motion.js").write_text("// changed")
-    (tmp_path / "src" / "new.js").write_text("")
-    assert stale(tmp_path) == ["src/motion.js", "src/new.js"]
-
-
-def test_the_page_names_the_licences_of_what_is_in_it(page_file):
-    text = page_file.read_text(encoding="utf-8")
-    for words in ("@sparkjsdev/spark 2.2.0", "three 0.187.0", "MIT License", "WORLD LABS"):
-        assert words in text
-
-
-def test_a_page_is_its_scene_and_its_numbers(moving_run):
-    page = make_page(moving_run)
-    assert isinstance(page, Page)
-    assert base64.b64encode(page.block).decode() in render(page)
