@@ -35,7 +35,7 @@ from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
 from tg4mm.fit.space.config import INITS
 from tg4mm.fit.space.initial import initial_points
 from tg4mm.fit.space.train import resolved
-from tg4mm.research.bench.pages.text import table
+from tg4mm.research.text import table
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 from tg4mm.show.render.image import render_image

@@ -72,3 +72,9 @@ def _timestep_folders(root: Path, base: Path) -> list[Path]:
 def _present(root: Path) -> str:
     names = sorted(path.name for path in (root / "magnified").glob("x*") if path.is_dir())
     return ", ".join(f"magnified/{name}" for name in names) or "no magnified/x… folder"
+
+
+def magnified_alphas(root: Path) -> list[int]:
+    """The α above 0 that a dataset has ground truth for, ascending: of its folders magnified/x005."""
+    names = (path.name[1:] for path in (root / "magnified").glob("x*") if path.is_dir())
+    return sorted(int(n) for n in names if n.isdecimal() and n == f"{int(n):03d}" and int(n))

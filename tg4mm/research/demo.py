@@ -19,15 +19,13 @@ SIZES = (16, 4096)  # smallest and largest picture, pixels
 Printer = Callable[[str], None]
 
 
-@dataclass(frozen=True)
 class Places:
     """Where the demo keeps what, under one folder."""
 
-    root: Path
-
-    @property
-    def data(self) -> Path:
-        return self.root / "data"
+    def __init__(self, root: Path) -> None:
+        self.root, self.data, self.run = root, root / "data", root / "run"
+        self.metrics, self.report = self.run / "metrics.json", root / "report.html"
+        self.magnified, self.orbit, self.splat = root / "magnified", root / "orbit", root / "splat.ply"
 
     @property
     def dataset(self) -> Path:
@@ -37,30 +35,6 @@ class Places:
             names = ", ".join(path.name for path in found) or "none"
             raise Tg4mmError(f"{self.data} should hold one dataset, it holds: {names}")
         return found[0]
-
-    @property
-    def run(self) -> Path:
-        return self.root / "run"
-
-    @property
-    def metrics(self) -> Path:
-        return self.run / "metrics.json"
-
-    @property
-    def magnified(self) -> Path:
-        return self.root / "magnified"
-
-    @property
-    def orbit(self) -> Path:
-        return self.root / "orbit"
-
-    @property
-    def splat(self) -> Path:
-        return self.root / "splat.ply"
-
-    @property
-    def report(self) -> Path:
-        return self.root / "report.html"
 
 
 def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:

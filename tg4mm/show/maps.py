@@ -85,3 +85,17 @@ def image_motion(gaussians: Gaussians, phasors: np.ndarray, weights: np.ndarray,
     used = weights * inside
     power = np.abs(du) ** 2 + np.abs(dv) ** 2
     return float(np.sqrt((used * power).sum() / max(used.sum(), 1e-12)))
+
+
+def middle_depth(means: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
+    """Weighted median depth, scene units, of points [N, 3] in view of `camera`; their weights are [N]."""
+    points = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    z = np.where(points[:, 2] > 1e-6, points[:, 2], np.inf)
+    u = camera.K[0, 0] * points[:, 0] / z + camera.K[0, 2]
+    v = camera.K[1, 1] * points[:, 1] / z + camera.K[1, 2]
+    inside = np.isfinite(z) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (weights > 0)
+    if not inside.any():
+        return 1.0
+    order = np.argsort(z[inside])
+    total = np.cumsum(weights[inside][order])
+    return float(z[inside][order][np.searchsorted(total, total[-1] / 2)])

@@ -16,18 +16,21 @@ def blending_weights(gaussians: Gaussians, capture: Capture) -> np.ndarray:
     In pixels. It is the gradient of the summed rendering with respect to the Gaussian's colour, which the
     rasteriser gives exactly. A camera that took several images is rendered once and counts that many times.
     """
-    device = gaussians.means.device
-    colors = torch.ones(len(gaussians), 1, device=device, requires_grad=True)
-    g = gaussians.detach()
     total = np.zeros(len(gaussians))
     _, first, counts = np.unique(capture.camera_ids, return_index=True, return_counts=True)
+    ones = np.ones((capture.height, capture.width, 1), np.float32)
     for i, count in zip(first, counts, strict=True):
-        row = slice(i, i + 1)
-        view = torch.as_tensor(capture.viewmats[row], dtype=torch.float32, device=device)
-        k = torch.as_tensor(capture.Ks[row], dtype=torch.float32, device=device)
-        image, _, _ = rasterization(
-            g.means, g.quats, g.scales, g.opacities, colors, view, k, capture.width, capture.height
-        )
-        (gradient,) = torch.autograd.grad(image.sum(), colors)
-        total += count * gradient[:, 0].double().cpu().numpy()
+        total += count * pixel_sums(gaussians, ones, capture.viewmats[i], capture.Ks[i])[:, 0]
     return total
+
+
+def pixel_sums(gaussians: Gaussians, maps: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """[N, C] float64: Σ over pixels of blending weight times maps [H, W, C], in the camera viewmat [4, 4], K [3, 3]."""
+    g, device = gaussians.detach(), gaussians.means.device
+    height, width, channels = maps.shape
+    colors = torch.ones(len(g), channels, device=device, requires_grad=True)
+    view, k = (torch.as_tensor(m, dtype=torch.float32, device=device)[None] for m in (viewmat, K))
+    image, _, _ = rasterization(g.means, g.quats, g.scales, g.opacities, colors, view, k, width, height)
+    target = torch.as_tensor(maps, dtype=torch.float32, device=device)
+    (gradient,) = torch.autograd.grad((image[0] * target).sum(), colors)
+    return np.asarray(gradient.double().cpu().numpy())

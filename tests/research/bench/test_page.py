@@ -17,8 +17,8 @@ from tg4mm.research.bench.ablation.page import picture
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.bench.pages.shown import write_sheet
-from tg4mm.research.bench.pages.text import Table, escaped, latex_table, shown, table
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
+from tg4mm.research.text import Table, escaped, latex_table, shown, table
 
 
 @pytest.fixture(scope="module")

@@ -35,6 +35,21 @@ def test_the_truth_itself_has_no_error(true) -> None:
     assert row["phase_error_deg"] == pytest.approx(0, abs=1e-5)
 
 
+def test_no_motion_has_an_error_of_one(true) -> None:
+    still = replace(true, displacement=0 * true.displacement)
+    figures = displacement_figures(still, true, np.ones(N))
+    assert figures["relative_error"] == 1.0
+    assert figures["per_frequency"][0]["amplitude_ratio"] == 0.0
+    assert figures["per_frequency"][0]["direction_error_deg"] is None
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.2, -1.0])
+def test_a_gain_is_its_own_error(true, gain) -> None:
+    figures = displacement_figures(replace(true, displacement=gain * true.displacement), true, np.ones(N))
+    assert figures["relative_error"] == pytest.approx(abs(gain - 1), rel=1e-5)
+    assert figures["per_frequency"][0]["amplitude_ratio"] == pytest.approx(abs(gain), rel=1e-5)
+
+
 def test_a_phase_error_is_found_with_its_sign(true) -> None:
     """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
     phi = np.radians(18)
@@ -84,6 +99,15 @@ def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng) -> Non
         expected, rel=1e-6
     )
     assert abs(displacement_figures(estimated, true, np.ones(N))["relative_error"] - expected) > 1e-4
+
+
+def test_what_no_camera_sees_does_not_count(true) -> None:
+    wrong = true.displacement.copy()
+    wrong[:, 5] += 1.0
+    weights = np.ones(N)
+    assert displacement_figures(replace(true, displacement=wrong), true, weights)["relative_error"] > 10
+    weights[5] = 0
+    assert displacement_figures(replace(true, displacement=wrong), true, weights)["relative_error"] == 0
 
 
 def test_a_known_leak_is_measured() -> None:

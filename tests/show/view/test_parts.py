@@ -8,8 +8,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from tg4mm.show.maps import middle_depth
 from tg4mm.show.render.cameras import Camera, look_at
-from tg4mm.show.view.cameras import camera_of, middle_depth, overview, standpoint_of
+from tg4mm.show.view.cameras import camera_of, overview, standpoint_of
 from tg4mm.show.view.charts import block, spectrum_chart, waveform_chart
 from tg4mm.show.view.colours import band_around, main_peaks
 from tg4mm.show.view.session import Clock, slow_enough

@@ -62,6 +62,11 @@ def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> No
     write_json(record, {"root": str(root), "digest": digest, "contents": filmed})
 
 
+def safe_name(text: str) -> str:
+    """A file's name: letters, digits and - _ . stay, all else is _."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a page or a picture, atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tg4mm.research.bench.pages.markdown import origin
-from tg4mm.research.bench.pages.text import table
 from tg4mm.research.bench.sets import goal_amplitude
+from tg4mm.research.text import table
 
 JUDGED = "modal"  # the preset that the goals are for
 RIVAL = "paper-tuned"

@@ -20,7 +20,7 @@ from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.folder import claim_set
+from tg4mm.research.bench.folder import claim_set, safe_name
 from tg4mm.research.bench.measure import Plan, alphas_of
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.external import External
@@ -53,7 +53,7 @@ def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
 
 def picture_folder(place: Path, row: str) -> Path:
     """Where a row's pictures lie, named as the dataset's own: magnified/x020/007/test/r_000.png."""
-    return place / "pictures" / "".join(c if c.isalnum() or c in "-_." else "_" for c in row)
+    return place / "pictures" / safe_name(row)
 
 
 def run_job(

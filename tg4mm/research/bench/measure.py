@@ -19,13 +19,14 @@ from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
-from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances
+from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, safe_name
 from tg4mm.research.bench.observed import observed_figures
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
 from tg4mm.research.evaluate.lpips import load_lpips
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC, evaluate_run
 from tg4mm.research.evaluate.scores import Key
 from tg4mm.research.evaluate.subject import subject_of
+from tg4mm.research.paper.model import disk_mib
 from tg4mm.run import Run
 from tg4mm.run.figures_file import DISPLACEMENT
 from tg4mm.run.tensor_file import model_hash
@@ -271,7 +272,7 @@ def _scored(
     return evaluate_run(
         run,
         alphas=plan.alphas,
-        out=place / f"metrics_{_file_name(way.name)}.json",
+        out=place / f"metrics_{safe_name(way.name)}.json",
         magnified=way.magnified(plan.bands(data)),
         device=plan.device,
         scores=scores,
@@ -309,7 +310,7 @@ def _figures(
         "seconds": stage_seconds(run.log()),
         "model": model_hash(run.path),
         "n_gaussians": len(run.load_space()),
-        "mib_on_disk": _mib(run.path),
+        "mib_on_disk": disk_mib(run),
         "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
         "displacement": first["displacement"],
         "strongest_hz": strongest_hz(run),
@@ -348,12 +349,3 @@ def stage_costs(log: Mapping[str, Any]) -> dict[str, float | None]:
         costs[f"{stage}_iterations"] = sum(known["iterations"]) or None
         costs[f"{stage}_peak_mib"] = max(known["peak_memory_mib"], default=None)
     return costs
-
-
-def _mib(run: Path) -> float:
-    files = (f for f in run.glob("*.safetensors") if not f.name.startswith("checkpoint"))
-    return sum(f.stat().st_size for f in files) / 2**20
-
-
-def _file_name(text: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)

@@ -8,17 +8,15 @@ Gaussian gets what happens in the pixels that it makes. No estimate takes part, 
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.rasterize import rasterization
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.scores import BACKGROUND, Method, render_views
 from tg4mm.research.evaluate.subject import Subject
-from tg4mm.show.weights import blending_weights
+from tg4mm.show.weights import blending_weights, pixel_sums
 
 AGREES = 0.5  # correlation of both changes from which a Gaussian's motion counts as observed
 _SHIFT_PX = 1.0  # the α is taken that brings the motion nearest to it: large enough to show, small enough to be linear
@@ -76,7 +74,7 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
         )
         true, made = true - true.mean(0), made - made.mean(0)
         maps = np.stack([(made * made).sum((0, 3)), (made * true).sum((0, 3)), (true * true).sum((0, 3))], -1)
-        sums += spread(gaussians, maps, capture, chosen[0])
+        sums += pixel_sums(gaussians, maps, capture.viewmats[chosen[0]], capture.Ks[chosen[0]])
     own, both, truth = sums.T
     norm = np.sqrt(own * truth)
     return np.divide(both, norm, out=np.zeros_like(both), where=norm > 0)
@@ -90,22 +88,6 @@ def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
     period = fps / frequency_hz if frequency_hz > 0 else n_timesteps
     last = min(n_timesteps, max(round(period), 2)) - 1
     return [int(t) for t in np.unique(np.linspace(0, last, _TIMES).round())]
-
-
-def spread(gaussians: Gaussians, maps: np.ndarray, capture: Capture, i: int) -> np.ndarray:
-    """[N, 3] Σ over pixels of blending weight times maps [H, W, 3], in the camera of image i."""
-    g, device = gaussians.detach(), gaussians.means.device
-    colors = torch.ones(len(g), 3, device=device, requires_grad=True)
-    view, k = (
-        torch.as_tensor(m[i : i + 1], dtype=torch.float32, device=device)
-        for m in (capture.viewmats, capture.Ks)
-    )
-    image, _, _ = rasterization(
-        g.means, g.quats, g.scales, g.opacities, colors, view, k, capture.width, capture.height
-    )
-    target = torch.as_tensor(maps, dtype=torch.float32, device=device)
-    (gradient,) = torch.autograd.grad((image[0] * target).sum(), colors)
-    return np.asarray(gradient.double().cpu().numpy())
 
 
 def rms_motion(motion: ModalMotion) -> np.ndarray:

@@ -16,7 +16,7 @@ from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 from tg4mm.research.bench import BenchError
-from tg4mm.research.evaluate.scores import BACKGROUND, Metric
+from tg4mm.research.evaluate.scores import BACKGROUND, Metric, closure, regressed
 
 MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
 _THREADS = 2
@@ -73,10 +73,8 @@ def score_pictures(
         for rows in cameras_of(capture):
             _score_camera(video_of(capture, rows), video_of(capture, rows, folder), lpips, sums, cache)
             update(len(sums.pictures))
-    aa, ac, cc = sums.products
-    gain = float(ac / cc) if cc > 0 else None
+    gain, residual = regressed(sums.products)
     mse = _mean(sums.moving, "mse_moving")
-    residual = None if gain is None else float(np.sqrt(max(aa - gain * ac, 0.0) / cc))
     return {
         "n_images": len(sums.pictures),
         **{k: _mean(sums.pictures, k) for k in ("ssim", "psnr_db", "flip", "lpips")},
@@ -147,8 +145,6 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
     """Add `closure` to every row's scores of one set and α: SSIM between the rows `still` (0) and `ceiling` (1)."""
-    from tg4mm.research.evaluate.scores import closure
-
     ends = [rows.get(name, {}).get("ssim") for name in (still, ceiling)]
     for scores in rows.values():
         known = [scores.get("ssim"), *ends]

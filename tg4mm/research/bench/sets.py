@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.files import to_json
 from tg4mm.research.bench import BenchError
-from tg4mm.research.evaluate.wanted import alphas_with_truth
 from tg4mm.run.config import read_json
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
@@ -163,7 +163,7 @@ def open_set(root: Path, label: str) -> BenchSet:
         raise BenchError(f"dataset {root} has one timestep: there is no motion to measure")
     if not (root / TRUTH_FILE).is_file():
         raise BenchError(f"dataset {root} has no {TRUTH_FILE}: a benchmark needs ground truth")
-    alphas = _alphas(root)
+    alphas = magnified_alphas(root)
     if not alphas:
         raise BenchError(f"dataset {root} has no magnified/x… folder: a benchmark needs ground truth")
     truth = load_truth(root, capture.fps, capture.n_timesteps)
@@ -241,10 +241,6 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
         power = (np.abs(pixels) ** 2).sum(-1)
         largest = np.maximum(largest, np.sqrt((power + np.abs((pixels**2).sum(-1))) / 2).max(1))
     return largest
-
-
-def _alphas(root: Path) -> tuple[int, ...]:
-    return tuple(a for a in alphas_with_truth(None, root, {}) if a > 0)
 
 
 def alpha_to_show(alphas: Iterable[int]) -> int:

@@ -11,14 +11,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate, mode_gains
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.rasterize import rasterization
+from tg4mm.show.render.image import render_images
 
 BACKGROUND = (1.0, 1.0, 1.0)  # both the rendering and the ground truth are composited on white
 Metric = Callable[[np.ndarray, np.ndarray], float]  # (image, truth) -> value
@@ -153,25 +152,8 @@ class Scorer:
 
 def render_views(gaussians: Gaussians, capture: Capture, which: np.ndarray) -> np.ndarray:
     """Images [n, H, W, 3] float32 in 0..1 on the white background, of the capture's cameras `which` [n]."""
-    device = gaussians.means.device
-    views, ks = (
-        torch.as_tensor(m[which], dtype=torch.float32, device=device) for m in (capture.viewmats, capture.Ks)
-    )
-    with torch.no_grad():
-        images, _, _ = rasterization(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacities,
-            gaussians.sh,
-            views,
-            ks,
-            capture.width,
-            capture.height,
-            sh_degree=gaussians.sh_degree,
-            backgrounds=torch.tensor([BACKGROUND], device=device).expand(len(which), 3).contiguous(),
-        )
-    return images.clamp(0.0, 1.0).float().cpu().numpy()
+    size = capture.width, capture.height
+    return render_images(gaussians, capture.viewmats[which], capture.Ks[which], size, BACKGROUND)
 
 
 def camera_key(capture: Capture, i: int) -> bytes:
@@ -223,8 +205,14 @@ def change_figures(
                 known[keys[i]] = np.array([(a[k] ** 2).sum(), (a[k] * c[k]).sum(), (c[k] ** 2).sum()])
         products += sum(known[key] for key in keys.values())
         update(int(np.sum(capture.timesteps <= t)))
+    gain, residual = regressed(products)
+    return {"change_gain": gain, "change_residual": residual}
+
+
+def regressed(products: np.ndarray) -> tuple[float | None, float | None]:
+    """(gain g = Σ a·c / Σ c², residual rms(a − g c) / rms(c)) of the sums [a·a, a·c, c·c]; None where c is 0."""
     aa, ac, cc = products
     if not cc > 0:
-        return {"change_gain": None, "change_residual": None}
+        return None, None
     gain = float(ac / cc)
-    return {"change_gain": gain, "change_residual": float(np.sqrt(max(aa - gain * ac, 0) / cc))}
+    return gain, float(np.sqrt(max(aa - gain * ac, 0.0) / cc))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from tg4mm.research.text import shown, table
+
 COLUMNS = (("psnr_db", "PSNR dB ↑", "{:.2f}"), ("ssim", "SSIM ↑", "{:.4f}"), ("flip", "FLIP ↓", "{:.4f}"))
 LPIPS_COLUMN = ("lpips", "LPIPS ↓", "{:.4f}")
 
@@ -14,10 +16,10 @@ def format_table(metrics: dict[str, Any]) -> str:
     rows = [["α", "method", *(title for _, title, _ in columns), "displacement error"]]
     for entry in metrics["alphas"]:
         for name, row in entry["rows"].items():
-            values = [_number(row.get(key), form) for key, _, form in columns]
+            values = [shown(row.get(key), form) for key, _, form in columns]
             error = (metrics["displacement_error"] or {}).get(name)
-            rows.append([f"{entry['alpha']:g}", name, *values, _number(error, "{:.3f}")])
-    lines = _align(rows) if len(rows) > 1 else ["No images to score."]
+            rows.append([f"{entry['alpha']:g}", name, *values, shown(error, "{:.3f}")])
+    lines = [table(rows[0], rows[1:], 1, 1)] if len(rows) > 1 else ["No images to score."]
     lines += _changes(metrics["alphas"])
     return "\n".join([*lines, *_displacement(metrics["displacement"]), *_remarks(metrics)]) + "\n"
 
@@ -25,32 +27,18 @@ def format_table(metrics: dict[str, Any]) -> str:
 def _changes(entries: list[dict[str, Any]]) -> list[str]:
     """A line for each α with a ceiling: how much of what the exact motion would show is shown."""
     return [
-        f"α = {entry['alpha']:g}: closure {_number(entry['closure'], '{:.2f}')} (SSIM, nothing moves 0, ceiling 1); "
-        f"the picture's change is {_number(entry['change_gain'], '{:.2f}')} of the ceiling's, "
-        f"{_number(entry['change_residual'], '{:.2f}')} beside it"
+        f"α = {entry['alpha']:g}: closure {shown(entry['closure'], '{:.2f}')} (SSIM, nothing moves 0, ceiling 1); "
+        f"the picture's change is {shown(entry['change_gain'], '{:.2f}')} of the ceiling's, "
+        f"{shown(entry['change_residual'], '{:.2f}')} beside it"
         for entry in entries
         if entry["closure"] is not None
     ]
 
 
-def _align(rows: list[list[str]]) -> list[str]:
-    """Markdown lines: the second column, the method, flush left, the numbers flush right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    sides = ["<" if i == 1 else ">" for i in range(len(widths))]
-
-    def line(row: list[str]) -> str:
-        return "| " + " | ".join(f"{c:{s}{w}}" for c, s, w in zip(row, sides, widths, strict=True)) + " |"
-
-    dashes = (
-        f":{'-' * (w + 1)}" if s == "<" else f"{'-' * (w + 1)}:" for s, w in zip(sides, widths, strict=True)
-    )
-    return [line(rows[0]), "|" + "|".join(dashes) + "|", *map(line, rows[1:])]
-
-
 def _displacement(figures: dict[str, Any] | None) -> list[str]:
     if figures is None:
         return []
-    error = _number(figures["relative_error"], "{:.3f}")
+    error = shown(figures["relative_error"], "{:.3f}")
     lines = ["", f"Displacement error {error} (rms/rms, weighted by what is seen)"]
     leak = figures["static_leak"]
     if leak is not None:
@@ -64,8 +52,8 @@ def _displacement(figures: dict[str, Any] | None) -> list[str]:
         )
     for row in figures["per_frequency"]:
         estimated, true = (_length(row, f"amplitude_{which}") for which in ("estimated", "true"))
-        ratio = _number(row["amplitude_ratio"], "{:.3f}")
-        direction, phase = (_number(row[f"{what}_error_deg"], "{:.2f}°") for what in ("direction", "phase"))
+        ratio = shown(row["amplitude_ratio"], "{:.3f}")
+        direction, phase = (shown(row[f"{what}_error_deg"], "{:.2f}°") for what in ("direction", "phase"))
         lines.append(
             f"{row['frequency_hz']:g} Hz: amplitude {estimated}, true {true} (ratio {ratio}), "
             f"direction off by {direction}, phase by {phase}"
@@ -75,13 +63,9 @@ def _displacement(figures: dict[str, Any] | None) -> list[str]:
 
 def _length(row: dict[str, Any], key: str) -> str:
     in_mm = f" ({row[f'{key}_mm']:.4g} mm)" if row.get(f"{key}_mm") is not None else ""
-    return f"{_number(row[key], '{:.4g}')} units{in_mm}"
+    return f"{shown(row[key], '{:.4g}')} units{in_mm}"
 
 
 def _remarks(metrics: dict[str, Any]) -> list[str]:
     absent = [f"Not measured: {what}: {why}" for what, why in metrics["absent"].items()]
     return ["", *absent, *metrics["notes"]] if absent or metrics["notes"] else []
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else form.format(value)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.core.untrusted import read_json
@@ -48,15 +49,14 @@ def alphas_with_truth(alphas: Sequence[float] | None, root: Path, absent: dict[s
     for alpha in alphas or ():
         if not (math.isfinite(alpha) and alpha >= 0):
             raise EvaluationError(f"--alphas holds {alpha}, expected numbers ≥ 0")
-    folders = [p.name for p in (root / "magnified").glob("x*") if p.is_dir()]
-    found = {int(n[1:]) for n in folders if n[1:].isdecimal() and n == f"x{int(n[1:]):03d}"}
+    found = magnified_alphas(root)
     if alphas is None and not found:
         absent["magnified images"] = f"{root / 'magnified'} has no x… folder: no ground truth beyond α = 0"
     for alpha in alphas or ():
         if alpha not in found and alpha != 0:
-            there = ", ".join(str(a) for a in sorted(found)) or "none"
+            there = ", ".join(map(str, found)) or "none"
             absent[f"α = {alpha:g}"] = f"no such ground truth under {root / 'magnified'} (there: {there})"
-    return [0, *sorted(a for a in found if a > 0 and (alphas is None or a in alphas))]
+    return [0, *(a for a in found if alphas is None or a in alphas)]
 
 
 def check_alphas(alphas: Sequence[float] | None, root: Path) -> list[int]:

@@ -31,7 +31,6 @@ def render(
     return render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height, background)
 
 
-@torch.no_grad()
 def render_image(
     gaussians: Gaussians,
     viewmat: np.ndarray,
@@ -45,22 +44,35 @@ def render_image(
 
     `low_pass_px2`: what each Gaussian is drawn wider by, square pixels.
     """
+    return render_images(gaussians, viewmat[None], K[None], (width, height), background, low_pass_px2)[0]
+
+
+@torch.no_grad()
+def render_images(
+    gaussians: Gaussians,
+    viewmats: np.ndarray,
+    Ks: np.ndarray,
+    size: tuple[int, int],
+    background: tuple[float, float, float] = WHITE,
+    low_pass_px2: float = 0.3,
+) -> np.ndarray:
+    """`render_image` of several cameras [C, 4, 4], [C, 3, 3] of one size (width, height): [C, height, width, 3]."""
     device = gaussians.means.device
-    colors, _, _ = rasterization(
+    views, ks = (torch.as_tensor(m, dtype=torch.float32, device=device) for m in (viewmats, Ks))
+    colours, _, _ = rasterization(
         gaussians.means,
         gaussians.quats,
         gaussians.scales,
         gaussians.opacities,
         gaussians.sh,
-        torch.as_tensor(viewmat, dtype=torch.float32, device=device)[None],
-        torch.as_tensor(K, dtype=torch.float32, device=device)[None],
-        width,
-        height,
+        views,
+        ks,
+        *size,
         eps2d=low_pass_px2,
         sh_degree=gaussians.sh_degree,
-        backgrounds=torch.tensor([background], dtype=torch.float32, device=device),
+        backgrounds=torch.tensor([background], dtype=torch.float32, device=device).repeat(len(views), 1),
     )
-    return colors[0].clamp(0.0, 1.0).cpu().numpy().astype(np.float32)
+    return np.asarray(colours.clamp(0.0, 1.0).cpu().numpy(), np.float32)
 
 
 @torch.no_grad()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import to_bytes
@@ -50,12 +51,6 @@ def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Mo
     return Model(gaussians, motion, weights, main, reading.uncertainty.get("displacement"))
 
 
-def alphas_with_truth(dataset: Path) -> list[int]:
-    """The magnifications that the dataset has ground truth for, from its folder names."""
-    names = [path.name[1:] for path in (dataset / "magnified").glob("x*") if path.is_dir()]
-    return sorted(int(name) for name in names if name.isdigit())
-
-
 def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnification) -> tuple[float, str]:
     """What shows the motion in the bands well, and a sentence on how it was chosen; (0, "") without motion.
 
@@ -72,7 +67,7 @@ def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnificat
         "α was chosen so that the largest motion spans at most 4 % of the picture's shorter side, as long as its noise "
         "stays below a pixel and parts turn by less than half a radian"
     )
-    known = [a for a in alphas_with_truth(reading.run.dataset) if a <= alpha]
+    known = [a for a in magnified_alphas(reading.run.dataset) if a <= alpha]
     if known:
         return float(max(known)), f"{why}; of the magnifications with ground truth the nearest below that."
     return alpha, f"{why}."
@@ -85,7 +80,7 @@ def metrics_of(run: Run, evaluate: Evaluate | None) -> dict[str, Any]:
     is damaged or of another kind.
     """
     dataset, path = run.dataset, run.path / METRICS
-    if not alphas_with_truth(dataset) and not (dataset / "truth" / "motion.npz").exists():
+    if not magnified_alphas(dataset) and not (dataset / "truth" / "motion.npz").exists():
         return {}
     if path.exists() and path.stat().st_mtime >= _made(run):
         return read_figures(path)
@@ -226,7 +221,7 @@ def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
 
 def _truth(dataset: Path, split: Capture, row: int, alpha: float, kept: int) -> tuple[np.ndarray | None, str]:
     """The ground truth from the camera of picture `row`, or why there is none; "" where none can be expected."""
-    known = alphas_with_truth(dataset)
+    known = magnified_alphas(dataset)
     if not known or split.split != "test":
         return None, ""
     if alpha != int(alpha) or int(alpha) not in known:

@@ -52,18 +52,6 @@ def camera_of(
     return Camera("view", viewmat, K, width, height)
 
 
-def rotation_of(wxyz: np.ndarray) -> np.ndarray:
-    """Rotation matrix [3, 3] of a unit quaternion [4], wxyz."""
-    w, x, y, z = wxyz
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def overview(means: np.ndarray, size: int = 768) -> Camera:
     """A camera that sees the middle 90 % of points [N, 3] from the side, where there is none of a capture."""
     low, high = np.quantile(means, 0.05, axis=0), np.quantile(means, 0.95, axis=0)
@@ -73,17 +61,3 @@ def overview(means: np.ndarray, size: int = 768) -> Camera:
     position = centre + 3.0 * radius * np.array([0.0, -0.94, 0.34])
     K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])
     return Camera("overview", look_at(position, centre), K, size, size)
-
-
-def middle_depth(means: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
-    """Weighted median depth, scene units, of points [N, 3] in view of `camera`; their weights are [N]."""
-    points = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    z = np.where(points[:, 2] > 1e-6, points[:, 2], np.inf)
-    u = camera.K[0, 0] * points[:, 0] / z + camera.K[0, 2]
-    v = camera.K[1, 1] * points[:, 1] / z + camera.K[1, 2]
-    inside = np.isfinite(z) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (weights > 0)
-    if not inside.any():
-        return 1.0
-    order = np.argsort(z[inside])
-    total = np.cumsum(weights[inside][order])
-    return float(z[inside][order][np.searchsorted(total, total[-1] / 2)])

@@ -17,11 +17,11 @@ from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animator
-from tg4mm.fit.rasterize import rasterization
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, gaussian_colours
 from tg4mm.show.view.scene import Scene
+from tg4mm.show.weights import pixel_sums
 
 Bands = tuple[tuple[float, float], ...]
 _MOMENT = 0.02  # seconds: enough for a thread that waits for the painter to be let in
@@ -79,16 +79,10 @@ class Painter:
 
         It is the gradient of the pixel by the Gaussian's colour, which the rasteriser gives exactly.
         """
+        chosen = np.zeros((camera.height, camera.width, 1), np.float32)
+        chosen[y, x] = 1
         with self._lock:
-            g = self._gaussians(look, seconds)
-            ones = torch.ones(len(g), 1, requires_grad=True)
-            view = torch.as_tensor(camera.viewmat, dtype=torch.float32)[None]
-            K = torch.as_tensor(camera.K, dtype=torch.float32)[None]
-            image, _, _ = rasterization(
-                g.means, g.quats, g.scales, g.opacities, ones, view, K, camera.width, camera.height
-            )
-            (gradient,) = torch.autograd.grad(image[0, y, x, 0], ones)
-        return gradient[:, 0].double().numpy()
+            return pixel_sums(self._gaussians(look, seconds), chosen, camera.viewmat, camera.K)[:, 0]
 
     def _gaussians(self, look: Look, seconds: float) -> Gaussians:
         motion = self._scene.motion

@@ -12,7 +12,8 @@ import viser
 from markupsafe import Markup
 
 from tg4mm.core.pages.svg import number
-from tg4mm.show.view.cameras import Standpoint, middle_depth, standpoint_of
+from tg4mm.show.maps import middle_depth
+from tg4mm.show.view.cameras import Standpoint, standpoint_of
 from tg4mm.show.view.charts import block, composite_chart, spectrum_chart
 from tg4mm.show.view.colours import (
     ALL,

@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tg4mm.show.render.cameras import Camera
-from tg4mm.show.view.cameras import camera_of, rotation_of
+from tg4mm.show.view.cameras import camera_of
 from tg4mm.show.view.session import Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
@@ -32,7 +33,7 @@ class Canvas:
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """The camera for a picture of `size` (width, height)."""
-        rotation = rotation_of(np.array(self.wxyz))
+        rotation = Rotation.from_quat(np.roll(self.wxyz, -1)).as_matrix()
         return camera_of(np.array(self.position), rotation, self.fov, self.width / self.height, size)
 
 

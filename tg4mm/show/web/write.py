@@ -23,7 +23,7 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.maps import image_motion
+from tg4mm.show.maps import image_motion, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.result.model import title_of
 from tg4mm.show.result.read import reading_of
@@ -132,7 +132,9 @@ def scene_json(
         "background": [1.0, 1.0, 1.0],
         "layout": packed.layout.as_json(),
         "camera": camera_json(camera),
-        "target_depth": _depth(gaussians, camera),
+        "target_depth": middle_depth(
+            gaussians.means.cpu().numpy(), gaussians.opacities.cpu().numpy(), camera
+        ),
         "motion": None,
     }
     if motion is not None and len(motion.freqs_hz):
@@ -155,19 +157,6 @@ def _first_camera(
     seen = [image_motion(gaussians, main, weights, camera) for camera in cameras]
     best = cameras[int(np.argmax(seen))]
     return best, np.array([image_motion(gaussians, m, weights, best) for m in motion.displacement])
-
-
-def _depth(gaussians: Gaussians, camera: Camera) -> float:
-    """Distance along the optical axis of the point to orbit around: the median of what lies in view, by opacity."""
-    points = gaussians.means.cpu().numpy() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    z = np.maximum(points[:, 2], 1e-9)
-    u, v = (camera.K[i, i] * points[:, i] / z + camera.K[i, 2] for i in (0, 1))
-    inside = (points[:, 2] > 0.01) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    if not inside.any():
-        return 1.0
-    order = np.argsort(z[inside])
-    sums = np.cumsum(gaussians.opacities.cpu().numpy()[inside][order])
-    return float(z[inside][order][np.searchsorted(sums, sums[-1] / 2)])
 
 
 def _motion_json(

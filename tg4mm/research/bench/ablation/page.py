@@ -14,8 +14,8 @@ from tg4mm.research.bench.means import mean_of_all
 from tg4mm.research.bench.measure import OF_RUN
 from tg4mm.research.bench.pages.markdown import markdown, origin, trained_otherwise
 from tg4mm.research.bench.pages.plots import curves
-from tg4mm.research.bench.pages.text import NOTHING, Table, shown
 from tg4mm.research.evaluate.run import CEILING, STATIC
+from tg4mm.research.text import NOTHING, Table, shown
 
 # Columns by key of a line's `scalars`: title, format.
 COLUMNS = {

@@ -31,6 +31,7 @@ from tg4mm.research.bench.folder import (
     circumstances,
     claim_set,
     open_folder,
+    safe_name,
     why_failed,
     write_text,
 )
@@ -47,9 +48,9 @@ from tg4mm.research.bench.measure import (
     warm_up,
 )
 from tg4mm.research.bench.pages.shown import slices_picture
-from tg4mm.research.bench.pages.text import latex_table
 from tg4mm.research.bench.request import check_settings, settings_by_preset
 from tg4mm.research.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
+from tg4mm.research.text import latex_table
 
 Printer = Callable[[str], None]
 _METRICS = ("ssim", "psnr_db")  # PSNR for the column at α = 0
@@ -254,8 +255,7 @@ def _place_name(job: _Job, data: BenchSet) -> str:
     row = job.rows[0]
     key = [job.training.preset, dict(job.training.settings), *row.changed_data, data.digest]
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:8]
-    words = "".join(c if c.isalnum() or c in ".-" else "_" for c in row.label)
-    return f"{words}_{digest}"
+    return f"{safe_name(row.label)}_{digest}"
 
 
 def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[str, Any]:

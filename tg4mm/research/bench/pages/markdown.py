@@ -7,8 +7,8 @@ from typing import Any
 
 from tg4mm.research.bench.methods.known import ABOUT
 from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
-from tg4mm.research.bench.pages.text import Table, table
 from tg4mm.research.evaluate.run import STATIC
+from tg4mm.research.text import Table, table
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from tg4mm.research.bench.means import mean, scalars
-from tg4mm.research.bench.pages.text import NOTHING, Table, shown
 from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.evaluate.run import CEILING, STATIC
+from tg4mm.research.text import NOTHING, Table, shown
 
 Results = Mapping[str, Any]
 # Picture metrics that have a table of their own, methods down and α across.

@@ -36,8 +36,8 @@ from tg4mm.research.bench.pages.markdown import (
 from tg4mm.research.bench.pages.plots import over_alpha, size_and_speed
 from tg4mm.research.bench.pages.shown import shown_sections
 from tg4mm.research.bench.pages.tables import full_table, groups_of, kinds_tables, sets_in, tables_of
-from tg4mm.research.bench.pages.text import Table, latex_table
 from tg4mm.research.evaluate.run import CEILING, STATIC
+from tg4mm.research.text import Table, latex_table
 
 
 def write_results(out: Path, results: Mapping[str, Any]) -> None:

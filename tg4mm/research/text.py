@@ -64,11 +64,14 @@ def shown(value: float | None, form: str) -> str:
     return NOTHING if value is None else form.format(value)
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """Markdown lines: the first `text_columns` columns flush left, the numbers flush right. Ends without a newline."""
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1, numbers_first: int = 0
+) -> str:
+    """Markdown lines without a final newline: after `numbers_first` columns of numbers `text_columns` flush left, the
+    rest flush right."""
     cells = [[_cell(c) for c in row] for row in (header, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    sides = ["<" if i < text_columns else ">" for i in range(len(header))]
+    sides = ["<" if 0 <= i - numbers_first < text_columns else ">" for i in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
         return "| " + " | ".join(f"{c:{s}{w}}" for c, s, w in zip(row, sides, widths, strict=True)) + " |"
