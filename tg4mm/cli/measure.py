@@ -66,5 +66,5 @@ def measure(
     check_sensors(opened, asked)
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
-        found = measured(prepare(opened, keep), asked or None, reference)
+        found = measured(prepare(opened, keep, is_once=True), asked or None, reference)
         typer.echo(write_measurement(found, out, animate), nl=False)

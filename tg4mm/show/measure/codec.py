@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -25,7 +24,7 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
     tones = [_tones(result) for result in results]
     fps = scene.observations.fps
     found = codec_losses(video.path, regions, tones, fps, video.from_s, video.repeats)
-    return [replace(result, losses=tuple(own)) for result, own in zip(results, found, strict=True)]
+    return [result.with_(losses=tuple(own)) for result, own in zip(results, found, strict=True)]
 
 
 def _tones(result: SensorResult) -> list[Tone]:

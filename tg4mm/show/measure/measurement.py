@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
@@ -82,7 +82,7 @@ def measure(
     """
     if isinstance(run, Run):
         check_sensors(run, sensors or ())
-    scene = run if isinstance(run, Prepared) else prepare(run)
+    scene = run if isinstance(run, Prepared) else prepare(run, is_once=True)
     groups = clusters or clusters_of(scene)
     found = found_in(scene)
     own = region_sensors(scene, found) if found is not None else []
@@ -158,8 +158,9 @@ def _series(
 ) -> list[Series]:
     own = [body for body, _ in bodies]
     equations = equations_of(
-        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving, step
-    )
+        own, scene.means, views, clock.sides or scene.observations, scene.modal.fields, clock.series,
+        scene.is_moving, step,
+    )  # fmt: skip
     out = []
     for e, (body, labels) in zip(equations, bodies, strict=True):
         axes = body.axes
@@ -204,9 +205,7 @@ def _px_per_unit(frames, centre: np.ndarray) -> float:
 
 
 def _related(result: SensorResult, against: SensorResult) -> SensorResult:
-    out = replace(result, relation=relation_of(result, against))
-    out.__dict__["spectrum"] = result.spectrum  # worked out already
-    return out
+    return result.with_(relation=relation_of(result, against))
 
 
 def _is_long(scene: Prepared, sensors: Sequence[Sensor]) -> bool:

@@ -17,8 +17,9 @@ from tg4mm.fit.motion.checkpoints import no_checkpoint
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import blend_sum
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.first_look import FixedCameras, look_at, rest_views
-from tg4mm.fit.motion.nuisance.projection import COLUMNS, nuisances_of
+from tg4mm.fit.motion.nuisance.first_look import look_at, rest_views
+from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, nuisances_of
+from tg4mm.fit.motion.nuisance.registration import mean_pictures
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
@@ -32,6 +33,7 @@ from tg4mm.show.measure.residuals import (
     packed_mean,
     packed_weights,
     pull_back,
+    sampled,
     shown_fields,
     unpacked_mean,
     weighed,
@@ -42,13 +44,15 @@ from tg4mm.show.measure.sides import HALVES, Sides
 _LOG = logging.getLogger("tg4mm")
 
 
-def prepare(run: Run, keep: bool = True) -> Prepared:
+def prepare(run: Run, keep: bool = True, is_once: bool = False) -> Prepared:
     """Read the run's pictures once, for any number of measurements.
 
     Args:
         run: a finished run.
         keep: keep what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
             Gaussian, if that is under 1 GiB and the folder can be written.
+        is_once: for one call of `measure`. Where that is a flat capture's, nothing is pulled back or kept, unless it
+            is there: its sensors read the pictures themselves, which takes a tenth of the time.
 
     Returns:
         What `measure` takes.
@@ -67,7 +71,7 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
     check_times(run.path, run.dataset, *times)
     kept = KeptPass.of(run, keep)
     pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
-    return _prepared(fit, run.path, capture, observe(capture, pictures), kept)
+    return _prepared(fit, run.path, capture, observe(capture, pictures), kept, is_once)
 
 
 def prepare_fit(
@@ -89,16 +93,32 @@ def prepare_fit(
     """
     if capture.n_timesteps < 2:
         raise MeasureError(f"{capture.root}: has one timestep; a measurement needs pictures over time")
-    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None)
+    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None, True)
 
 
 def _prepared(
-    fit: MotionFit, folder: Path | None, capture: Capture, observations: Observations, kept: KeptPass | None
+    fit: MotionFit,
+    folder: Path | None,
+    capture: Capture,
+    observations: Observations,
+    kept: KeptPass | None,
+    is_once: bool,
 ) -> Prepared:
     modal = ModalFields.of(fit.motion, len(fit.gaussians))
     if observations.clock == "moving":
         return prepare_moving(fit, folder, capture, observations, modal, kept)
-    return _Fixed(fit, folder, capture, observations, modal, kept).prepared()
+    is_direct = is_once and not capture.kind.sees_depth
+    return _Fixed(fit, folder, capture, observations, modal, kept, is_direct).prepared()
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the cameras' pictures have in common."""
+
+    observations: Observations  # turned back to one pose where cameras shake
+    mean: np.ndarray  # [V, H, W, 3]
+    active: np.ndarray  # [V, 12] bool, nuisance columns
+    notes: list[str]
 
 
 @dataclass(frozen=True)
@@ -111,6 +131,7 @@ class _Fixed:
     observations: Observations
     modal: ModalFields
     kept: KeptPass | None
+    is_direct: bool  # sensors read the pictures themselves
 
     @property
     def gaussians(self) -> Gaussians:
@@ -119,27 +140,28 @@ class _Fixed:
     def prepared(self) -> Prepared:
         clocks = self._clocks(self.observations.frames)
         found = None if self.kept is None else self._found(self.kept, clocks)
+        observations = self.observations
+        sides: list[Sides | None]
         if self.kept is not None and found is not None:
-            arrays, sides = found
+            arrays, sides = found[0], list(found[1])
             means = unpacked_mean(arrays["mean"])
-            views = self._views(self.observations.frames, means, arrays["active"].astype(bool))
+            views = self._views(observations.frames, means, arrays["active"].astype(bool))
             weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
             views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
             notes = tuple(self.kept.notes)
         else:
             seen = self._seen()
             observations = seen.observations
-            active = np.stack([n.active for n in seen.nuisances])
-            means = unpacked_mean(packed_mean(np.asarray(seen.look.mean)))  # as a later call will have it
-            views = self._views(observations.frames, means, active)
+            means = unpacked_mean(packed_mean(seen.mean))  # as a later call will have it
+            views = self._views(observations.frames, means, seen.active)
             views, sides = self._passed(observations, views, clocks)
             notes = tuple(seen.notes)
-            if self.kept is not None:
+            if self.kept is not None and not self.is_direct:
                 self._keep(self.kept, views, sides, notes)
         clocks = [replace(c, sides=s) for c, s in zip(clocks, sides, strict=True)]
         return Prepared(
-            self.fit, self.folder, self.capture, self.observations, self.modal, views, tuple(clocks),
-            seen_weights(views, len(self.gaussians)), notes,
+            self.fit, self.folder, self.capture, observations if self.is_direct else self.observations, self.modal,
+            views, tuple(clocks), seen_weights(views, len(self.gaussians)), notes,
         )  # fmt: skip
 
     def _found(self, kept: KeptPass, clocks: Sequence[SharedClock]) -> Kept | None:
@@ -154,10 +176,17 @@ class _Fixed:
         n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
         return kept.load(wanted, n_frames, len(self.gaussians))
 
-    def _seen(self) -> FixedCameras:
-        """Nuisance columns and means as the motion stage finds them, and pictures turned back where cameras shake."""
+    def _seen(self) -> _Seen:
+        """As the motion stage finds it. Where it says that no camera shakes, there is no need to look again."""
+        told = self.fit.figures.get("nuisance")
+        if told is not None and "pose" not in told:
+            active = np.zeros((len(self.observations.frames), COLUMNS), bool)
+            active[:, EXPOSURE] = "exposure" in told
+            return _Seen(self.observations, mean_pictures(self.observations), active, [])
         config = self.fit.config
-        return look_at(self.gaussians, self.observations, config, "cpu", no_checkpoint, refines=False)
+        seen = look_at(self.gaussians, self.observations, config, "cpu", no_checkpoint, refines=False)
+        active = np.stack([n.active for n in seen.nuisances])
+        return _Seen(seen.observations, seen.look.mean, active, seen.notes)
 
     def _views(
         self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
@@ -189,10 +218,11 @@ class _Fixed:
 
     def _passed(
         self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
-    ) -> tuple[list[MeasuredView], list[Sides]]:
-        """The one pass: views with weights, and the sides of every clock."""
+    ) -> tuple[list[MeasuredView], list[Sides | None]]:
+        """Views with weights, and the sides of every clock, for which every picture is read; None if `is_direct`."""
         out, sides = list(views), []
-        total, done = 2 * sum(len(v.frames.rows) for v in views), 0  # every frame is read twice
+        counts = [len(v.frames.rows) for v in views]
+        total, done = sum(len(sampled(n)) for n in counts) + (0 if self.is_direct else sum(counts)), 0
         with progress("pictures", total, "frames") as update:
 
             def step(frames: int) -> None:
@@ -201,16 +231,23 @@ class _Fixed:
                 update(done)
 
             for clock in clocks:
-                own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
+                own = None
+                if not self.is_direct:
+                    own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
                 for v in clock.views:
                     shown = shown_fields(views[v].view, self.modal.fields)
                     out[v] = weighed(observations, views[v], shown, clock.series, step)
-                    pull_back(observations, out[v], shown, clock.series, own, step)
-                sides.append(Sides.of(own))
+                    if own is not None:
+                        pull_back(observations, out[v], shown, clock.series, own, step)
+                sides.append(None if own is None else Sides.of(own))
         return out, sides
 
     def _keep(
-        self, kept: KeptPass, views: Sequence[MeasuredView], sides: Sequence[Sides], notes: Sequence[str]
+        self,
+        kept: KeptPass,
+        views: Sequence[MeasuredView],
+        sides: Sequence[Sides | None],
+        notes: Sequence[str],
     ) -> None:
         weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
         arrays = {
@@ -220,7 +257,7 @@ class _Fixed:
             "unit": np.array(units),
         }
         for c, own in enumerate(sides):
-            arrays |= own.arrays(str(c))
+            arrays |= {} if own is None else own.arrays(str(c))
         kept.save(arrays, notes)
 
 

@@ -28,8 +28,10 @@ import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import optical_flow
+from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.rasterize.buffers import Buffers
-from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.direct import summed
+from tg4mm.show.measure.residuals import MeasuredView, shown_fields
 from tg4mm.show.measure.sides import HALVES, Sides
 
 
@@ -82,7 +84,7 @@ def equations_of(
     bodies: Sequence[Body],
     means: np.ndarray,
     views: Sequence[MeasuredView],
-    sides: Sides,
+    sides: Sides | Observations,
     fields: np.ndarray,
     series: np.ndarray,
     is_moving: bool,
@@ -90,13 +92,13 @@ def equations_of(
 ) -> list[Equations]:
     """The equations of several bodies in one pass over a clock's views.
 
-    fields [R, N, 6], series [R, F]. A moving camera has one view for each frame. `step` is called after each body in
-    each half of each view.
+    sides: what the pictures say of every Gaussian, or the pictures themselves (`direct.py`). fields [R, N, 6], series
+    [R, F]. A moving camera has one view for each frame. `step` is called after each body in each half of each view.
     """
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
     trials = [body.motions(means, w) for body, w in zip(bodies, around, strict=True)]
-    n_frames, count, unknowns = len(sides), len(views) if is_moving else 1, len(motions[0])
+    n_frames, count, unknowns = series.shape[1], len(views) if is_moving else 1, len(motions[0])
     normals, noise = np.zeros((2, len(bodies), HALVES, count, unknowns, unknowns))
     known = np.zeros((len(bodies), HALVES, n_frames, unknowns))
     false = np.zeros((len(bodies), unknowns, unknowns))
@@ -117,12 +119,15 @@ def equations_of(
                 if len(fields):
                     known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
                 step()
+        if not isinstance(sides, Sides):
+            shown = shown_fields(view.view, fields)
+            pictures = [np.array(view.view.jvp(e)) for e in motions]
+            known += summed(sides, view, halves, pictures, shown, series)
         view.nuisance.release()
-    out = []
-    for b, e in enumerate(motions):
-        own_sides = sides.summed(e, np.flatnonzero(bodies[b].weights))
-        out.append(Equations(normals[b], noise[b], known[b] + own_sides, false[b]))
-    return out
+    if isinstance(sides, Sides):
+        for b, e in enumerate(motions):
+            known[b] += sides.summed(e, np.flatnonzero(bodies[b].weights))
+    return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
 
 
 def companions(body: Body, fields: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ class SharedClock:
     name: str  # "" where there is one clock
     views: tuple[int, ...]
     times_s: np.ndarray  # [F] seconds
-    sides: Sides  # `residuals.py`
+    sides: Sides | None  # `residuals.py`; None: sensors read the pictures themselves (`direct.py`)
     series: np.ndarray  # [R, F] of the modal fields
 
 

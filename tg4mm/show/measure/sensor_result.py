@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,13 @@ class SensorResult:
     def name(self) -> str:
         """Of the sensor."""
         return self.sensor.name
+
+    def with_(self, **changes: Any) -> SensorResult:
+        """`dataclasses.replace` of what the spectrum does not depend on: it is not worked out again."""
+        out = replace(self, **changes)
+        if "spectrum" in self.__dict__:
+            out.__dict__["spectrum"] = self.spectrum
+        return out
 
     def loss_of(self, k: int) -> Loss | None:
         """What the video's compression let through of peak k; None where it was not tested."""

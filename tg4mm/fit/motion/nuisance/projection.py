@@ -173,9 +173,13 @@ class Projection:
         if not self.keeps:
             self.nuisance.release()
 
+    def basis(self) -> np.ndarray:
+        """Q [k, H, W, 3]."""
+        return np.tensordot(self.root, self.nuisance.columns(self.mean), 1)
+
     def out_of(self, pictures: np.ndarray) -> np.ndarray:
         """Pictures [R, H, W, 3] with the columns projected out."""
-        basis = np.tensordot(self.root, self.nuisance.columns(self.mean), 1)
+        basis = self.basis()
         weighted = basis if self.weights is None else basis * self.weights[..., None]
         products = pictures.reshape(len(pictures), -1) @ weighted.reshape(len(basis), -1).T
         return pictures - np.tensordot(products, basis, 1)
