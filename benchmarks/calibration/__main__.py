@@ -26,7 +26,7 @@ from pathlib import Path
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import make_film
 from benchmarks.calibration.kinds import kinds_stage, kinds_table
-from benchmarks.calibration.score import Score, table
+from benchmarks.calibration.score import Score, compared, table
 
 STAGES: dict[str, Callable[..., dict[str, Score]]] = {
     "look": stages.look_stage,
@@ -83,6 +83,9 @@ def main(arguments: list[str] | None = None) -> None:
         return
     for name, all_scores in by_method.items():
         print(f"\n## {name}, {len(all_scores)} films\n\n{table(all_scores)}")
+    if {"sfm, train, measure", "pyidi"} <= by_method.keys():
+        against = compared(by_method["sfm, train, measure"], by_method["pyidi"])
+        print(f"\nrms error of a series over pyidi's: {against}")
 
 
 if __name__ == "__main__":

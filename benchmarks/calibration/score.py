@@ -39,6 +39,9 @@ class Score:
     amplitudes: list[float] = field(default_factory=list)
     dampings: list[float] = field(default_factory=list)
     samples: list[float] = field(default_factory=list)
+    errors: list[float] = field(
+        default_factory=list
+    )  # rms of each vibrating region's series, right, down; pixels
     false: list[str] = field(default_factory=list)
     marked: int = 0  # false lines that were marked
     bounds: list[float] = field(default_factory=list)  # like amplitudes, of those marked as too small
@@ -133,6 +136,20 @@ def table(scores: Sequence[Score]) -> str:
         lines.append(f"| {low:g} to {high:g} | {share(f for a, f in found if low <= a < high)} |")
     lines += ["", smallest_found(found)]
     return "\n".join(lines)
+
+
+def compared(ours: Sequence[Score], theirs: Sequence[Score]) -> str:
+    """A line: errors of series, film by film, over those of another method on the same regions."""
+    pairs = [
+        (a, b) for s, t in zip(ours, theirs, strict=True) for a, b in zip(s.errors, t.errors, strict=True)
+    ]
+    if not pairs:
+        return "no series to compare"
+    ratios = np.array([a / b for a, b in pairs])
+    return (
+        f"geometric mean {np.exp(np.log(ratios).mean()):.2f}, median {np.median(ratios):.2f}, "
+        f"largest {ratios.max():.1f} of {len(ratios)} axes"
+    )
 
 
 def share(flags: Iterable[bool]) -> str:

@@ -7,8 +7,9 @@ import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,20 +67,48 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
         )
         for v in (*result.vibrations, *result.beside)
     ]
-    out = score(truth, named, seconds)
+    out, peaks = score(truth, named, seconds), list[Named]()
     for region, sensor in zip(regions, measured.sensors if measured is not None else (), strict=True):
-        own, px = sensor.series[0], sensor.px_per_unit
-        true = sum(_moved(v, own.times_s) for v in truth.vibrations if v.region == region) * np.array([1, -1])
-        error = px * own.displacement[:, :2] - true
-        error -= error.mean(0)
-        out.samples += (error / (px * own.deviation[:, :2])).ravel().tolist()
-    return {"sfm, train, measure": out}
+        own, px = sensor.series, sensor.px_per_unit
+        errors = px * own.displacement * [1, -1] - _truth_in(region, truth, own.times_s)
+        errors -= errors.mean(0)
+        out.samples += (errors / (px * own.deviation)).ravel().tolist()
+        out.errors += np.sqrt((errors**2).mean(0)).tolist()
+        peaks += _peaks(sensor, region)
+    return {"sfm, train, measure": out, "peaks of measure": score(truth, peaks, seconds)}
+
+
+def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
+    """Of a sensor, as `measure.json` has them; marked: what its table marks."""
+    from tg4mm.show.measure.codec import reported_deviation
+    from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+
+    left, upper, right, lower = region
+    each = zip(sensor.spectrum.peaks, sensor.orbits, sensor.damping, strict=True)
+    for k, (peak, orbit, damping) in enumerate(each):
+        loss, px = sensor.loss_of(k), sensor.px_per_unit
+        deviation = reported_deviation(orbit.amplitude, amplitude_deviation(peak, orbit), loss)
+        is_marked = bool(
+            peak.harmonic or peak.sideband or (loss and loss.why) or not main_is_above(peak, orbit)
+        )
+        yield Named(
+            *(peak.frequency_hz, peak.frequency_deviation_hz, px * orbit.amplitude, px * deviation),
+            *((damping.ratio, damping.deviation) if damping else (None, None)),
+            0.0 if peak.line is None else peak.line.from_s,
+            ((left + right) / 2, (upper + lower) / 2),
+            is_marked,
+        )
 
 
 def _sensor(kind: type, k: int, region: Region, camera: str) -> object:
     left, upper, right, lower = region
     radius = _INSIDE * min(right - left, lower - upper)
     return kind(f"region {k}", "pixel", ((left + right) / 2, (upper + lower) / 2, radius), camera)
+
+
+def _truth_in(region: Region, truth: Truth, times_s: np.ndarray) -> np.ndarray:
+    """[F, 2] pixels right and down in the middle of a region."""
+    return np.sum([_moved(v, times_s) for v in truth.vibrations if v.region == region], axis=0)
 
 
 def _moved(vibration: TrueVibration, times_s: np.ndarray) -> np.ndarray:
@@ -101,11 +130,13 @@ def baselines_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
         clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
         subprocess.run([python, str(script), str(video), str(wanted), str(out)], check=True, env=clean)
         found = json.loads(out.read_text())
-    seconds = found.pop("seconds")
-    return {
-        name: score(truth, _named(np.array(series), regions, truth.fps), seconds[name])
-        for name, series in found.items()
-    }
+    seconds, scores = found.pop("seconds"), dict[str, Score]()
+    for name, series in ((name, np.array(own)) for name, own in found.items()):
+        scores[name] = score(truth, _named(series, regions, truth.fps), seconds[name])
+        for region, own in zip(regions, series, strict=True) if truth.vibrations else ():
+            errors = own - _truth_in(region, truth, np.arange(len(own)) / truth.fps)
+            scores[name].errors += np.sqrt(((errors - errors.mean(0)) ** 2).mean(0)).tolist()
+    return scores
 
 
 def _named(series: np.ndarray, regions: Sequence[Region], fps: float) -> list[Named]:

@@ -41,7 +41,7 @@ def find_lines(
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
     rate less half of 1 / duration if not given. Components share frequencies and decays. Noise alone makes a line in
     one record of a hundred. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
-    from both sides; where they say less of a line than the others, all is taken from the others (`between.py`).
+    from both sides: lines are looked for in all, and what they are is taken from the others (`between.py`).
     """
     record = Record.of(values, times_s, noise, ends)
     if record is None:
@@ -59,11 +59,20 @@ def find_lines(
     if between is not None and (
         part := without_between(record, [shapes[k] for k in order], np.asarray(between, bool))
     ):
-        lines = part[0].result(_kept(*part)).lines
+        own, lines_there, differ = part
+        lines = own.result(_kept(own, lines_there)).lines
+        if not differ:
+            lines += tuple(line for line in found.lines if not _is_among(line, lines, own))
         left = found.residual + sum(line.at(record.t) for line in found.lines)
         found = replace(found, lines=lines, residual=left - sum(line.at(record.t) for line in lines))
     strong = sorted(found.lines, key=lambda line: -line.strength)
     return replace(found, lines=tuple(strong))
+
+
+def _is_among(line: Line, lines: Sequence[Line], record: Record) -> bool:
+    """Whether one of the lines is this one, fitted to a part of its record."""
+    reach = 1 / float(np.ptp(record.t))
+    return any(abs(line.hz - other.hz) < max(reach, 3 * other.hz_deviation) for other in lines)
 
 
 def fit_lines(

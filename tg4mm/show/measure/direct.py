@@ -85,6 +85,8 @@ def _add(
     out: np.ndarray, pictures: np.ndarray, ready: Sequence[tuple[int, list[Products], np.ndarray | None]]
 ) -> None:
     """Adds to out [B, 2, F, K] the products with pictures [F, H, W, 3]."""
+    if not len(pictures):
+        return
     flat = pictures.reshape(len(pictures), -1)
     for half, own, columns in ready:
         coefficients = None if columns is None else flat @ columns.T
