@@ -1,0 +1,110 @@
+"""The figures of README.md and docs/results.md: both tables are written from docs/figures.json.
+
+    python -m benchmarks figures                             # writes the tables anew
+    python -m benchmarks figures --results eight/results.json   # takes the figures of a benchmark first
+
+A table stands between `<!-- figures: NAME -->` and `<!-- end -->`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+FILE = ROOT / "docs" / "figures.json"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
+OPTIONS = {"--results": ""}
+# of the motion, by key of `means.scalars`: title, format, factor
+_MOTION = {
+    "displacement_error": ("error, %", "{:.1f}", 100),
+    "displacement_error_observed": ("of what can be observed, %", "{:.1f}", 100),
+    "static_leak": ("leak, %", "{:.1f}", 100),
+    "amplitude_ratio": ("amplitude ratio", "{:.3f}", 1),
+    "direction_error_deg": ("direction off, °", "{:.1f}", 1),
+    "mac": ("MAC", "{:.3f}", 1),
+}
+_ROWS = ("nothing moves", "modal", "ceiling")
+_LOST_AT = ("20", "50")  # α
+
+
+def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a benchmark's results.json: {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}, of `modal`."""
+    from tg4mm.research.bench.means import scalars
+
+    runs = {run["set"].partition("_")[0]: scalars(run) for run in results["runs"] if run["row"] == "modal"}
+    means = {m["row"]: m["alphas"] for m in results["line_means"] if m["row"] in _ROWS}
+    return {
+        "scenes": {name: {key: values[key] for key in _MOTION} for name, values in runs.items()},
+        "ssim": {row: {a: scores["ssim"] for a, scores in means[row].items()} for row in _ROWS},
+    }
+
+
+def tables(figures: Mapping[str, Any]) -> dict[str, str]:
+    """{name: Markdown}: every scene, SSIM over α, what is lost of it in words, and the short table of README."""
+    scenes, ssim = figures["scenes"], figures["ssim"]
+    mean = {key: sum(values[key] for values in scenes.values()) / len(scenes) for key in _MOTION}
+    motion = [
+        [name, *(_number(form, values[key] * factor) for key, (_, form, factor) in _MOTION.items())]
+        for name, values in [*scenes.items(), ("mean", mean)]
+    ]
+    named = {"modal": "`modal`"}
+    scores = [
+        [named.get(row, row), *(_number("{:.4f}", v) for v in values.values())]
+        for row, values in ssim.items()
+    ]
+    lost = [_number("{:.4f}", ssim["ceiling"][a] - ssim["modal"][a]) for a in _LOST_AT]
+    errors = {name: values["displacement_error"] for name, values in scenes.items()}
+    best, worst = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
+    why = f": {note}" if (note := figures.get("notes", {}).get(worst)) else ""
+    short = [
+        "displacement error, rms, relative to the true motion",
+        f"{mean['displacement_error']:.0%} | {errors[best]:.0%} ({best}) | {errors[worst]:.0%} ({worst}{why})".replace(
+            "%", " %"
+        ),
+    ]
+    return {
+        "scenes": _markdown(["set", *(title for title, _, _ in _MOTION.values())], motion),
+        "ssim": _markdown(["SSIM, mean", *(f"α = {a}" for a in next(iter(ssim.values())))], scores),
+        "lost": f"So SSIM lies below that of the exact motion by {lost[0]} at α = {_LOST_AT[0]} and {lost[1]} at "
+        f"α = {_LOST_AT[1]}.",
+        "short": "\n".join(
+            [
+                "| eight generated scenes, 128×128, 30 cameras, 0.2 pixels of motion | mean | best | worst |",
+                "|---|---:|---:|---:|",
+                f"| {short[0]} | {short[1]} |",
+                f"| SSIM lost against the exact motion, α = {' / '.join(_LOST_AT)} | {' / '.join(lost)} | | |",
+            ]
+        ),
+    }
+
+
+def filled(page: str, made: Mapping[str, str]) -> str:
+    """The page with each table in its place."""
+    part = re.compile(r"(<!-- figures: (\w+) -->\n).*?(\n<!-- end -->)", re.DOTALL)
+    return part.sub(lambda found: found[1] + made[found[2]] + found[3], page)
+
+
+def _number(form: str, value: float) -> str:
+    """Without the 0 before the point where all digits after it count."""
+    text = form.format(value)
+    return text.removeprefix("0") if len(text) > 4 else text
+
+
+def _markdown(header: list[str], rows: list[list[str]]) -> str:
+    dashes = "|:--|" + "--:|" * (len(header) - 1)
+    return "\n".join([f"| {' | '.join(header)} |", dashes, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def run(options: argparse.Namespace) -> None:
+    figures = json.loads(FILE.read_text(encoding="utf-8"))
+    if options.results:
+        figures |= figures_of(json.loads(Path(options.results).read_text(encoding="utf-8")))
+        FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")
+        print(page)
