@@ -101,11 +101,6 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
     return float((a.astype(np.float64) * b).sum())
 
 
-def each_shows(o: CpuOperator, fields: np.ndarray) -> list[np.ndarray]:
-    """What every view's target images show of fields [R, N, 6]."""
-    return [view.jvp(o.mixed(k, fields)) for k, view in enumerate(o.views)]
-
-
 def of_amplitudes(amplitudes: list[float], freqs: list[float], n: int = 50) -> ModalMotion:
     """Each mode moves all Gaussians along x by its amplitude."""
     displacement = np.zeros((len(freqs), n, 3), np.complex64)

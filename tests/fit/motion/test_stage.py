@@ -15,7 +15,7 @@ from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.run import Run
@@ -218,15 +218,6 @@ def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[],
         still[rows] = still[rows][:1]
     found = train_motion(new_run(), capture, ImageStack(still), SHORT)
     assert np.abs(found.displacement).max() < 1e-6
-
-
-def test_without_a_fixed_camera_and_with_few_pictures_it_says_so(small, new_run: Callable[[], Run]) -> None:
-    _, capture, images = small
-    wandering = replace(capture, camera_ids=np.arange(len(capture)))
-    wandering = replace(wandering, times_s=np.where(np.arange(len(capture)) < 4, capture.times_s, np.nan))
-    match = rf"\A{capture.root}: no camera is fixed, and 4 pictures have a time, too few[^\n]*\Z"
-    with pytest.raises(CaptureError, match=match):
-        train_motion(new_run(), wandering, images, SHORT)
 
 
 def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Callable[[], Run]) -> None:
