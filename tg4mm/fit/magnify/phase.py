@@ -137,6 +137,10 @@ class PhaseMagnifier:
             out[part] += torch.fft.irfft2(change[part], s=self.shape)
         return out.numpy()
 
+    def turn(self, held: Tensor) -> None:
+        """Replace a sub-band's coefficients [T, h, w], in place, by their change. A subclass may smooth it."""
+        turn(held.view(len(held), -1), self.response)
+
     def _add(self, band: SubBand, spectrum: Tensor, change: Tensor) -> None:
         """Magnify one sub-band and add what changed to `change`."""
         n, (h, w) = len(spectrum), band.analysis.shape
@@ -144,7 +148,7 @@ class PhaseMagnifier:
         parts = _parts(n, h * w)
         for part in parts:
             held[part] = torch.fft.ifft2(_take(spectrum[part], (h, w)) * band.analysis)
-        turn(held.view(n, -1), self.response)
+        self.turn(held)
         for part in parts:
             _give(change[part], torch.fft.fft2(held[part]) * band.synthesis)
 
