@@ -105,7 +105,7 @@ def matched(first: np.ndarray, second: np.ndarray) -> int:
 
 
 def left_pairs(database: Path, names: Sequence[str], done: Sequence[Pair]) -> list[Pair]:
-    """Of pictures that the matched pairs `done` tie to the others too loosely, all other pairs.
+    """All other pairs of pictures that the matched pairs `done` tie to the others too loosely.
 
     Such are those with fewer than FEWEST_FIRM pairs of FIRM verified matches, and those that such pairs do not lead to
     from most pictures.

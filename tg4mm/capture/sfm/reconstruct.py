@@ -33,7 +33,7 @@ from tg4mm.capture.sfm.kind import (
 )
 from tg4mm.capture.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
-from tg4mm.capture.sfm.register import Workplace, register_frames
+from tg4mm.capture.sfm.register import Workspace, register_frames
 from tg4mm.capture.sfm.scale import baseline_scale, measured_length
 from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources, find_sources
 from tg4mm.capture.sfm.staging import (
@@ -207,18 +207,18 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
         )
     masks = stage(taken, work)
     database = make_database(taken, work, config.camera_model, config.focal_px)
-    place = Workplace(database, work / "images", masks, config.seed, job.threads)
-    model = _moving_model(job, taken, place) if job.kind.moving else _first_model(job, taken, place)
+    workspace = Workspace(database, work / "images", masks, config.seed, job.threads)
+    model = _moving_model(job, taken, workspace) if job.kind.moving else _first_model(job, taken, workspace)
     mapping.save_model(model, sparse)
     return model
 
 
-def _first_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
+def _first_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
     names = [staged_name(shot) for shot in taken]
     pairs = _pairs(job, taken, names)
     model = mapping.find_poses(
-        place.database, place.images, place.masks, names, pairs, place.seed, job.threads
+        workspace.database, workspace.images, workspace.masks, names, pairs, workspace.seed, job.threads
     )
     _check_placed(job, taken, mapping.registered(model), quiet=True)
     return mapping.as_pinholes(model, job.threads)
@@ -235,7 +235,7 @@ def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
     return None if matching == "auto" and len(names) > CHOSEN_FROM else picture_pairs(names)
 
 
-def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
+def _moving_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
     """That of sharp frames and the sweep, into which all other frames are placed."""
     frames = [shot for shot in taken if shot.clip != SWEEP]
     keys = set(sharp_rows(job.surveys[0].sharpness, job.config.frames or KEYS).tolist())
@@ -245,12 +245,12 @@ def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
         model = mapping.saved_model(folder)
     else:
         try:
-            model = _first_model(job, first, place)
+            model = _first_model(job, first, workspace)
         except CaptureError as error:
             raise CaptureError(f"{error}{_why_moving(job)}") from None
         mapping.save_model(model, folder)
     names = [staged_name(shot) for shot in frames]
-    register_frames(model, place, names, [staged_name(shot) for shot in first if shot.clip != SWEEP])
+    register_frames(model, workspace, names, [staged_name(shot) for shot in first if shot.clip != SWEEP])
     return model
 
 

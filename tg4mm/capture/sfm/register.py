@@ -24,7 +24,7 @@ INLIER_PX = 3.0
 
 
 @dataclass(frozen=True)
-class Workplace:
+class Workspace:
     """COLMAP's files, and how it is to work."""
 
     database: Path
@@ -34,7 +34,7 @@ class Workplace:
     threads: int
 
 
-def register_frames(model: Any, work: Workplace, names: Sequence[str], keys: Sequence[str]) -> list[str]:
+def register_frames(model: Any, work: Workspace, names: Sequence[str], keys: Sequence[str]) -> list[str]:
     """Place the frames `names` (in order of time) that are not among `keys` into the pycolmap Reconstruction.
 
     keys: names of frames that the model was made of. Changes the model in place: it gets images, observations, and a

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from tg4mm.core.choices import FILTERS
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.sets import KINDS
 from tg4mm.research.bench.measure import Scoring
@@ -72,8 +73,7 @@ def _scaled(setting: str, *factors: float) -> tuple[Row, ...]:
 
 
 def _filters(method: str) -> tuple[Row, ...]:
-    kinds = ("zero-phase", "ideal", "published")
-    return tuple(Row(f"{method}, {kind}", scorings=(Scoring(method, method, kind),)) for kind in kinds)
+    return tuple(Row(f"{method}, {kind}", scorings=(Scoring(method, method, kind),)) for kind in FILTERS)
 
 
 ABLATIONS: dict[str, Ablation] = {
