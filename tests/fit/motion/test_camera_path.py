@@ -94,3 +94,23 @@ def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them(
     whole = path_of(viewmats(0.0, 1.0)).moved - still.moved
     scale = np.abs(whole).max()
     np.testing.assert_allclose(both - both[0], whole - whole[0], atol=0.03 * scale)
+
+
+def test_the_doubt_is_as_often_right_as_it_says() -> None:
+    """Of hands that shake from a hundredth of the motion to ten times it, at random, wrong as often as said."""
+    rng, still = np.random.default_rng(0), path_of(viewmats(0.0, 0.0))
+    wave = np.cos(2 * np.pi * HZ * TIMES)[:, None] * np.concatenate([TURN, SHIFT])
+    said, right = [], []
+    for _ in range(600):
+        is_other = rng.random() < 0.4
+        mixed = rng.normal(size=(6, 6)) * np.concatenate([TURN, SHIFT]).max()
+        shakes = np.exp(rng.uniform(np.log(0.01), np.log(10))) * rng.normal(size=(N_FRAMES, 6)) @ mixed
+        found = still.reading(shakes - is_other * wave, FIELD, MOVES, HZ, np.zeros(0), 1.0)
+        said.append(found.doubt)
+        right.append((found.rigid is not None) == is_other)
+    doubt, wrong = np.array(said), ~np.array(right)
+    for low, high in ((0.0, 0.1), (0.1, 0.5)):
+        own = (doubt >= low) & (doubt <= high)
+        deviation = np.sqrt(np.mean(doubt[own] * (1 - doubt[own])) / own.sum())
+        assert own.sum() > 20
+        assert abs(wrong[own].mean() - doubt[own].mean()) < 3 * deviation + 0.005

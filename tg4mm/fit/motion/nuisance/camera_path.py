@@ -4,9 +4,9 @@ To fields that explain a moving camera's pictures any rigid motion of the whole 
 poses take it off. So a vibration has two readings: what was found moves and the rest stands still; or what was found
 to move stands still, and the rest moves the other way. By each the camera runs along another path: its poses, less
 what least squares makes of the vibration. The two differ by a line at the vibration's frequency, and a hand has none:
-its spectrum there is like that around. With the path's Fourier coefficient at the frequency along that line, a in units
-of the line (0 by the first reading, −1 by the second), and its covariance at frequencies around, both readings have a
-likelihood, Student's t of a complex number. Before the path is looked at the ground is equally likely to be at any
+its spectrum there is like that around. By the path's Fourier coefficients [6] around the frequency both readings
+have a likelihood: that of the coefficient at the frequency, with the line or without, of unknown covariance (Student's
+t of complex vectors). Before the path is looked at the ground is equally likely to be at any
 place that is seen: the second reading has the probability that is the share of what moves. Where a hand shakes at the
 frequency as much as the scene, that share alone is left. A line that the path has by the likelier reading too is a
 rigid motion that the fields lack, or hold too much.
@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from tg4mm.fit.motion.nuisance.projection import POSE, Projection
 
-_AROUND = 9  # frequencies to either side of one, 1 / duration apart
+_AROUND = 12  # frequencies to either side of one, 1 / duration apart
 _LINE = 2  # of those, the nearest ones that the line itself reaches into (Hann's window)
-_FEWEST = 8  # of those frequencies: with fewer the path tells nothing
+_OVERLAP = 1.9  # of those frequencies count as one: 1 + 2 (4/9 + 1/36), squares of Hann's correlations
 
 
 @dataclass(frozen=True)
@@ -46,20 +46,23 @@ class _Line:
     """The path's Fourier coefficient at a frequency, as a motion of the scene, and what it is elsewhere."""
 
     value: np.ndarray  # [6] complex
-    precision: np.ndarray  # [6, 6] complex, of the coefficients around it
-    freedom: int
+    scatter: (
+        np.ndarray
+    )  # [6, 6] complex, inverse of the sum of products of so many independent coefficients around it
+    count: float
 
     def ratio(self, line: np.ndarray) -> float:
         """Likelihood that it is −line [6] and noise, over that it is noise alone."""
-        information = float((line.conj() @ self.precision @ line).real)
-        along = (line.conj() @ self.precision @ self.value) / max(information, 1e-300)
-        none, there = (1 + information * abs(a) ** 2 / self.freedom for a in (along, along + 1))
-        return float(np.exp(np.clip((self.freedom + 1) * np.log(none / there), -700, 700)))
+        none, there = (1 + self._power(v) for v in (self.value, self.value + line))
+        return float(np.exp(np.clip((self.count + 1) * np.log(none / there), -600, 600)))
 
     def beyond_noise(self, value: np.ndarray) -> float:
         """Share of the power of a coefficient [6] that noise does not explain."""
-        power = float((value.conj() @ self.precision @ value).real) / len(value)
-        return max(1 - 1 / max(power, 1e-300), 0.0)
+        of_noise = len(value) / (self.count - len(value))  # mean, of as many independent ones
+        return max(1 - of_noise / max(self._power(value), 1e-300), 0.0)
+
+    def _power(self, value: np.ndarray) -> float:
+        return float((value.conj() @ self.scatter @ value).real)
 
 
 @dataclass(frozen=True)
@@ -154,15 +157,19 @@ class CameraPath:
         inside = (around > _LINE / duration) & (around < 0.5 / step)
         apart = np.abs(around[:, None] - others).min(1, initial=np.inf) > _LINE / duration
         around = around[inside & apart]
-        if len(around) < _FEWEST:
+        count = len(around) / _OVERLAP
+        if count < 7:
             return None
         to_shift = 1 / (np.exp(2j * np.pi * hz * step) - 1)  # of steps
         noise = _fourier(steps, times, around) * to_shift
         scale = np.sqrt((np.abs(noise) ** 2).mean(0)) + 1e-30
-        white, freedom = noise / scale, len(around) - 6
-        inverse = np.linalg.pinv(white.T @ white.conj() / freedom, rcond=1e-6, hermitian=True)
+        white = noise / scale
+        rise = np.log(around / hz)  # a hand's spectrum falls, and found poses' noise in steps rises
+        slope = np.polyfit(rise, np.log((np.abs(white) ** 2).mean(1) + 1e-300), 1)[0]
+        white *= np.exp(-slope * rise / 2)[:, None]
+        inverse = np.linalg.pinv(white.T @ white.conj() / _OVERLAP, rcond=1e-6, hermitian=True)
         value = _fourier(steps, times, np.array([hz]))[0] * to_shift
-        return _Line(value, inverse / np.outer(scale, scale), freedom)
+        return _Line(value, inverse / np.outer(scale, scale), count)
 
 
 def _to_world(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
