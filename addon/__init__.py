@@ -1,20 +1,14 @@
 """TG4MM in Blender: import a splat file, play its motion, magnify it with a slider."""
 
-from . import jobs, operators, preferences
-from .panels import colour_range, crop, overlay, panel, pictures, view_settings
+from . import jobs, preferences
+from .io import export_splat, import_splat
+from .panels import colour_range, crop, look, overlay, panel, pictures, view_settings
+from .probe import operators as probe_operators
 from .probe import panel as panel_probe
 
 _MODULES = (
-    preferences,
-    view_settings,
-    colour_range,
-    pictures,
-    operators,
-    panel,
-    panel_probe,
-    crop,
-    overlay,
-    jobs,
+    *(preferences, view_settings, colour_range, pictures, import_splat, export_splat, look),
+    *(probe_operators, panel, panel_probe, crop, overlay, jobs),
 )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from .core.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 NEWEST_TRIED = (5, 3)
 LARGEST = 1e30  # of a modifier's numbers: times what it is multiplied with, float32 still holds it

@@ -19,14 +19,7 @@ VIEW_COLOUR, SOLID_COLOUR = "View-Dependent Colour", "Solid View Colours"
 BLEND = "Blend as Trained"
 COLOUR_RANGE = "Colour Range"
 ARROW_LENGTH, ARROW_EVERY = "Arrow Length", "Arrow Every"
-# Items of the two menus, in their order.
-ELLIPSOIDS, SPLATS, POINTS, ARROWS, NATIVE = DRAW_ITEMS = (
-    "Ellipsoids",
-    "Splats",
-    "Points",
-    "Arrows",
-    "Native",
-)
+# Items of the menu Colour By, in their order. Those of Draw As: nodes/shapes.py.
 FILE_COLOUR, AMPLITUDE_COLOUR, PHASE_COLOUR = COLOUR_ITEMS = ("File", "Amplitude", "Phase")
 
 # Attributes of the mesh's points; the node tree finds them by name.

@@ -8,9 +8,10 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from . import compat, names
+from . import names
 from .nodes import drawing
 from .nodes.points import shown_size
+from .nodes.shapes import available
 from .units import Unit, unit_of
 
 PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
@@ -21,11 +22,6 @@ _WALKTHROUGH = (
     "2. In a clone of tg4mm: tg4mm-env/bin/pip install '.[core,generate]'",
     "3. Above: choose tg4mm-env/bin/python (Windows: Scripts\\python.exe), and press Test",
 )
-
-
-def _native_item() -> list[tuple[str, str, str]]:
-    about = "Blender's own Gaussian splats"
-    return [(names.NATIVE, names.NATIVE, about)] if compat.native_splats() else []
 
 
 class TG4MM_preferences(bpy.types.AddonPreferences):
@@ -42,11 +38,7 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
                 "Automatic",
                 "Blender's own splats where it has them, else the best that plays with so many Gaussians",
             ),
-            *_native_item(),
-            ("Ellipsoids", "Ellipsoids", "Opaque ellipsoids: quick, and right for judging motion"),
-            ("Splats", "Splats", "Soft Gaussians, as they were trained: slow"),
-            ("Points", "Points", "One point for each Gaussian, of the ellipsoid's size"),
-            ("Arrows", "Arrows", "An arrow along each Gaussian's displacement"),
+            *((name, name, mode.about) for name, mode in available(moves=True).items()),
         ],
         default=drawing.AUTOMATIC,
     )

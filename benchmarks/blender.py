@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
+import importlib
 import os
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -48,15 +47,6 @@ SHOWN = (  # Draw As, Colour By
     ("Native", "File"),
     ("Native", "Phase"),
 )
-
-
-def load(name: str, file: Path, folder: Path | None = None) -> ModuleType:
-    """Import one file as the module `name`; with `folder`, as a package."""
-    places = None if folder is None else [str(folder)]
-    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=places)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def random_splat(n: int, modes: int, degree: int) -> SplatFile:
@@ -134,7 +124,7 @@ def measure(extension: ModuleType, path: Path, count: int, options: argparse.Nam
     if count <= SMALL:
         rows += [("Ellipsoids", "File", names.SOLID_COLOUR), ("Points", "File", names.SOLID_COLOUR)]
     for draw, colour, extra in rows:
-        if draw == names.NATIVE and not extension.compat.native_splats():
+        if draw == "Native" and not extension.compat.native_splats():
             continue
         put(modifier, names.DRAW, draw)
         put(modifier, names.COLOUR_BY, colour)
@@ -190,7 +180,7 @@ def run(options: argparse.Namespace) -> None:
     """Print the table."""
     load_average = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     print(f"bpy {bpy.app.version_string}, {options.modes} modes, degree {options.degree}, {load_average}")
-    with tempfile.TemporaryDirectory() as folder, registered(Path(folder)) as extension:
+    with tempfile.TemporaryDirectory() as folder, registered() as extension:
         for count in map(int, options.counts.split(",")):
             path, still = Path(folder) / f"n{count}.ply", Path(folder) / f"s{count}.ply"
             splat = random_splat(count, options.modes, options.degree)
@@ -205,11 +195,9 @@ def run(options: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def registered(folder: Path) -> Iterator[ModuleType]:
-    """The extension, staged in a folder and registered over an empty file."""
-    builder = load("make_extension", ROOT / "addon" / "make_extension.py")
-    staged = builder.stage(folder / "tg4mm_extension")
-    extension = load("tg4mm_extension", staged / "__init__.py", staged)
+def registered() -> Iterator[ModuleType]:
+    """The extension, registered over an empty file."""
+    extension = importlib.import_module("addon")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     extension.register()
     yield extension

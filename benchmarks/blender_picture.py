@@ -16,7 +16,6 @@ import argparse
 import contextlib
 import importlib.util
 import json
-import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -100,7 +99,7 @@ def run(options: argparse.Namespace) -> None:
         for alpha in alphas:
             picture = core_picture(options, pose, angle, alpha)
             Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(options.out / f"core_{alpha:g}.png")
-    with tempfile.TemporaryDirectory() as folder, registered(Path(folder)) as extension:
+    with registered() as extension:
         bpy.ops.import_scene.tg4mm_splat(filepath=str(options.splat.resolve()))
         set_scene(pose, angle, options)
         draw_all(extension, options, alphas)
@@ -112,7 +111,7 @@ def draw_all(extension: ModuleType, options: argparse.Namespace, alphas: list[fl
     put, version = partial(extension.compat.set_input, modifier), bpy.app.version_string.split()[0]
     bpy.context.scene.frame_set(1 + options.timestep)
     for draw in options.draw.split(","):
-        if draw == names.NATIVE and not extension.compat.native_splats():
+        if draw == "Native" and not extension.compat.native_splats():
             continue
         put(names.DRAW, draw)
         for as_trained in (False, True):

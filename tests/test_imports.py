@@ -69,9 +69,9 @@ FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each ma
 MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
 MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research", "cli")}
 MAY_IMPORT |= {"dataset_gen": {"core", "capture"}}
-_ADDON = ("compat", "names", "units", "nodes", "preferences", "panels", "io", "probe", "operators")
+_ADDON = ("compat", "names", "units", "reporting", "nodes", "preferences", "panels", "io", "probe")
 ADDON_MAY_IMPORT = {room: {*_ADDON[:floor], "core"} for floor, room in enumerate(_ADDON)}
-ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "generator"}}
+ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "dataset_gen"}}
 # `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender
 DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
 
@@ -128,7 +128,7 @@ def test_every_import_goes_down_a_floor(repo_root: Path) -> None:
         ("dataset_gen/run.py", "from tg4mm.fit.gaussians import Gaussians"),
         ("dataset_gen/farm/jobs.py", "from ...tg4mm.run import Run"),
         ("addon/nodes/points.py", "from ..panels import panel"),
-        ("addon/io/saving.py", "from .. import probe"),
+        ("addon/io/loading.py", "from .. import probe"),
     ],
 )
 def test_an_import_that_goes_up_is_found(name: str, source: str) -> None:

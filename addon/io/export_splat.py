@@ -10,11 +10,13 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile.spz import write_spz
+
 from .. import names
-from ..core.errors import SplatFileError, Tg4mmError
-from ..core.splatfile import SplatFile, write_splat
-from ..core.splatfile.spz import write_spz
 from ..nodes import scene
+from ..reporting import reports
 from . import splats, upright
 
 MOST_FILES = 10_000  # of a sequence; a frame range of more is a mistake
@@ -80,6 +82,7 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         if self._suffix() == ".ply":
             self.layout.prop(self, "axes")
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
         obj, suffix = scene.splat_object(context), self._suffix()
         if context.mode != "OBJECT":  # the mesh of an object that is edited is an old one
@@ -103,9 +106,6 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
                     else splats.without_motion(splat)
                 )
             _WRITERS[suffix](path, splats.in_axes(splat, axes))
-        except Tg4mmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         except MemoryError:
             self.report({"ERROR"}, f"{path}: not enough memory to write it")
             return {"CANCELLED"}

@@ -9,14 +9,16 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from tg4mm.core.splatfile.drawable import Options, parsed_frequencies
+from tg4mm.core.splatfile.read import ENDINGS
+
 from .. import compat, names, preferences
-from ..core.errors import Tg4mmError
-from ..core.splatfile.drawable import Options, parsed_frequencies
-from ..core.splatfile.read import ENDINGS
-from ..nodes import drawing, receiving, scene
+from ..nodes import clock, collection, drawing, images, scene
 from ..nodes.blending import true_colours
-from ..panels import showing
-from . import loading, saving, upright, webp
+from ..nodes.shapes import DRAW_MODES, available
+from ..panels import framing
+from ..reporting import reports
+from . import loading, upright
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -94,29 +96,24 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             return self.execute(context)
         return ImportHelper.invoke(self, context, event)
 
+    @reports("read")
     def execute(self, context: Any) -> set[str]:
         if context.mode != "OBJECT":  # else the object that is edited stays so, without being the active one
             bpy.ops.object.mode_set(mode="OBJECT")
-        collection = receiving.collection(context)
+        into = collection.receiving(context)
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
             loaded = loading.load(
                 self._paths(),
-                collection,
+                into,
                 self.sequence,
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
-                Options(parsed_frequencies(self.frequencies), _fps(context.scene), webp.decode),
+                Options(parsed_frequencies(self.frequencies), clock.rate(context.scene), images.decode),
             )
-        except Tg4mmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         except MemoryError:
             self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")
-            return {"CANCELLED"}
-        except OSError as error:
-            self.report({"ERROR"}, saving.one_line(error, "read"))
             return {"CANCELLED"}
         finally:
             manager.progress_end()
@@ -125,10 +122,10 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             told += _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
         if self.show:
-            told += showing.show(context, loaded.objects)
+            told += framing.show(context, loaded.objects)
         message = "; ".join([loaded.message, *told, *self._set_up(context, loaded)])
-        if collection != context.collection:
-            message += f"; in {collection.name}, as {context.collection.name} is hidden or linked"
+        if into != context.collection:
+            message += f"; in {into.name}, as {context.collection.name} is hidden or linked"
         self.report({"INFO"}, message)
         return {"FINISHED"}
 
@@ -172,19 +169,13 @@ class IO_FH_tg4mm_splat(bpy.types.FileHandler):
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
-def _fps(scene: Any) -> float:
-    """Frames per second of the scene."""
-    return float(scene.render.fps / scene.render.fps_base)
-
-
 def _draw_as(obj: Any, wanted: str) -> list[str]:
     """Draw an object as is wanted, or as suits it; returns what to tell about it."""
-    frames = scene.sequence_frames(obj)
-    mesh = (obj if frames is None else frames[0]).data
-    if wanted == drawing.AUTOMATIC or (wanted == names.ARROWS and not scene.moves(obj)):
+    mesh = scene.first_mesh(obj)
+    if wanted not in available(scene.moves(obj)):  # Automatic, or what this file has not
         wanted = drawing.best(len(mesh.vertices), len(obj[names.FREQUENCIES]))
     compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
-    far, span = drawing.far_out(mesh) if wanted == names.NATIVE else (0, 0.0)
+    far, span = drawing.far_out(mesh) if DRAW_MODES[wanted].native else (0, 0.0)
     return [f"{far:,} far out, {span:.2g} times its size apart: all positions are coarse"] if far else []
 
 

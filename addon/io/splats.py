@@ -10,11 +10,12 @@ from typing import Any
 import bpy
 import numpy as np
 
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
+from tg4mm.core.splatfile.axes import transformed
+
 from .. import compat, names
-from ..core.errors import SplatFileError
-from ..core.splatfile import SplatFile, positions_at, rotations_at
-from ..core.splatfile.axes import transformed
-from ..nodes import clock, points, scene, sequence
+from ..nodes import clock, motion, points, scene
 from . import upright
 
 
@@ -65,9 +66,9 @@ def without_motion(splat: SplatFile) -> SplatFile:
 
 
 def _shown_frame(obj: Any, count: int) -> int:
-    """Number of the file that a sequence shows: as in nodes/sequence.py."""
+    """Number of the file that a sequence shows: as in nodes/motion.py."""
     modifier = scene.splat_modifier(obj)
-    t = math.floor(clock.timestep(bpy.context.scene, obj, modifier) + sequence.SLACK)
+    t = math.floor(clock.timestep(bpy.context.scene, obj, modifier) + motion.SLACK)
     return t % count if compat.get_input(modifier, names.LOOP) else min(max(t, 0), count - 1)
 
 
@@ -122,8 +123,10 @@ def _placed(splat: SplatFile, world: np.ndarray, applied: np.ndarray | None) -> 
 
 def _rows(splat: SplatFile, rows: np.ndarray) -> SplatFile:
     """Some of the Gaussians."""
-    first = {name: getattr(splat, name)[rows] for name in ("means", "quats", "scales", "opacities", "sh")}
-    second = {name: getattr(splat, name)[:, rows] for name in ("displacement", "rotation")}
+    first: dict[str, Any] = {
+        name: getattr(splat, name)[rows] for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    second: dict[str, Any] = {name: getattr(splat, name)[:, rows] for name in ("displacement", "rotation")}
     deviation = None if splat.deviation is None else splat.deviation[:, rows]
     return replace(splat, **first, **second, deviation=deviation)
 
@@ -136,8 +139,10 @@ def _joined(parts: list[SplatFile], rows: np.ndarray) -> SplatFile:
         return np.concatenate([getattr(part, name) for part in parts], axis=axis).take(order, axis=axis)
 
     metres = {part.unit_scale_m for part in parts}
-    first = {name: all_of(name, 0) for name in ("means", "quats", "scales", "opacities", "sh")}
-    second = {name: all_of(name, 1) for name in ("displacement", "rotation")}
+    first: dict[str, Any] = {
+        name: all_of(name, 0) for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    second: dict[str, Any] = {name: all_of(name, 1) for name in ("displacement", "rotation")}
     deviation = None if parts[0].deviation is None else all_of("deviation", 1)
     return replace(
         parts[0],

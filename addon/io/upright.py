@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.untrusted import read_json
+from tg4mm.core.untrusted import read_json
 
 FILE, MINUS_Y, PLUS_Y, CAMERAS = "FILE", "MINUS_Y", "PLUS_Y", "CAMERAS"
 # About x, radians: what turns this up into Blender's.

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import dataset_gen
+
 from .runner import Step
 
-# Next to this package in the extension: dataset_gen and what of tg4mm it needs.
-GENERATOR = Path(__file__).resolve().parent.parent / "generator" / "dataset_gen" / "blender_main.py"
+GENERATOR = Path(str(dataset_gen.__file__)).with_name("blender_main.py")
 
 
 @dataclass(frozen=True)

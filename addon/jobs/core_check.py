@@ -8,8 +8,10 @@ from typing import Any
 
 import bpy
 
-from ..generator.dataset_gen.errors import GenerateError
-from ..generator.tg4mm import __version__ as own_version
+from dataset_gen.errors import GenerateError
+from tg4mm import __version__ as own_version
+
+from ..reporting import reports
 from . import commands, generating
 
 LIMIT_S = 60.0
@@ -64,17 +66,12 @@ class TG4MM_OT_test_core(bpy.types.Operator):
     bl_idname = "tg4mm.test_core"
     bl_label = "Test"
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
-        try:
-            python = generating.core_python(context)
-            if not python:
-                raise GenerateError(
-                    "Python of the Core is empty: choose bin/python of an environment with tg4mm"
-                )
-            self.report({"INFO"}, check(python, own_version))
-        except GenerateError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        python = generating.core_python(context)
+        if not python:
+            raise GenerateError("Python of the Core is empty: choose bin/python of an environment with tg4mm")
+        self.report({"INFO"}, check(python, own_version))
         return {"FINISHED"}
 
 

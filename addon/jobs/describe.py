@@ -10,10 +10,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..generator.dataset_gen.cameras import CameraSetup, cameras_at, scene_cameras
-from ..generator.dataset_gen.cameras.camera import Camera
-from ..generator.dataset_gen.errors import GenerateError
-from ..generator.dataset_gen.vibration import (
+from dataset_gen.cameras import CameraSetup, cameras_at, scene_cameras
+from dataset_gen.cameras.camera import Camera
+from dataset_gen.errors import GenerateError
+from dataset_gen.vibration import (
     Body,
     Motion,
     MotionDescription,
@@ -21,6 +21,7 @@ from ..generator.dataset_gen.vibration import (
     read_motion,
     solve,
 )
+
 from . import kinds
 
 

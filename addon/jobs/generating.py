@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import sys
@@ -13,10 +12,11 @@ from typing import Any
 
 import bpy
 
+from dataset_gen.cameras import SINGLE
+from dataset_gen.errors import GenerateError
+from tg4mm.core.files import write_json
+
 from .. import names, preferences
-from ..generator.dataset_gen.cameras import SINGLE
-from ..generator.dataset_gen.errors import GenerateError
-from ..io import saving
 from . import background, commands, describe, objects, preview
 from .commands import Host
 from .runner import Job, State
@@ -88,7 +88,7 @@ def generate(context: Any, go_on: bool) -> Job:
     runs_in, folder = host(context), working_folder(settings)
     folder.mkdir(parents=True, exist_ok=True)
     motion = folder / _MOTION
-    saving.write_text(motion, json.dumps(described.to_json(), indent=1))
+    write_json(motion, described.to_json())
     if not go_on:
         save_copy(folder / _BLEND, context.scene)
     options = _options(settings, context.scene, runs_in)

@@ -8,8 +8,10 @@ from typing import Any
 import bpy
 import numpy as np
 
+from dataset_gen.errors import GenerateError
+from dataset_gen.vibration import Body
+
 from .. import names
-from ..generator.dataset_gen.vibration import Body
 
 _GLOB = str.maketrans({"[": "[[]", "*": "[*]", "?": "[?]"})
 
@@ -72,14 +74,14 @@ def to_local(obj: Any, depsgraph: Any, vectors: np.ndarray) -> np.ndarray:
 
 
 def box(objects: Sequence[Any], depsgraph: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner [3] of the objects' bounding boxes, world axes. ValueError without any."""
+    """Lowest and highest corner [3] of the objects' bounding boxes, world axes. GenerateError without any."""
     corners = [
         np.array(obj.matrix_world @ _vector(corner))
         for obj in (each.evaluated_get(depsgraph) for each in objects)
         for corner in obj.bound_box
     ]
     if not corners:
-        raise ValueError("there is no object with a size")
+        raise GenerateError("there is no object with a size")
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
@@ -105,3 +107,60 @@ def _weights(obj: Any, mesh: Any, group: str) -> np.ndarray | None:
 def unsaved_images() -> list[str]:
     """Names of images that were painted on and not saved: a copy of the file lacks what was painted."""
     return [image.name for image in bpy.data.images if image.is_dirty and image.source != "VIEWER"]
+
+
+PLACES, HEADINGS, HEIGHTS = ("point", "tip"), ("axis", "direction"), ("level",)
+
+
+def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:
+    """Set the fields of the settings' kind for a box of these corners [3]. GenerateError for one without size."""
+    size = high - low
+    if not size.max() > 0:
+        raise GenerateError("the objects have no size")
+    thin, middle, long = np.argsort(size, kind="stable")
+    centre = 0.5 * (low + high)
+    foot, top = centre.copy(), centre.copy()
+    if settings.kind in ("bending", "twist"):
+        foot[long], top[long] = low[long], high[long]
+        _set(settings, axis=_unit(long), direction=_unit(thin), length=float(size[long]))
+    elif settings.kind in ("membrane", "plate"):
+        foot = centre
+        sides = size[long], max(size[middle], 1e-6)
+        _set(settings, axis=_unit(thin), direction=_unit(long), sides=sides, radius=0.5 * float(size[middle]))
+    else:
+        foot[2], top[2] = low[2], high[2]
+        _set(settings, axis=_unit(1 if settings.kind == "rock" else 2))
+    is_wave = settings.kind == "wave"
+    wavelength = 0.5 * float(size.max())
+    _set(settings, point=foot, tip=top, wavelength=wavelength, level=float((high if is_wave else low)[2]))
+    _set(settings, reach=float(max(size[2], 1e-6)))
+
+
+def chosen(context: Any) -> list[Any]:
+    """What a box is taken around: the moving objects; without any the active object; else all that is shown."""
+    settings = context.scene.tg4mm_generate
+    if found := moving(settings, context.scene):
+        return found
+    active = context.object
+    return [active] if active is not None else previewed(context.view_layer)
+
+
+def from_cursor(settings: Any, name: str, cursor: Any) -> None:
+    """Set one field: a place to the cursor's, a heading to its z axis, a height to its z."""
+    if name in PLACES:
+        setattr(settings, name, cursor.matrix.translation)
+    elif name in HEADINGS:
+        setattr(settings, name, cursor.matrix.col[2][:3])
+    elif name in HEIGHTS:
+        setattr(settings, name, cursor.matrix.translation[2])
+    else:
+        raise ValueError(f"{name!r} is none of {', '.join((*PLACES, *HEADINGS, *HEIGHTS))}")
+
+
+def _set(settings: Any, **values: Any) -> None:
+    for name, value in values.items():
+        setattr(settings, name, value)
+
+
+def _unit(axis: int) -> tuple[float, ...]:
+    return tuple(np.eye(3)[axis].tolist())

@@ -1,16 +1,20 @@
-"""Operators of the panels Generate and Train: each reads settings, calls a plain function and reports."""
+"""Operators of the panels Generate and Train; the way from a dataset to splats in the scene."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty
 
+from dataset_gen.errors import GenerateError
+
 from .. import names
-from ..generator.dataset_gen.errors import GenerateError
-from ..io import saving
-from . import background, generating, objects, placing, preview, training
+from ..reporting import reports
+from . import background, commands, generating, objects, preview
+from .runner import Job, State
 
 
 class TG4MM_OT_use_selection(bpy.types.Operator):
@@ -57,13 +61,10 @@ class TG4MM_OT_fit_mode(bpy.types.Operator):
     bl_label = "Fit to Objects"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
-        try:
-            corners = objects.box(placing.chosen(context), context.evaluated_depsgraph_get())
-            placing.fit(context.scene.tg4mm_generate, *corners)
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        corners = objects.box(objects.chosen(context), context.evaluated_depsgraph_get())
+        objects.fit(context.scene.tg4mm_generate, *corners)
         preview.refresh(context)
         return {"FINISHED"}
 
@@ -76,12 +77,12 @@ class TG4MM_OT_mode_from_cursor(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     setting: EnumProperty(  # type: ignore[valid-type]
-        items=[(name, name, "") for name in (*placing.PLACES, *placing.HEADINGS, *placing.HEIGHTS)],
+        items=[(name, name, "") for name in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS)],
         options={"HIDDEN"},
     )
 
     def execute(self, context: Any) -> set[str]:
-        placing.from_cursor(context.scene.tg4mm_generate, self.setting, context.scene.cursor)
+        objects.from_cursor(context.scene.tg4mm_generate, self.setting, context.scene.cursor)
         preview.refresh(context)
         return {"FINISHED"}
 
@@ -137,15 +138,9 @@ class TG4MM_OT_generate(bpy.types.Operator):
     def poll(cls, context: Any) -> bool:
         return not background.running(background.GENERATE)
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
-        try:
-            generating.generate(context, self.go_on)
-        except GenerateError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        except OSError as error:
-            self.report({"ERROR"}, saving.one_line(error, "used"))
-            return {"CANCELLED"}
+        generating.generate(context, self.go_on)
         if unsaved := objects.unsaved_images():
             self.report({"WARNING"}, f"Not saved, so without what was painted: {', '.join(unsaved[:4])}")
         return {"FINISHED"}
@@ -161,15 +156,9 @@ class TG4MM_OT_train(bpy.types.Operator):
     def poll(cls, context: Any) -> bool:
         return not background.running(background.TRAIN)
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
-        try:
-            training.train(context)
-        except GenerateError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        except OSError as error:
-            self.report({"ERROR"}, saving.one_line(error, "used"))
-            return {"CANCELLED"}
+        train(context)
         return {"FINISHED"}
 
 
@@ -189,6 +178,55 @@ class TG4MM_OT_cancel_job(bpy.types.Operator):
             return {"CANCELLED"}
         job.cancel()
         return {"FINISHED"}
+
+
+def train(context: Any) -> Job:
+    """Start training; the splats are imported when it ends. Raises GenerateError or OSError, one line."""
+    settings = context.scene.tg4mm_train
+    python = generating.core_python(context)
+    if not python:
+        raise GenerateError("Python of the Core is not named in the preferences: training needs it")
+    dataset = _folder("Dataset", settings.dataset)
+    if not dataset.is_dir():
+        raise GenerateError(f"Dataset: there is no folder {dataset}")
+    run = run_folder(settings)
+    if run == dataset or dataset in run.parents:
+        raise GenerateError(f"Run {run} lies in the dataset: choose another folder")
+    splat = run.parent / f"{run.name}.ply"
+    steps = commands.train_steps(python, dataset, run, splat, settings.device, settings.settings.split())
+    return background.start(background.TRAIN, steps, lambda job: _ended(job, splat))
+
+
+def run_folder(settings: Any) -> Path:
+    """The folder of the run: the one chosen, else one beside the dataset. Raises GenerateError."""
+    if settings.run.strip():
+        return _folder("Run", settings.run)
+    dataset = _folder("Dataset", settings.dataset)
+    return dataset.parent / f"{dataset.name}_run"
+
+
+def _folder(what: str, text: str) -> Path:
+    if not text.strip():
+        raise GenerateError(f"{what} is empty: choose a folder")
+    if text.startswith("//") and not bpy.data.filepath:
+        raise GenerateError(f"{what} {text} lies beside the .blend file, which is not saved yet")
+    return Path(os.path.abspath(bpy.path.abspath(text)))
+
+
+def _ended(job: Job, splat: Path) -> None:
+    """Import what was trained, as File > Import does, with an undo step."""
+    if job.state is not State.DONE:
+        return
+    manager = bpy.context.window_manager
+    window = manager.windows[0] if manager.windows else None  # a timer has no window of its own
+    try:
+        with bpy.context.temp_override(window=window):
+            bpy.ops.import_scene.tg4mm_splat("EXEC_DEFAULT", True, filepath=str(splat), sequence=False)
+    except RuntimeError as error:
+        reason = " ".join(str(error).removeprefix("Error: ").split())
+        job.state, job.message = State.FAILED, f"trained, but not imported: {reason}"
+        return
+    job.message = f"Imported: {splat}"
 
 
 _CLASSES = (

@@ -6,9 +6,10 @@ from typing import Any
 
 import bpy
 
+from dataset_gen.cameras import SINGLE
+
 from .. import preferences
-from ..generator.dataset_gen.cameras import SINGLE
-from . import background, generating, kinds, placing, preview
+from . import background, generating, kinds, objects, preview
 from .runner import Job, State
 
 _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
@@ -80,7 +81,7 @@ class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
                 row.prop_search(settings, "group", context.object, "vertex_groups", text=entry.text)
                 continue
             row.prop(settings, entry.setting, text=entry.text)
-            if entry.setting in (*placing.PLACES, *placing.HEADINGS, *placing.HEIGHTS):
+            if entry.setting in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS):
                 row.operator("tg4mm.mode_from_cursor", text="", icon="PIVOT_CURSOR").setting = entry.setting
         if settings.kind not in ("translate", "group"):
             layout.operator("tg4mm.fit_mode", icon="PIVOT_BOUNDBOX")

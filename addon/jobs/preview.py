@@ -6,15 +6,21 @@ it away and bring it back like anything else. It never gets into a saved file.
 
 from __future__ import annotations
 
+import cmath
+import math
 from typing import Any
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from dataset_gen.errors import GenerateError
+from dataset_gen.vibration import Motion, Vibration
+from dataset_gen.vibration.motion import Basis
+
 from .. import compat
-from ..generator.dataset_gen.errors import GenerateError
-from . import describe, objects, preview_nodes
+from ..nodes.graph import Graph
+from . import describe, objects
 
 MARK = "tg4mm_preview"  # custom property of our data-blocks
 MODIFIER = "TG4MM Preview"
@@ -57,7 +63,7 @@ def start(context: Any) -> int:
     if not bodies:
         raise GenerateError("the scene shows no mesh")
     motion = describe.motion(settings, describe.description(settings, parts), bodies, scene)
-    tree = preview_nodes.build_tree(MODIFIER, motion, settings.gain, scene.frame_start)
+    tree = build_tree(MODIFIER, motion, settings.gain, scene.frame_start)
     tree[MARK] = 1
     moved = 0
     for number, (obj, _) in enumerate(made):
@@ -85,7 +91,7 @@ def set_gain(gain: float) -> None:
     """Show the motion at another gain."""
     for tree in bpy.data.node_groups:
         if MARK in tree:
-            tree.nodes[preview_nodes.GAIN].outputs[0].default_value = gain
+            tree.nodes[GAIN].outputs[0].default_value = gain
 
 
 def refresh(context: Any = None) -> None:
@@ -116,7 +122,7 @@ def _attach(obj: Any, basis: np.ndarray, tree: Any) -> None:
     mesh[MARK] = 1
     mesh.vertices.add(basis.shape[1])
     for number, shape in enumerate(basis):
-        data = mesh.attributes.new(preview_nodes.attribute(number), "FLOAT_VECTOR", "POINT").data
+        data = mesh.attributes.new(attribute(number), "FLOAT_VECTOR", "POINT").data
         data.foreach_set("vector", shape.astype(np.float32).ravel())
     helper = bpy.data.objects.new(MODIFIER, mesh)
     helper[MARK] = 1
@@ -124,7 +130,7 @@ def _attach(obj: Any, basis: np.ndarray, tree: Any) -> None:
     modifier.node_group = tree
     modifier.show_render = False
     modifier.show_expanded = False
-    compat.set_input(modifier, preview_nodes.HELPER, helper)
+    compat.set_input(modifier, HELPER, helper)
 
 
 @persistent
@@ -161,3 +167,55 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_refresh_once):
         bpy.app.timers.unregister(_refresh_once)
     stop()
+
+
+HELPER = "Displacements"  # the modifier's input
+GAIN = "tg4mm gain"  # the node that holds it
+
+
+def attribute(number: int) -> str:
+    """Vector attribute of the helper: basis shape `number`, the object's own axes."""
+    return f"basis_{number}"
+
+
+def build_tree(name: str, motion: Motion, gain: float, first_frame: int) -> Any:
+    """A node tree for the basis shapes of a motion."""
+    graph = Graph(bpy.data.node_groups.new(name, "GeometryNodeTree"))
+    graph.tree.is_modifier = True
+    graph.interface("Geometry", "Geometry")
+    graph.interface(HELPER, "Object")
+    graph.result("Geometry", "Geometry")
+    inputs = graph.inputs()
+    helper = graph.call("GeometryNodeObjectInfo", {"Object": inputs[HELPER]}, "Geometry")
+    index = graph.node("GeometryNodeInputIndex").outputs[0]
+    frame = graph.node("GeometryNodeInputSceneTime").outputs["Frame"]
+    t = graph.math("SUBTRACT", frame, float(first_frame))
+    total: Any = None
+    for number, basis in enumerate(motion.bases):
+        shape = graph.attribute(attribute(number), "FLOAT_VECTOR")
+        taken = {"Geometry": helper, "Value": shape, "Index": index}
+        vector = graph.call("GeometryNodeSampleIndex", taken, data_type="FLOAT_VECTOR", domain="POINT")
+        part = graph.scaled(vector, _gain(graph, motion, basis, t))
+        total = part if total is None else graph.vector("ADD", total, part)
+    node = graph.node("ShaderNodeValue", name=GAIN)
+    node.outputs[0].default_value = gain
+    offset = graph.scaled(total, node.outputs[0])
+    moved = graph.call("GeometryNodeSetPosition", {"Geometry": inputs["Geometry"], "Offset": offset})
+    graph.finish(Geometry=moved)
+    return graph.tree
+
+
+def _gain(graph: Graph, motion: Motion, basis: Basis, t: Any) -> Any:
+    """The gain of a basis shape at timestep t."""
+    law, turn = motion.laws[basis.mode], cmath.phase(basis.turn)
+    if not isinstance(law, Vibration):  # a ramp, i t / fps
+        slope = 1j * basis.turn / motion.fps
+        return graph.math("MULTIPLY", t, slope.imag if basis.quadrature else slope.real)
+    # Whole turns are taken off before the angle: the tree computes in float32.
+    turns = graph.math("FRACT", graph.math("MULTIPLY", t, law.frequency_hz / motion.fps))
+    angle = graph.math("MULTIPLY_ADD", turns, 2.0 * math.pi, turn)
+    wave = graph.math("SINE" if basis.quadrature else "COSINE", angle)
+    if law.decay_s is None:
+        return wave
+    fall = graph.math("EXPONENT", graph.math("MULTIPLY", t, -1.0 / (motion.fps * law.decay_s)))
+    return graph.math("MULTIPLY", wave, fall)

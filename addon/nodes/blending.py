@@ -7,6 +7,7 @@ from typing import Any
 from .. import compat, names
 from . import scene
 from .materials import TRANSPARENT_BOUNCES
+from .shapes import DRAW_MODES
 
 BEFORE = "tg4mm_before"  # custom property of a scene: what it had, by path
 SAMPLES = 64  # of Blender's own splats: with 4 Cycles is 6 dB farther off
@@ -37,7 +38,7 @@ def true_colours(to: Any, as_trained: bool | None = None) -> str:
         compat.set_input(modifier, names.BLEND, as_trained)
         drawn = compat.get_input(modifier, names.DRAW)
         # Blended so, Blender's own splats have one colour for all directions: the one that the camera sees.
-        if as_trained and drawn == names.NATIVE and compat.has_input(modifier, names.VIEW_COLOUR):
+        if as_trained and DRAW_MODES[drawn].native and compat.has_input(modifier, names.VIEW_COLOUR):
             compat.set_input(modifier, names.VIEW_COLOUR, True)
     return _set(to, _needed(to))
 
@@ -75,7 +76,7 @@ def _needed(of: Any) -> dict[str, Any]:
         ("cycles.transparent_max_bounces", "cycles.min_transparent_bounces"), TRANSPARENT_BOUNCES
     )
     drawn = {compat.get_input(scene.splat_modifier(obj), names.DRAW) for obj in _splats(of)}
-    if names.NATIVE in drawn:
+    if any(DRAW_MODES[name].native for name in drawn):
         least |= dict.fromkeys(("cycles.samples", "eevee.taa_render_samples"), SAMPLES)
         exact |= {"display.render_aa": "32", "display.shading.light": "FLAT"}
     now = {path: _get(of, path) for path in _LABELS}

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from .. import compat, names
+from .. import names
 from .points import values
+from .shapes import DRAW_MODES, available
 
 AUTOMATIC = "Automatic"
 FRAME_NS = 1e9 / 24  # of a picture in playback
-# Nanoseconds a Gaussian takes: evaluated, and more for each mode (`python -m benchmarks blender`, docs/blender.md); and
-# drawn on a laptop, whose graphics are taken to manage 200 million triangles a second: 80 a Gaussian, of Splats each
-# counted three times, as they overlap. What takes longer is drawn as points.
-_COSTS = {names.SPLATS: (70.0 + 1200.0, 8.0), names.ELLIPSOIDS: (70.0 + 400.0, 8.0)}
+# Nanoseconds that a Gaussian takes to be evaluated, and more for each mode: docs/blender.md.
+EVALUATED_NS, MODE_NS = 70.0, 8.0
 OPAQUE = 0.3  # what is fainter may lie far off and counts for no size
 ENDS = (1.0, 99.0)  # percentiles along each axis
 MOST = 20_000  # points for a percentile
@@ -25,17 +24,21 @@ FARTHEST = 0.1 * 2**22 / 2048
 
 def best(count: int, n_modes: int) -> str:
     """The best way to draw `count` Gaussians with modes of motion that a laptop plays at 24 pictures a second."""
-    if compat.native_splats():
-        return names.NATIVE
-    for draw, (fixed, per_mode) in _COSTS.items():
-        if count * (fixed + n_modes * per_mode) <= FRAME_NS:
-            return draw
-    return names.POINTS
+    here = available(moves=n_modes > 0)
+    if own := [name for name, mode in here.items() if mode.native]:
+        return own[0]
+    costs = {name: mode.drawn_ns for name, mode in here.items() if mode.drawn_ns is not None}
+    left = FRAME_NS / max(count, 1) - EVALUATED_NS - n_modes * MODE_NS
+    return max(
+        (name for name in costs if costs[name] <= left),
+        key=costs.__getitem__,
+        default=min(costs, key=costs.__getitem__),
+    )
 
 
 def least_opacity(draw: str) -> str:
     """The input that says what is too faint to be drawn so."""
-    return names.MIN_SPLAT_OPACITY if draw in (names.SPLATS, names.NATIVE) else names.MIN_OPACITY
+    return names.MIN_SPLAT_OPACITY if DRAW_MODES[draw].soft else names.MIN_OPACITY
 
 
 def main_points(mesh: Any) -> np.ndarray:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import TracebackType
 from typing import Any
+
+import bpy
 
 from .. import compat
 
@@ -214,3 +217,24 @@ def _enabled(node: Any, sockets: Any, wanted: str | int) -> Any:
         if socket.name == wanted:
             return socket
     raise compat.MissingInBlender(f"socket {wanted} of the node {node.bl_idname}")
+
+
+class Made:
+    """`with Made() as made:` removes every data-block given to `keep` if the block leaves by an exception."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Any] = []
+
+    def keep(self, block: Any) -> Any:
+        """Remember a data-block that was just made; returns it."""
+        self._blocks.append(block)
+        return block
+
+    def __enter__(self) -> Made:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None and self._blocks:
+            bpy.data.batch_remove(self._blocks)

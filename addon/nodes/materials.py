@@ -8,8 +8,7 @@ import bpy
 
 from .. import compat, names
 from . import Materials
-from .graph import Graph
-from .made import Made
+from .graph import Graph, Made
 
 # For true splats Cycles counts two bounces a Gaussian, and shows black where they end: as many as it allows. Before the
 # least number it ends no path by chance, which would be seen as noise.

@@ -1,4 +1,4 @@
-"""The group "Motion": displacement and turn of each point now, its amplitude and its phase.
+"""The group "Motion": displacement, turn, amplitude and phase of each point now; and "Sequence": file after file.
 
 x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md);
 t = (frame − first)·speed·fps / (the scene's own rate). A mode that is not shown contributes nothing.
@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import bpy
 
 from .. import names
-from .graph import Graph
-from .made import Made
+from .graph import Graph, Made
 
 AT_ONCE = 8  # modes in a group
 # Sums over the modes so far, or their largest: Most is an amplitude, Phase that mode's.
@@ -162,3 +161,30 @@ def _add_wave(graph: Graph, total: Any, re: Any, im: Any, wave: Sequence[Any]) -
     for part, factor in zip((re, im), wave, strict=True):
         total = graph.vector("MULTIPLY_ADD", graph.attribute(part, "FLOAT_VECTOR"), factor, total)
     return total
+
+
+SLACK = 1e-3  # timesteps; a time that float32 puts just before a whole one is that one
+
+
+def build_sequence(name: str, collection: Any, count: int) -> Any:
+    """A node group: the points of the collection's object number floor(t), by their names' order.
+
+    Before the first and after the last the nearest is shown, or with `Loop` the run starts again.
+    """
+    graph = Graph(bpy.data.node_groups.new(f"{name} Sequence", "GeometryNodeTree"))
+    for socket in (names.FIRST, names.SPEED):
+        graph.interface(socket, "Float")
+    graph.interface(names.LOOP, "Bool")
+    graph.result("Points", "Geometry")
+    inputs = graph.inputs()
+    t = graph.math("FLOOR", graph.math("ADD", elapsed(graph, inputs, 0.0), SLACK))
+    held = graph.math("MINIMUM", graph.math("MAXIMUM", t, 0.0), float(count - 1))
+    now = graph.choose("FLOAT", inputs[names.LOOP], held, graph.math("FLOORED_MODULO", t, float(count)))
+    options = {"Collection": collection, "Separate Children": True, "Reset Children": True}
+    frames = graph.call("GeometryNodeCollectionInfo", options)
+    index = graph.node("GeometryNodeInputIndex").outputs[0]
+    near = graph.compare("LESS_THAN", graph.math("ABSOLUTE", graph.math("SUBTRACT", index, now)), 0.5)
+    shown = {"Geometry": frames, "Selection": near}
+    one = graph.call("GeometryNodeSeparateGeometry", shown, domain="INSTANCE")
+    graph.finish(Points=graph.call("GeometryNodeRealizeInstances", {"Geometry": one}))
+    return graph.tree

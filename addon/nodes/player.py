@@ -5,7 +5,7 @@ Self-contained: the .blend plays without the extension, sub-frames and render fa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +13,10 @@ import bpy
 
 from .. import compat, names
 from .applied import Applied, applied, at_rest, build_applied, growth, parts, put_back
-from .colour import build_colour_map, build_encoded, build_harmonics, camera_place
-from .colours import C0
-from .graph import Graph
-from .made import Made
-from .motion import Motion, build_motion, use_motion
-from .sequence import build_sequence
-from .shapes import Materials, build_shapes
+from .colours import C0, build_colour_map, build_encoded, build_harmonics, camera_place
+from .graph import Graph, Made
+from .motion import Motion, build_motion, build_sequence, use_motion
+from .shapes import DRAW_MODES, USUAL, Materials, available, build_shapes, is_drawn
 from .spectrum import whole_band
 
 MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
@@ -72,8 +69,16 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     graph.result("Geometry", "Geometry")
     _declare(graph, content)
     inputs = graph.inputs()
-    draw = _as_one_mesh(graph, graph.menu(inputs[names.DRAW], _draw_items(content)), inputs)
-    by = graph.menu(inputs[names.COLOUR_BY], _numbered(names.COLOUR_ITEMS)) if len(content.freqs_hz) else 0
+    draw = _as_one_mesh(
+        graph,
+        graph.menu(inputs[names.DRAW], _numbered(DRAW_MODES, available(len(content.freqs_hz) > 0))),
+        inputs,
+    )
+    by = (
+        graph.menu(inputs[names.COLOUR_BY], _numbered(names.COLOUR_ITEMS, names.COLOUR_ITEMS))
+        if len(content.freqs_hz)
+        else 0
+    )
     _preset_menus(graph)
     # What Join put together is played part by part. A sequence has its points elsewhere.
     count, number = (1, 0) if content.frames is not None else parts(graph, inputs["Geometry"])
@@ -122,7 +127,7 @@ def _played(
         points = graph.without(points, f"{prefix}*")
     plain, native = graph.without(points, f"{names.NATIVE_PREFIX}*"), None
     if compat.native_splats():
-        native = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.NATIVE), "INT")
+        native = is_drawn(graph, draw, lambda mode: mode.native)
         analysed = graph.compare("GREATER_THAN", by, 0, "INT")
         painted = graph.either(analysed, inputs[names.BLEND])
         own = graph.choose("GEOMETRY", painted, points, _native_colours(graph, points, encoded))
@@ -191,45 +196,32 @@ def _declare_analysis(graph: Graph, content: Content) -> None:
 
 def _as_one_mesh(graph: Graph, draw: Any, inputs: Any) -> Any:
     """What to draw: one mesh has no transparency, so it shows splats as ellipsoids."""
-    soft = graph.either(
-        *(
-            graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(item), "INT")
-            for item in (names.SPLATS, names.NATIVE)
-        )
-    )
-    as_mesh = graph.both(soft, inputs[names.SOLID_COLOUR])
-    return graph.choose("INT", as_mesh, draw, names.DRAW_ITEMS.index(names.ELLIPSOIDS))
+    as_mesh = graph.both(is_drawn(graph, draw, lambda mode: mode.soft), inputs[names.SOLID_COLOUR])
+    return graph.choose("INT", as_mesh, draw, list(DRAW_MODES).index(USUAL))
 
 
-def _draw_items(content: Content) -> dict[str, int]:
-    """Name → number of what can be drawn of this content in this Blender."""
-    missing = set() if len(content.freqs_hz) else {names.ARROWS}
-    if not compat.native_splats():
-        missing.add(names.NATIVE)
-    return {name: number for name, number in _numbered(names.DRAW_ITEMS).items() if name not in missing}
-
-
-def _numbered(items: Sequence[str]) -> dict[str, int]:
-    return {name: number for number, name in enumerate(items)}
+def _numbered(items: Iterable[str], offered: Container[str]) -> dict[str, int]:
+    """Name → number of the items of a menu that are offered."""
+    return {name: number for number, name in enumerate(items) if name in offered}
 
 
 def _preset_menus(graph: Graph) -> None:
     """A menu input learns its items by being linked, so its default comes last."""
-    for name, item in ((names.DRAW, names.ELLIPSOIDS), (names.COLOUR_BY, names.FILE_COLOUR)):
+    for name, item in ((names.DRAW, USUAL), (names.COLOUR_BY, names.FILE_COLOUR)):
         if name in graph.tree.interface.items_tree:
             graph.tree.interface.items_tree[name].default_value = item
 
 
 def _moved(graph: Graph, points: Any, motion: Motion, draw: Any) -> Any:
-    """Points moved and turned. Those that arrows are drawn from stay, with the displacement beside them."""
-    arrows = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.ARROWS), "INT")
+    """Points moved and turned, as the way to draw shows them."""
+    still, round_ = (
+        is_drawn(graph, draw, lambda mode: mode.still),
+        is_drawn(graph, draw, lambda mode: not mode.turns),
+    )
     noted = graph.store(points, names.DISPLACEMENT, "FLOAT_VECTOR", motion.offset)
     moved = graph.call("GeometryNodeSetPosition", {"Geometry": points, "Offset": motion.offset})
     turned = graph.store(moved, names.ROTATION, "QUATERNION", _rotation(graph, motion.turn))
-    dots = graph.compare(
-        "EQUAL", draw, names.DRAW_ITEMS.index(names.POINTS), "INT"
-    )  # round: turns are not seen
-    return graph.choose("GEOMETRY", arrows, graph.choose("GEOMETRY", dots, turned, moved), noted)
+    return graph.choose("GEOMETRY", still, graph.choose("GEOMETRY", round_, turned, moved), noted)
 
 
 def _rotation(graph: Graph, turn: Any) -> Any:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import bmesh
 import numpy as np
 
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.splatfile import SplatFile
+
 from .. import names
-from ..core.errors import Tg4mmError
-from ..core.splatfile import SplatFile
 from . import colours
 
 # A thinner ellipsoid cannot be inverted in float32, which the splat material needs.
@@ -53,7 +54,7 @@ def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
             fill(names.deviation(k), "FLOAT", splat.deviation[k])
     middle, size = splat.means.mean(axis=0), splat.means.std() or 1.0
     steps = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    number = names.modes_number(splat.freqs_hz, splat.fps)
+    number = names.modes_number(splat.freqs_hz.tolist(), splat.fps)
     fill.finish(splat.means, (middle + size * steps)[: fill.extra], number)
 
 
@@ -87,6 +88,12 @@ def values(mesh: Any, name: str) -> np.ndarray:
     rows = np.empty(width * len(mesh.vertices), np.float32)
     found.data.foreach_get(field, rows)
     return (rows if width == 1 else rows.reshape(-1, width))[gaussians(mesh)]
+
+
+def world(obj: Any, mesh: Any) -> np.ndarray:
+    """[N, 3] float64 rest positions in the world."""
+    matrix = np.array(obj.matrix_world)
+    return values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 class Part(NamedTuple):

@@ -10,10 +10,11 @@ from typing import Any
 import bpy
 import numpy as np
 
+from tg4mm.core.splatfile import SplatFile
+
 from .. import names
-from ..core.splatfile import SplatFile
 from . import Content, build_player, clock
-from .made import Made
+from .graph import Made
 from .materials import make_materials
 from .points import fill_mesh, fill_references, main_axis, values
 from .spectrum import rms_amplitude
@@ -104,6 +105,12 @@ def sequence_frames(obj: Any) -> list[Any] | None:
     """The objects that a sequence shows one after another; None for what is no sequence."""
     frames = bpy.data.collections.get(obj.get(names.FRAMES, ""))
     return None if frames is None else sorted(frames.objects, key=lambda frame: frame.name)
+
+
+def first_mesh(obj: Any) -> Any:
+    """The object's mesh, of a sequence that of its first frame."""
+    frames = sequence_frames(obj)
+    return (obj if frames is None else frames[0]).data
 
 
 def moves(obj: Any) -> bool:

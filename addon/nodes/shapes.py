@@ -1,10 +1,13 @@
 """The group "Shapes": what is drawn at each point: an ellipsoid, a splat, a dot or an arrow.
 
-Reads the attributes scale, rotation, opacity and, for arrows, displacement.
+Reads the attributes scale, rotation, opacity and, for arrows, displacement. A way to draw is an entry of DRAW_MODES;
+nothing else names one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import bpy
@@ -26,46 +29,99 @@ class Materials(NamedTuple):
     points: Any  # emission in the colour of the point itself
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a way to draw is built of: sockets of the tree, and materials."""
+
+    graph: Graph
+    points: Any
+    inputs: Any  # the tree's, by name
+    solid: Any  # the material of one mesh: of instances, or in Solid view of the mesh itself
+    materials: Materials
+
+    def opaque(self, least: str) -> Any:
+        """Where a Gaussian is as opaque as an input of the tree says."""
+        opacity = self.graph.attribute(names.OPACITY, "FLOAT")
+        return self.graph.compare("GREATER_EQUAL", opacity, self.inputs[least])
+
+    def size(self, deviations: Any) -> Any:
+        """Radius in standard deviations, times the input Size."""
+        return self.graph.math("MULTIPLY", self.inputs[names.SIZE], deviations)
+
+
+@dataclass(frozen=True)
+class DrawMode:
+    """A way to draw Gaussians: an item of the menu Draw As, and all that depends on which one is taken."""
+
+    about: str  # a line of the preferences
+    build: Callable[[_Asked], Any]  # what is drawn of the points
+    drawn_ns: float | None = (
+        None  # that a laptop takes for a Gaussian; None: an import never takes it by itself
+    )
+    soft: bool = (
+        False  # see-through: needs faint Gaussians, blends, is drawn as ellipsoids where all is one mesh
+    )
+    native: bool = False  # Blender draws it, from 5.3 on
+    sized: bool = False  # ends at the input Ellipsoid Radius
+    still: bool = False  # of the points at rest, with their displacement beside them: of moving files alone
+    turns: bool = True  # shows how Gaussians turn
+    inputs: tuple[str, ...] = ()  # that it alone has
+
+
 def build_shapes(name: str, materials: Materials) -> Any:
     """A node group: points to what is drawn of them."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Shapes", "GeometryNodeTree"))
     graph.interface("Points", "Geometry")
     graph.interface(names.DRAW, "Int")
-    for socket in (
+    sizes = (
         names.SIZE,
         names.RADIUS,
         names.MIN_OPACITY,
         names.MIN_SPLAT_OPACITY,
         names.ARROW_LENGTH,
         "Growth",
-    ):
+    )
+    for socket in sizes:
         graph.interface(socket, "Float")
     graph.interface(names.ARROW_EVERY, "Int", 1)
     graph.interface(names.SOLID_COLOUR, "Bool")
     graph.result("Geometry", "Geometry")
     inputs = graph.inputs()
     points = inputs["Points"]
-    opacity = graph.attribute(names.OPACITY, "FLOAT")
-    enough = graph.compare("GREATER_EQUAL", opacity, inputs[names.MIN_OPACITY])
-    # What is see-through adds up, so splats need the faint ones too.
-    faint = graph.compare("GREATER_EQUAL", opacity, inputs[names.MIN_SPLAT_OPACITY])
-    radius = graph.math("MULTIPLY", inputs[names.SIZE], inputs[names.RADIUS])
-    splat_radius = graph.math("MULTIPLY", inputs[names.SIZE], SPLAT_RADIUS)
     solid = graph.choose("MATERIAL", inputs[names.SOLID_COLOUR], materials.solid, materials.points)
-    kinds = [
-        _balls(graph, points, enough, radius, solid),
-        _balls(graph, points, faint, splat_radius, materials.splat),
-        _dots(
-            graph, points, enough, (radius, inputs["Growth"]), materials.points, inputs[names.SOLID_COLOUR]
-        ),
-        _arrows(graph, points, enough, inputs, solid),
-    ]
-    if compat.native_splats():
-        kinds.append(_native(graph, points, inputs[names.SIZE]))
-    drawn = graph.pick("GEOMETRY", inputs[names.DRAW], *kinds)
+    asked = _Asked(graph, points, inputs, solid, materials)
+    here = (mode for mode in DRAW_MODES.values() if compat.native_splats() or not mode.native)
+    drawn = graph.pick("GEOMETRY", inputs[names.DRAW], *(mode.build(asked) for mode in here))
     flat = _realized(graph, points, drawn)
     graph.finish(Geometry=graph.choose("GEOMETRY", inputs[names.SOLID_COLOUR], drawn, flat))
     return graph.tree
+
+
+def available(moves: bool) -> dict[str, DrawMode]:
+    """The ways to draw that this Blender has for a file with or without motion, by name."""
+    here = compat.native_splats()
+    return {
+        name: mode
+        for name, mode in DRAW_MODES.items()
+        if (moves or not mode.still) and (here or not mode.native)
+    }
+
+
+def is_drawn(graph: Graph, draw: Any, wanted: Callable[[DrawMode], bool]) -> Any:
+    """A socket: whether the number `draw` of a way to draw is of one for which `wanted` holds."""
+    numbers = [i for i, mode in enumerate(DRAW_MODES.values()) if wanted(mode)]
+    return graph.either(*(graph.compare("EQUAL", draw, i, "INT") for i in numbers))
+
+
+def _ellipsoids(asked: _Asked) -> Any:
+    radius = asked.size(asked.inputs[names.RADIUS])
+    return _balls(asked.graph, asked.points, asked.opaque(names.MIN_OPACITY), radius, asked.solid)
+
+
+def _splats(asked: _Asked) -> Any:
+    # What is see-through adds up, so splats need the faint ones too.
+    faint, radius = asked.opaque(names.MIN_SPLAT_OPACITY), asked.size(SPLAT_RADIUS)
+    return _balls(asked.graph, asked.points, faint, radius, asked.materials.splat)
 
 
 def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
@@ -81,18 +137,18 @@ def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any
     return graph.call("GeometryNodeInstanceOnPoints", inputs)
 
 
-def _dots(
-    graph: Graph, points: Any, selection: Any, radius: tuple[Any, Any], material: Any, solid: Any
-) -> Any:
-    """Round dots of the Gaussians' mean size, `radius` in deviations: a point cloud, the quickest to draw.
+def _dots(asked: _Asked) -> Any:
+    """Round dots of the Gaussians' mean size: a point cloud, the quickest to draw.
 
-    Solid view shows point clouds white, so for it they are small balls. The second `radius` is a factor for dots alone,
-    which Transform Geometry leaves as large as they are.
+    Solid view shows point clouds white, so for it they are small balls. `Growth` is a factor for dots alone, which
+    Transform Geometry leaves as large as they are.
     """
+    graph, points, selection = asked.graph, asked.points, asked.opaque(names.MIN_OPACITY)
+    radius, material = asked.size(asked.inputs[names.RADIUS]), asked.materials.points
     size = graph.vector("MULTIPLY", graph.attribute(names.SCALE, "FLOAT_VECTOR"), (1 / 3, 1 / 3, 1 / 3))
     x, y, z = graph.split(size)
-    mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius[0])
-    size = graph.math("MULTIPLY", mean, radius[1])
+    mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius)
+    size = graph.math("MULTIPLY", mean, asked.inputs["Growth"])
     cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": size})
     sphere = graph.call(
         "GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": FEWEST_SUBDIVISIONS}, "Mesh"
@@ -106,11 +162,13 @@ def _dots(
             "Scale": graph.scaled((1.0, 1.0, 1.0), mean),
         },
     )
-    return graph.choose("GEOMETRY", solid, graph.painted(cloud, material), graph.painted(balls, material))
+    as_balls = asked.inputs[names.SOLID_COLOUR]
+    return graph.choose("GEOMETRY", as_balls, graph.painted(cloud, material), graph.painted(balls, material))
 
 
-def _native(graph: Graph, points: Any, size: Any) -> Any:
+def _native(asked: _Asked) -> Any:
     """A point cloud of Blender's own splats; their attributes are on the points already (points.py)."""
+    graph, points, size = asked.graph, asked.points, asked.inputs[names.SIZE]
     scales = graph.scaled(graph.attribute(names.SCALE, "FLOAT_VECTOR"), size)
     sized = graph.store(points, names.SCALE, "FLOAT_VECTOR", scales)
     points = graph.choose("GEOMETRY", graph.compare("EQUAL", size, 1.0), sized, points)
@@ -127,18 +185,21 @@ def _gaussians(graph: Graph, points: Any) -> Any:
     return graph.call("GeometryNodeSeparateGeometry", {"Geometry": points, "Selection": real}, domain="POINT")
 
 
-def _arrows(graph: Graph, points: Any, selection: Any, inputs: Any, material: Any) -> Any:
+def _arrows(asked: _Asked) -> Any:
     """At every n-th point an arrow along its displacement, as long as it times the input's factor."""
+    graph, inputs = asked.graph, asked.inputs
     shift = graph.attribute(names.DISPLACEMENT, "FLOAT_VECTOR")
     length = graph.length(shift)
     index = graph.node("GeometryNodeInputIndex").outputs[0]
     remainder = graph.math("FLOORED_MODULO", index, graph.math("MAXIMUM", inputs[names.ARROW_EVERY], 1))
     chosen = graph.both(
-        selection, graph.compare("GREATER_THAN", length, NO_ARROW), graph.compare("LESS_THAN", remainder, 0.5)
+        asked.opaque(names.MIN_OPACITY),
+        graph.compare("GREATER_THAN", length, NO_ARROW),
+        graph.compare("LESS_THAN", remainder, 0.5),
     )
     place = {
-        "Points": points,
-        "Instance": graph.painted(_arrow(graph), material),
+        "Points": asked.points,
+        "Instance": graph.painted(_arrow(graph), asked.solid),
         "Selection": chosen,
         "Rotation": graph.call("FunctionNodeAlignRotationToVector", {"Vector": shift}, axis="Z"),
         "Scale": graph.scaled((1.0, 1.0, 1.0), graph.math("MULTIPLY", length, inputs[names.ARROW_LENGTH])),
@@ -169,3 +230,24 @@ def _realized(graph: Graph, points: Any, drawn: Any) -> Any:
     graph.put(graph.call("GeometryNodeRealizeInstances", {"Geometry": drawn}), joined.inputs[0])
     graph.put(_gaussians(graph, points), joined.inputs[0])
     return joined.outputs[0]
+
+
+# A laptop's graphics are taken to manage 200 million triangles a second: 80 a Gaussian, of Splats each counted three
+# times, as they overlap. The menu's items are in this order; Blender's own come last, as only 5.3 has them.
+DRAW_MODES = {
+    "Ellipsoids": DrawMode(
+        "Opaque ellipsoids: quick, and right for judging motion", _ellipsoids, drawn_ns=400.0, sized=True
+    ),
+    "Splats": DrawMode("Soft Gaussians, as they were trained: slow", _splats, drawn_ns=1200.0, soft=True),
+    "Points": DrawMode(
+        "One point for each Gaussian, of the ellipsoid's size", _dots, drawn_ns=0.0, sized=True, turns=False
+    ),
+    "Arrows": DrawMode(
+        "An arrow along each Gaussian's displacement",
+        _arrows,
+        still=True,
+        inputs=(names.ARROW_LENGTH, names.ARROW_EVERY),
+    ),
+    "Native": DrawMode("Blender's own Gaussian splats", _native, soft=True, native=True),
+}
+USUAL, AS_TRAINED = "Ellipsoids", "Splats"  # of a new modifier, which is one mesh's too; by Exact Look

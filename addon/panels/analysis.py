@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from tg4mm.core.colour import STILL_BELOW
+from tg4mm.core.errors import Tg4mmError
+
 from .. import compat, names
-from ..core.colour import STILL_BELOW
-from ..core.errors import Tg4mmError
 from ..nodes import scene, spectrum
 from ..nodes.points import gaussians, shown_size, values
 from ..units import Unit
-from . import plots, seen
-
-
-@dataclass(frozen=True)
-class Legend:
-    """What the colours stand for, for the panel and for a picture's caption."""
-
-    kind: str  # names.AMPLITUDE_COLOUR or names.PHASE_COLOUR
-    low: float  # scene units, or turns
-    high: float
-    high_mm: float | None  # of an amplitude, where the file says how long a scene unit is
+from . import plots, view_colours
 
 
 def active_modes(obj: Any) -> list[int]:
@@ -84,15 +74,17 @@ def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | Non
 
     `settings`: the scene's, whose view transform the colours go through as the object's do.
     """
-    shown = legend(obj)
-    if shown is None:
-        return None
     modifier = scene.splat_modifier(obj)
+    if modifier is None or not compat.has_input(modifier, names.COLOUR_BY):
+        return None
+    kind = compat.get_input(modifier, names.COLOUR_BY)
+    if kind == names.FILE_COLOUR:
+        return None
     highest = compat.get_number(modifier, names.COLOUR_RANGE)
     encoded = compat.has_input(modifier, names.BLEND) and bool(compat.get_input(modifier, names.BLEND))
-    if shown.kind == names.PHASE_COLOUR:
-        return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings, encoded)
-    return plots.amplitude_legend, highest, unit, seen.amplitude(settings, encoded)
+    if kind == names.PHASE_COLOUR:
+        return plots.phase_legend, STILL_BELOW * highest, unit, view_colours.phase(settings, encoded)
+    return plots.amplitude_legend, highest, unit, view_colours.amplitude(settings, encoded)
 
 
 def band(obj: Any) -> tuple[float, float]:
@@ -119,18 +111,3 @@ def peaks(obj: Any) -> list[float]:
     freqs = [float(f) for f in obj[names.FREQUENCIES]]
     bin_hz = float(obj[names.FPS]) / max(int(obj[names.TIMESTEPS]), 1)
     return [freqs[k] for k in spectrum.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]
-
-
-def legend(obj: Any) -> Legend | None:
-    """The legend of an object as it is coloured now; None where the colours are the file's."""
-    modifier = scene.splat_modifier(obj)
-    if modifier is None or not compat.has_input(modifier, names.COLOUR_BY):
-        return None
-    kind = compat.get_input(modifier, names.COLOUR_BY)
-    if kind == names.PHASE_COLOUR:
-        return Legend(kind, 0.0, 1.0, None)
-    if kind != names.AMPLITUDE_COLOUR:
-        return None
-    high = compat.get_input(modifier, names.COLOUR_RANGE)
-    unit = obj.get(names.UNIT_SCALE)
-    return Legend(kind, 0.0, high, None if unit is None else 1000.0 * unit * high)

@@ -7,8 +7,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
-from ..core.errors import Tg4mmError
-from ..nodes import drawing, points, receiving, scene
+from ..nodes import collection, drawing, points, scene
+from ..reporting import reports
 from . import cropping, meshing
 from .panel import _SplatTab
 
@@ -22,6 +22,7 @@ class _Removes(bpy.types.Operator):
     def poll(cls, context: Any) -> bool:
         return scene.splat_object(context) is not None
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
         obj, edited = scene.splat_object(context), context.mode == "EDIT_MESH"
         if context.mode != "OBJECT":  # what is edited is written to the mesh when Edit Mode is left
@@ -29,9 +30,6 @@ class _Removes(bpy.types.Operator):
         try:
             context.view_layer.update()
             gone, left = cropping.remove(obj, self.choice(context, obj))
-        except Tg4mmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         finally:
             if edited:
                 bpy.ops.object.mode_set(mode="EDIT")
@@ -127,7 +125,7 @@ class TG4MM_OT_add_crop_box(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         context.view_layer.update()
-        box = cropping.add_box(scene.splat_object(context), receiving.collection(context))
+        box = cropping.add_box(scene.splat_object(context), collection.receiving(context))
         for other in context.selected_objects:
             other.select_set(False)
         box.select_set(True)
@@ -148,7 +146,7 @@ class TG4MM_OT_make_mesh(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         try:
-            made = meshing.make(scene.splat_object(context), receiving.collection(context), context)
+            made = meshing.make(scene.splat_object(context), collection.receiving(context), context)
         except MemoryError:
             self.report({"ERROR"}, "Not enough memory for it: crop, or draw as arrows")
             return {"CANCELLED"}

@@ -13,10 +13,11 @@ import bmesh
 import bpy
 import numpy as np
 
+from tg4mm.core.errors import Tg4mmError
+
 from .. import names
-from ..core.errors import Tg4mmError
 from ..nodes import points, scene
-from . import showing
+from . import framing
 
 ROOM = 1.2  # of what is framed: how large a new box is
 Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
@@ -41,7 +42,8 @@ def outside(obj: Any, boxes: Sequence[Any], inside: bool = False) -> Choice:
     frames = [(np.array(box.matrix_world.inverted_safe()), *_extent(box)) for box in boxes]
 
     def choice(mesh: Any) -> np.ndarray:
-        world, held = _world(obj, mesh), np.zeros(len(_world(obj, mesh)), bool)
+        world = points.world(obj, mesh)
+        held = np.zeros(len(world), bool)
         for inverse, low, high, is_round in frames:
             local = world @ inverse[:3, :3].T + inverse[:3, 3]
             within = (
@@ -88,9 +90,9 @@ def large(times: float) -> Choice:
 
 def far(obj: Any, radii: float) -> Choice:
     """What is farther from the middle of what is framed than so many of its radii."""
-    low, high = showing.box([obj])
+    low, high = framing.box([obj])
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
-    return lambda mesh: np.linalg.norm(_world(obj, mesh) - middle, axis=1) > radii * radius
+    return lambda mesh: np.linalg.norm(points.world(obj, mesh) - middle, axis=1) > radii * radius
 
 
 def remove(obj: Any, choice: Choice) -> tuple[int, int]:
@@ -118,7 +120,7 @@ def remove(obj: Any, choice: Choice) -> tuple[int, int]:
 
 def add_box(obj: Any, collection: Any) -> Any:
     """A box empty around what is framed of the object."""
-    low, high = showing.box([obj])
+    low, high = framing.box([obj])
     box = bpy.data.objects.new(f"{obj.name} crop", None)
     box.empty_display_type, box.empty_display_size = "CUBE", 1.0
     box.location, box.scale = ((low + high) / 2).tolist(), np.maximum(ROOM * (high - low) / 2, 1e-6).tolist()
@@ -147,9 +149,3 @@ def _extent(box: Any) -> tuple[np.ndarray, np.ndarray, bool]:
         return -size, size, box.empty_display_type == "SPHERE"
     corners = np.array(box.bound_box)
     return corners.min(axis=0), corners.max(axis=0), False
-
-
-def _world(obj: Any, mesh: Any) -> np.ndarray:
-    """[N, 3] float64 rest positions in the world."""
-    matrix = np.array(obj.matrix_world)
-    return points.values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]

@@ -1,4 +1,4 @@
-"""Operators that set a scene or a view up for splats: true colours, Solid view, the range of the colour map."""
+"""Operators that set a scene or a view up for splats: true colours, Solid view, range of the colour map, band."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from functools import lru_cache
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty
+from bpy.props import BoolProperty, FloatProperty
+
+from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
-from ..core.errors import Tg4mmError
-from ..nodes import blending, drawing, scene
+from ..nodes import blending, drawing, scene, shapes, spectrum
+from ..reporting import reports
 from . import analysis
 
-_EXACT = {names.DRAW: names.SPLATS, names.VIEW_COLOUR: True, names.BLEND: True}
+_EXACT = {names.DRAW: shapes.AS_TRAINED, names.VIEW_COLOUR: True, names.BLEND: True}
 _BEFORE_EXACT = "tg4mm_before_exact"  # custom property of an object: what these were
 
 
@@ -25,6 +27,14 @@ class _OnSplats(bpy.types.Operator):
     @classmethod
     def poll(cls, context: Any) -> bool:
         return scene.splat_object(context) is not None
+
+
+class _OnMotion(_OnSplats):
+    """One on an object with modes of motion"""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return scene.moves(scene.splat_object(context))
 
 
 class _OnScene(_OnSplats):
@@ -88,8 +98,7 @@ def is_exact(obj: Any) -> bool:
 
 def _size(obj: Any) -> tuple[int, int]:
     """Gaussians and modes of an object."""
-    frames = scene.sequence_frames(obj)
-    return len((obj if frames is None else frames[0]).data.vertices), len(obj[names.FREQUENCIES])
+    return len(scene.first_mesh(obj).vertices), len(obj[names.FREQUENCIES])
 
 
 @lru_cache(maxsize=16)
@@ -151,34 +160,62 @@ class TG4MM_OT_file_units(_OnSplats):
     bl_idname = "tg4mm.file_units"
     bl_label = "Take the File's Metres"
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
         metres = analysis.metres_per_unit(scene.splat_object(context))
         if metres is None:
-            self.report({"ERROR"}, "The file does not say how long its unit is")
-            return {"CANCELLED"}
+            raise Tg4mmError("The file does not say how long its unit is")
         context.scene.unit_settings.scale_length = metres
         self.report({"INFO"}, f"Unit Scale of the scene set to {metres:.4g} m")
         return {"FINISHED"}
 
 
-class TG4MM_OT_fit_colour_range(_OnSplats):
+class TG4MM_OT_fit_colour_range(_OnMotion):
     """Let the last colour stand for the largest amplitude of the modes shown in the band"""
 
     bl_idname = "tg4mm.fit_colour_range"
     bl_label = "Fit Colour Range"
 
+    @reports()
+    def execute(self, context: Any) -> set[str]:
+        obj = scene.splat_object(context)
+        largest = analysis.fit_colour_range(obj)
+        self.report({"INFO"}, f"0 to {preferences.unit_for(context, obj).text(largest)}")
+        return {"FINISHED"}
+
+
+class TG4MM_OT_band(_OnMotion):
+    """Magnify every frequency of the file"""
+
+    bl_idname = "tg4mm.band"
+    bl_label = "Set Band"
+
+    frequency: FloatProperty(  # type: ignore[valid-type]
+        name="Middle", description="Middle of the band, Hz; 0 for the whole of it", min=0.0, precision=3
+    )
+    width: FloatProperty(  # type: ignore[valid-type]
+        name="Width",
+        description="Width of the band, Hz; 0 for the width in the preferences",
+        min=0.0,
+        precision=3,
+    )
+
     @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.moves(scene.splat_object(context))
+    def description(cls, context: Any, properties: Any) -> str:
+        if not properties.frequency:
+            return "Magnify every frequency of the file"
+        width = properties.width or preferences.get(context).band_width
+        low, high = spectrum.band_around(properties.frequency, width)
+        return f"Magnify {low:g} to {high:g} Hz, the band around this peak (its width: see the preferences)"
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        try:
-            largest = analysis.fit_colour_range(obj)
-        except Tg4mmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"0 to {preferences.unit_for(context, obj).text(largest)}")
+        if self.frequency:
+            width = self.width or preferences.get(context).band_width
+            low, high = spectrum.band_around(self.frequency, width)
+        else:
+            low, high = spectrum.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS]))
+        analysis.set_band(obj, low, high)
         return {"FINISHED"}
 
 
@@ -191,6 +228,7 @@ _CLASSES = (
     TG4MM_OT_one_mesh,
     TG4MM_OT_file_units,
     TG4MM_OT_fit_colour_range,
+    TG4MM_OT_band,
 )
 
 

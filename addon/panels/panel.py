@@ -9,6 +9,7 @@ import bpy
 
 from .. import compat, names, preferences
 from ..nodes import blending, clock, drawing, scene, spectrum
+from ..nodes.shapes import DRAW_MODES
 from . import analysis, colour_range, look, meshing, pictures, plots, view_settings
 
 
@@ -131,27 +132,26 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         column = _fields(layout)
         _draw_all(column, modifier, names.DRAW, names.COLOUR_BY)
         _draw_colour_range(layout, context, obj)
-        drawn = compat.get_input(modifier, names.DRAW)
-        if drawn == names.ARROWS:
-            _draw_all(_fields(layout), modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
+        drawn = DRAW_MODES[compat.get_input(modifier, names.DRAW)]
+        _draw_all(_fields(layout), modifier, *drawn.inputs)
         on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
-        if drawn != names.NATIVE and (on or shading == "SOLID"):  # else the colours are seen anyway
+        if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
         if blind := meshing.modifiers_after(obj):
             layout.label(text=f"{', '.join(blind)}: sees meshes alone", icon="INFO")
             layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
-        if drawn == names.SPLATS and names.LOW_PASS not in obj:
+        if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
             layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
         on = look.is_exact(obj)
         layout.operator("tg4mm.exact_look", icon="SHADING_RENDERED", depress=on).on = not on
         on = blending.blends_as_trained(context.scene)
-        if on or drawn in (names.SPLATS, names.NATIVE):
+        if on or drawn.soft:
             layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
         if not blending.is_set_up(context.scene):
             layout.operator("tg4mm.true_colours", icon="COLOR")
         if context.scene.get(blending.BEFORE):
             layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
-        if drawn == names.NATIVE:
+        if drawn.native:
             _draw_far_out(layout, obj)
 
 
@@ -166,13 +166,14 @@ class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         modifier = scene.splat_modifier(scene.splat_object(context))
         column = _fields(self.layout)
-        drawn = compat.get_input(modifier, names.DRAW)
+        name = compat.get_input(modifier, names.DRAW)
+        drawn = DRAW_MODES[name]
         _draw_all(column, modifier, names.SIZE)
-        if drawn in (names.ELLIPSOIDS, names.POINTS):
+        if drawn.sized:
             compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
-        if drawn != names.NATIVE:  # Blender draws all of its own, each in its colours for the view
-            compat.draw_input(column, modifier, drawing.least_opacity(drawn), text="Min Opacity")
-        painted = drawn != names.NATIVE or compat.get_input(modifier, names.BLEND)
+        if not drawn.native:  # Blender draws all of its own, each in its colours for the view
+            compat.draw_input(column, modifier, drawing.least_opacity(name), text="Min Opacity")
+        painted = not drawn.native or compat.get_input(modifier, names.BLEND)
         if painted and compat.has_input(modifier, names.VIEW_COLOUR):
             compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
 

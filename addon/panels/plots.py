@@ -1,22 +1,30 @@
 """The panel's pictures as pure functions: spectrum with band, displacement over time, legends of the colours.
 
-Each returns [SIDE, SIDE, 4] float32 sRGB, row 0 at the top. They are drawn at twice the size they are shown in.
+Each returns [SIDE, SIDE, 4] float32 sRGB, row 0 at the top. They are drawn at twice the size they are shown in, in
+numpy, with words by Blender: no graphics card is needed.
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
 
+import blf
+import imbuf
 import numpy as np
 
-from ..nodes import colours
+from ..nodes import colours, images
 from ..units import Unit
-from .canvas import Canvas, Colour
 
+Colour = tuple[float, float, float]  # display-referred sRGB, 0 to 1
 Rows = tuple[Colour, ...]  # of a colour map, as they look on the screen; hashable
 SIDE = 400
 _TEXT = 17.0  # height of capitals
+_CAPITAL = 0.73  # of a font's size
 _LARGE_TEXT = 23.0  # of the spectrum, which is shown smaller than the others
 _BACK: Colour = (0.11, 0.11, 0.115)
 _FRONT: Colour = (0.86, 0.86, 0.86)
@@ -179,3 +187,90 @@ def _ticks(canvas: Canvas, low: float, high: float, title: str, size: float, mos
         anchor = 0.0 if part < 0.03 else 1.0 if part > 0.97 else 0.5
         canvas.text(x, _BOTTOM + 17 + size, f"{value:g}", _FRONT, size, anchor)
     canvas.text((_LEFT + _RIGHT) / 2, SIDE - 12, title, _FRONT, size, 0.5)
+
+
+class Canvas:
+    """An opaque picture [height, width, 4] float32, row 0 at the top. Places are x right, y down, pixels."""
+
+    def __init__(self, width: int, height: int, background: Colour) -> None:
+        self.pixels = np.ones((height, width, 4), np.float32)
+        self.pixels[..., :3] = background
+
+    def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, alpha: float = 1.0) -> None:
+        """Fill a rectangle; its edges cover pixels in part."""
+        left, top = math.floor(x0), math.floor(y0)
+        across = _overlap(x0 - left, x1 - left, max(math.ceil(x1) - left, 0))
+        down = _overlap(y0 - top, y1 - top, max(math.ceil(y1) - top, 0))
+        self._paint(down[:, None] * across[None], left, top, colour, alpha)
+
+    def line(self, points: np.ndarray, colour: Colour, thickness: float = 2.0, alpha: float = 1.0) -> None:
+        """A line with round ends through points [K, 2]."""
+        cover, x, y = _stroke(np.asarray(points, float), thickness)
+        self._paint(cover, x, y, colour, alpha)
+
+    def text(self, x: float, y: float, words: str, colour: Colour, size: float, anchor: float = 0.0) -> None:
+        """Words with their baseline at y, capitals `size` high; `anchor`: the part of them left of x."""
+        cover, rise = _words(words, size)
+        self._paint(cover, round(x - anchor * cover.shape[1]), round(y) - rise, colour, 1.0)
+
+    def paste(self, rgb: np.ndarray, cover: np.ndarray, x: int, y: int) -> None:
+        """Blend colours [h, w, 3] in, covering by [h, w]."""
+        self._paint(cover, x, y, rgb, 1.0)
+
+    def _paint(self, cover: np.ndarray, x: int, y: int, colour: Colour | np.ndarray, alpha: float) -> None:
+        height, width = self.pixels.shape[:2]
+        top, left = max(0, -y), max(0, -x)
+        bottom, right = min(cover.shape[0], height - y), min(cover.shape[1], width - x)
+        if bottom <= top or right <= left:
+            return
+        part = (slice(top, bottom), slice(left, right))
+        paint = colour[part] if isinstance(colour, np.ndarray) else np.asarray(colour)
+        below = self.pixels[y + top : y + bottom, x + left : x + right, :3]
+        below += (alpha * cover[part])[..., None] * (paint - below)
+
+
+@lru_cache(maxsize=512)
+def _words(words: str, size: float) -> tuple[np.ndarray, int]:
+    """Coverage of words in Blender's font, capitals `size` high, and how many of its rows lie above the baseline."""
+    blf.size(0, size / _CAPITAL)
+    width, rise, drop = (
+        math.ceil(blf.dimensions(0, words)[0]) + 2,
+        math.ceil(1.5 * size),
+        math.ceil(0.5 * size),
+    )
+    drawn = imbuf.new((max(width, 1), rise + drop))
+    with blf.bind_imbuf(0, drawn), tempfile.TemporaryDirectory() as folder:
+        blf.color(0, 1.0, 1.0, 1.0, 1.0)
+        blf.position(0, 1, drop, 0)
+        blf.draw_buffer(0, words)
+        file = Path(folder) / "words.png"  # the only way to its pixels in 4.5
+        imbuf.write(drawn, filepath=str(file))
+        cover = images.pixels(file.read_bytes())[..., 0]
+    inked = np.flatnonzero(cover.any(axis=0))
+    return cover[:, inked[0] : inked[-1] + 1] if len(inked) else cover, rise
+
+
+def _stroke(points: np.ndarray, thickness: float) -> tuple[np.ndarray, int, int]:
+    """Coverage of a polyline, and where its left upper pixel is."""
+    reach = thickness / 2 + 1
+    low = np.floor(points.min(axis=0) - reach).astype(int)
+    high = np.ceil(points.max(axis=0) + reach).astype(int)
+    cover = np.zeros((high[1] - low[1], high[0] - low[0]))
+    for a, b in pairwise(points if len(points) > 1 else np.repeat(points, 2, axis=0)):
+        first = np.floor(np.minimum(a, b) - reach).astype(int) - low
+        last = np.ceil(np.maximum(a, b) + reach).astype(int) - low
+        x = np.arange(first[0], last[0]) + low[0] + 0.5
+        y = np.arange(first[1], last[1])[:, None] + low[1] + 0.5
+        along, length = b - a, float(((b - a) ** 2).sum())
+        part = ((x - a[0]) * along[0] + (y - a[1]) * along[1]) / max(length, 1e-12)
+        part = np.clip(part, 0.0, 1.0)
+        distance = np.hypot(x - a[0] - part * along[0], y - a[1] - part * along[1])
+        here = cover[first[1] : last[1], first[0] : last[0]]
+        np.maximum(here, np.clip(thickness / 2 + 0.5 - distance, 0.0, 1.0), out=here)
+    return cover, int(low[0]), int(low[1])
+
+
+def _overlap(start: float, stop: float, count: int) -> np.ndarray:
+    """[count] the part of each pixel that start … stop covers."""
+    pixels = np.arange(count)
+    return np.clip(np.minimum(pixels + 1, stop) - np.maximum(pixels, start), 0.0, 1.0)

@@ -9,10 +9,12 @@ import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_atomic
+
 from .. import preferences
-from ..core.errors import Tg4mmError
-from ..io import saving
-from ..nodes import receiving, scene
+from ..nodes import collection, scene
+from ..reporting import reports
 from . import picking, probe
 
 MOST_ROWS = 5_000_000  # of a series: some 300 MB
@@ -51,18 +53,15 @@ class TG4MM_OT_probe(_OnMotion):
     def description(cls, context: Any, properties: Any) -> str:
         return _ABOUT[properties.source]
 
+    @reports()
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        try:
-            if self.source == "SELECTION":
-                found = picking.probe_selection(obj)
-            elif self.source == "CURSOR":
-                found = picking.probe_cursor(obj, context.scene.cursor.location)
-            else:
-                found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
-        except Tg4mmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if self.source == "SELECTION":
+            found = picking.probe_selection(obj)
+        elif self.source == "CURSOR":
+            found = picking.probe_cursor(obj, context.scene.cursor.location)
+        else:
+            found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
         picking.store(obj, found)
         self.report({"INFO"}, f"Probed: {found.label}")
         return {"FINISHED"}
@@ -81,7 +80,7 @@ class TG4MM_OT_add_probe_sphere(_OnMotion):
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        sphere = picking.add_sphere(obj, receiving.collection(context), context.scene.cursor.location)
+        sphere = picking.add_sphere(obj, collection.receiving(context), context.scene.cursor.location)
         for other in context.selected_objects:
             other.select_set(False)
         sphere.select_set(True)
@@ -123,7 +122,7 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
 
     def invoke(self, context: Any, event: Any) -> set[str]:
         if picking.stored(scene.splat_object(context)) is None:
-            return self._nothing()
+            return self.execute(context)  # which says so
         if not self.filepath:
             self.filepath = f"{_file_name(scene.splat_object(context).name)}_{self.content.lower()}.csv"
         return ExportHelper.invoke(self, context, event)
@@ -134,35 +133,41 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
         if self.content == "SERIES":
             self.layout.prop(self, "per_timestep")
 
+    @reports("written")
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        found = picking.stored(obj)
-        if found is None:
-            return self._nothing()
+        found = _reading(obj)
         unit = preferences.unit_for(context, obj)
         rows = (found.n_timesteps - 1) * self.per_timestep + 1
         if self.content == "SERIES" and rows > MOST_ROWS:
-            self.report(
-                {"ERROR"},
-                f"{found.n_timesteps:,} timesteps make {rows:,} rows, more than {MOST_ROWS:,}: write the phasor table",
-            )
-            return {"CANCELLED"}
+            count = f"{found.n_timesteps:,} timesteps make {rows:,} rows, more than {MOST_ROWS:,}"
+            raise Tg4mmError(f"{count}: write the phasor table")
         if self.content == "SERIES":
             text = probe.series_csv(found, unit, obj.name, self.per_timestep)
         else:
             text = probe.phasor_csv(found, unit, obj.name)
         path = Path(bpy.path.abspath(self.filepath))
-        try:
-            saving.write_text(path, text)
-        except OSError as error:
-            self.report({"ERROR"}, saving.one_line(error, "written", path))
-            return {"CANCELLED"}
+        _write(path, text)
         self.report({"INFO"}, f"Wrote {path}")
         return {"FINISHED"}
 
-    def _nothing(self) -> set[str]:
-        self.report({"ERROR"}, "Nothing is probed yet: use one of the buttons in the panel Probe first")
-        return {"CANCELLED"}
+
+def _reading(obj: Any) -> probe.Probe:
+    found = picking.stored(obj)
+    if found is None:
+        raise Tg4mmError("Nothing is probed yet: use one of the buttons in the panel Probe first")
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    """UTF-8, whole or not at all. Raises Tg4mmError or OSError, and leaves what was there."""
+    if path.exists() and not path.is_file():
+        raise Tg4mmError(f"{path}: cannot be written: it is no ordinary file")
+    try:
+        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
+    except OSError as error:
+        error.filename = str(path)  # not the temporary one's
+        raise
 
 
 def _file_name(name: str) -> str:

@@ -10,10 +10,11 @@ import bmesh
 import bpy
 import numpy as np
 
+from tg4mm.core.errors import Tg4mmError
+
 from .. import compat, names
-from ..core.errors import Tg4mmError
 from ..nodes import drawing, scene
-from ..nodes.points import gaussians, values
+from ..nodes.points import gaussians, values, world
 from .probe import Probe, mean_deviation, mean_phasor
 
 
@@ -44,7 +45,7 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
             raise PickError(
                 f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}"
             )
-        away = _world(obj, mesh)[shown] - np.asarray(cursor, float)
+        away = world(obj, mesh)[shown] - np.asarray(cursor, float)
         return _read(obj, mesh, shown[[np.argmin((away**2).sum(axis=1))]])
 
 
@@ -53,11 +54,11 @@ def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
     if not spheres:
         raise PickError("No sphere is there: add one with the button beside, and move it over the region")
     with _readable(obj) as mesh:
-        world = _world(obj, mesh)
-        world = np.column_stack([world, np.ones(len(world))])
-        inside = np.zeros(len(world), bool)
+        places = world(obj, mesh)
+        places = np.column_stack([places, np.ones(len(places))])
+        inside = np.zeros(len(places), bool)
         for sphere in spheres:
-            local = world @ np.array(sphere.matrix_world.inverted_safe()).T
+            local = places @ np.array(sphere.matrix_world.inverted_safe()).T
             inside |= np.linalg.norm(local[:, :3], axis=1) <= sphere.empty_display_size
         if not inside.any():
             raise PickError(f"No Gaussian's rest position is inside {', '.join(s.name for s in spheres)}")
@@ -154,9 +155,3 @@ def _readable(obj: Any) -> Iterator[Any]:
         yield copy
     finally:
         bpy.data.meshes.remove(copy)
-
-
-def _world(obj: Any, mesh: Any) -> np.ndarray:
-    """[N, 3] float64 rest positions in the world."""
-    matrix = np.array(obj.matrix_world)
-    return values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]

@@ -1,9 +1,8 @@
-"""The extension as it is shipped: staged in a temporary folder and imported from there, in pip's Blender."""
+"""The extension, registered in pip's Blender, and a small splat file that moves."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -13,37 +12,12 @@ import pytest
 
 from tg4mm.core.splatfile import SplatFile, write_splat
 
-PACKAGE = "tg4mm_extension"
-
-
-def load(name: str, file: Path, folder: Path | None = None) -> ModuleType:
-    """Import one file as the module `name`; with `folder`, as a package."""
-    places = None if folder is None else [str(folder)]
-    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=places)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="session")
-def make_extension(repo_root: Path) -> ModuleType:
-    """addon/make_extension.py, imported without the package around it, which needs Blender."""
-    return load("make_extension", repo_root / "addon" / "make_extension.py")
-
-
-@pytest.fixture(scope="session")
-def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that becomes the zip."""
-    return make_extension.stage(tmp_path_factory.mktemp("stage") / PACKAGE)
-
 
 @pytest.fixture
-def extension(staged: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """The extension, registered in an empty scene. Imports draw ellipsoids (but see test_defaults.py)."""
+def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """addon/, registered in an empty scene. Imports draw ellipsoids (but see test_defaults.py)."""
     bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
-    module = sys.modules.get(PACKAGE) or load(PACKAGE, staged / "__init__.py", staged)
+    module = importlib.import_module("addon")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     module.register()
     monkeypatch.setattr(module.preferences.TG4MM_defaults, "draw_as", "Ellipsoids")

@@ -42,7 +42,7 @@ def test_more_gaussians_are_drawn_more_simply(extension: ModuleType, monkeypatch
     monkeypatch.setattr(extension.compat, "native_splats", lambda: False)
     ways = [best(count, 1) for count in (1_000, 50_000, 1_000_000)]
     assert ways == ["Splats", "Ellipsoids", "Points"]
-    order = extension.names.DRAW_ITEMS
+    order = list(extension.nodes.shapes.DRAW_MODES)
     for count in (10_000, 30_000, 80_000):
         costs = [("Splats", "Ellipsoids", "Points").index(best(count, modes)) for modes in (0, 1, 15, 64)]
         assert costs == sorted(costs)
@@ -102,10 +102,10 @@ def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Pat
     put(names.MIN_OPACITY, 0.0)
     for by in (names.AMPLITUDE_COLOUR, names.PHASE_COLOUR):
         put(names.COLOUR_BY, by)
-        put(names.DRAW, names.ELLIPSOIDS)
+        put(names.DRAW, "Ellipsoids")
         geometry = evaluated(obj, 5)
         shown = read(geometry.instances_pointcloud(), "colour", "color", 4)[:, :3]
-        put(names.DRAW, names.NATIVE)
+        put(names.DRAW, "Native")
         geometry = evaluated(obj, 5)
         cloud = geometry.pointcloud
         base = read(cloud, names.NATIVE_BASE, "color", 4)[:n]
@@ -122,7 +122,7 @@ def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Pat
 def test_size_is_of_native_splats_too(extension: ModuleType, splat_path: Path) -> None:
     obj, names = import_splat(splat_path), extension.names
     put, splat = setter(extension, obj), read_splat(splat_path)
-    put(names.DRAW, names.NATIVE)
+    put(names.DRAW, "Native")
     put(names.SIZE, 2.0)
     geometry = evaluated(obj, 5)
     found = read(geometry.pointcloud, "scale", "vector", 3)[: len(splat)]

@@ -39,7 +39,7 @@ def test_the_untouched_startup_cube_is_hidden_and_said(
     obj = import_splat(splat_path)
     assert (cube.hide_get(), cube.hide_render) == (True, True)
     cube.hide_set(False)
-    assert not shown(extension.panels.showing.show(bpy.context, [obj]), cube)
+    assert not shown(extension.panels.framing.show(bpy.context, [obj]), cube)
 
 
 @pytest.mark.parametrize("touched", ["moved", "edited", "bevelled", "apart"])
@@ -54,13 +54,13 @@ def test_a_cube_that_is_someones_own_stays(
         cube.modifiers.new("bevel", "BEVEL")
     obj = import_splat(splat_path, show=False)
     obj.location.x = 100.0 if touched == "apart" else 0.0
-    assert shown(extension.panels.showing.show(bpy.context, [obj]), cube)
+    assert shown(extension.panels.framing.show(bpy.context, [obj]), cube)
 
 
 def test_what_is_around_all_of_it_is_named(extension: ModuleType, splat_path: Path, cube: Any) -> None:
     cube.name, cube.scale = "Room", (50, 50, 50)
     obj = import_splat(splat_path, show=False)
-    assert extension.panels.showing.show(bpy.context, [obj]) == ["they lie inside Room"]
+    assert extension.panels.framing.show(bpy.context, [obj]) == ["they lie inside Room"]
     assert not cube.hide_get()
 
 
@@ -95,11 +95,6 @@ def test_a_file_of_cameras_that_says_nothing_turns_nothing(
 ) -> None:
     (splat_path.parent / "cameras.json").write_text(text)
     assert import_splat(splat_path).rotation_euler.x == 0
-
-
-def test_axes_are_chosen_on_import(extension: ModuleType, splat_path: Path) -> None:
-    assert import_splat(splat_path, axes="MINUS_Y").rotation_euler.x == pytest.approx(-math.pi / 2)
-    assert import_splat(splat_path, axes="PLUS_Y").rotation_euler.x == pytest.approx(math.pi / 2)
 
 
 def test_metres_of_the_file_and_of_blender_are_compared(

@@ -17,17 +17,6 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import import_splat, setter, shown_colours  # noqa: E402
 
 
-def test_import_sets_the_colours_up_unless_declined(extension: ModuleType, splat_path: Path) -> None:
-    scene = bpy.context.scene
-    scene.view_settings.view_transform, scene.cycles.transparent_max_bounces = "AgX", 8
-    import_splat(splat_path, colours=False)
-    assert (scene.view_settings.view_transform, scene.cycles.transparent_max_bounces) == ("AgX", 8)
-    import_splat(splat_path)
-    assert scene.view_settings.view_transform == "Standard"
-    assert scene.cycles.transparent_max_bounces == 1024
-    assert scene.cycles.min_transparent_bounces == 1024
-
-
 def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
     extension: ModuleType, splat_path: Path
 ) -> None:
@@ -74,7 +63,7 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
 def test_legend_is_of_the_palette_where_splats_blend_as_trained(
     extension: ModuleType, splat_path: Path
 ) -> None:
-    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.seen
+    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.view_colours
     setter(extension, obj)(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
     unit = extension.preferences.unit_for(bpy.context, obj)
     before = extension.panels.analysis.legend_picture(obj, unit, scene)
@@ -89,7 +78,7 @@ def test_legend_is_of_the_palette_where_splats_blend_as_trained(
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])
 def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, transform: str) -> None:
-    scene, seen = bpy.context.scene, extension.panels.seen
+    scene, seen = bpy.context.scene, extension.panels.view_colours
     scene.view_settings.view_transform = transform
     linear = extension.nodes.colours.amplitude_map()
     found = seen.through_view(linear, scene)
@@ -114,7 +103,7 @@ def test_what_is_framed_holds_the_opaque_gaussians(
     obj = import_splat(tmp_path / "far.ply")
     obj.location = (5.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    low, high = extension.panels.showing.box([obj])
+    low, high = extension.panels.framing.box([obj])
     middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     away = np.linalg.norm(means[1:] + [5, 0, 0] - middle, axis=1)
     assert 0.8 * away.max() < radius < 2 * away.max()

@@ -23,87 +23,6 @@ from tg4mm.core.splatfile import positions_at, read_splat, write_splat
 
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
-ADDON = (
-    "__init__",
-    "compat",
-    "io/__init__",
-    "io/export_splat",
-    "io/import_splat",
-    "io/loading",
-    "io/numbered",
-    "nodes/receiving",
-    "io/saving",
-    "io/splats",
-    "io/upright",
-    "io/webp",
-    "names",
-    "nodes/__init__",
-    "nodes/applied",
-    "nodes/blending",
-    "nodes/clock",
-    "nodes/colour",
-    "nodes/colours",
-    "nodes/drawing",
-    "nodes/graph",
-    "nodes/made",
-    "nodes/materials",
-    "nodes/motion",
-    "nodes/player",
-    "nodes/points",
-    "nodes/scene",
-    "nodes/sequence",
-    "nodes/shapes",
-    "nodes/spectrum",
-    "operators",
-    "panels/__init__",
-    "panels/analysis",
-    "panels/band",
-    "panels/canvas",
-    "panels/colour_range",
-    "panels/crop",
-    "panels/cropping",
-    "panels/look",
-    "panels/meshing",
-    "panels/overlay",
-    "panels/panel",
-    "panels/pictures",
-    "panels/plots",
-    "panels/seen",
-    "panels/showing",
-    "panels/strokes",
-    "panels/view_settings",
-    "preferences",
-    "probe/__init__",
-    "probe/operators",
-    "probe/panel",
-    "probe/picking",
-    "probe/probe",
-    "units",
-)
-JOBS = (
-    *(
-        "__init__",
-        "background",
-        "commands",
-        "core_check",
-        "describe",
-        "generating",
-        "kinds",
-        "objects",
-        "operators",
-    ),
-    *("panels", "placing", "preview", "preview_nodes", "reading", "runner", "settings", "training"),
-)
-CORE = Path(__file__).parents[2] / "tg4mm" / "core"
-CONTENT = {
-    "blender_manifest.toml",
-    "LICENSE",
-    *(f"{name}.py" for name in ADDON),
-    *(f"jobs/{name}.py" for name in JOBS),
-    *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted", "values")),
-    *(f"core/{file.relative_to(CORE)}" for file in (CORE / "splatfile").glob("*.py")),
-}
-
 # Each script prints a line RESULT {json}. play() reads where the object's instances are at two frames.
 PLAY = """
 import json, sys, bpy
@@ -130,14 +49,16 @@ import bl_ext.user_default.tg4mm as extension
 bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
 modifier = extension.nodes.scene.splat_modifier(bpy.context.object)
 compat, names = extension.compat, extension.names
-compat.set_input(modifier, names.DRAW, names.ELLIPSOIDS)
+compat.set_input(modifier, names.DRAW, "Ellipsoids")
 compat.set_input(modifier, names.MIN_OPACITY, 0.0)
 for frame, alpha in ((1, 3.0), (6, 3.0), (7, 8.0), (8, 8.0)):
     compat.set_input(modifier, names.ALPHA, alpha)
     compat.key_input(modifier, names.ALPHA, frame)
 bpy.ops.wm.save_as_mainfile(filepath=blend_path)
-heavy = sorted({"torch", "PIL", "plyfile", "scipy", "tg4mm"} & set(sys.modules))
-print("RESULT", json.dumps({"places": play(), "heavy": heavy, "states": states}))
+import dataset_gen, tg4mm
+heavy = sorted({"torch", "PIL", "plyfile", "scipy"} & set(sys.modules))
+carried = [dataset_gen.__file__, tg4mm.__file__, str(extension.jobs.commands.GENERATOR)]
+print("RESULT", json.dumps({"places": play(), "heavy": heavy, "states": states, "carried": carried}))
 """
 )
 REOPEN = (
@@ -182,13 +103,16 @@ print("RESULT", json.dumps(found))
 
 def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, Any]:
     """Run a script in a Blender of its own, whose user folder is `resources`; what it printed as RESULT."""
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(resources)}
-    # A fault in pip's Blender can hang the interpreter's exit, so scripts leave without it.
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": ""}
+    # A fault in pip's Blender can hang the interpreter's exit, so scripts leave without it. What this environment has
+    # of tg4mm itself is out of the way.
     body = indent(script, "    ")
     leave = "finally:\n    sys.stdout.flush()\n    os._exit(0)"
-    code = (
-        f"import os, sys, traceback\ntry:\n{body}\nexcept BaseException:\n    traceback.print_exc()\n{leave}"
+    apart = (
+        "sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', '')]\n"
     )
+    apart += "sys.path[:] = [p for p in sys.path if not os.path.isdir(os.path.join(p or '.', 'tg4mm'))]\n"
+    code = f"import os, sys, traceback\n{apart}try:\n{body}\nexcept BaseException:\n    traceback.print_exc()\n{leave}"
     command = [sys.executable, "-c", code, *map(str, arguments)]
     done = subprocess.run(
         command, capture_output=True, text=True, env=environment, cwd=resources.parent, timeout=240
@@ -198,25 +122,49 @@ def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, An
     return json.loads(lines[0].removeprefix("RESULT "))
 
 
+@pytest.fixture(scope="session")
+def make_extension(repo_root: Path) -> ModuleType:
+    """addon/make_extension.py, imported without the package around it."""
+    spec = importlib.util.spec_from_file_location("make_extension", repo_root / "addon" / "make_extension.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that becomes the zip."""
+    return make_extension.stage(tmp_path_factory.mktemp("stage") / "tg4mm")
+
+
 @pytest.fixture(scope="module")
 def zip_path(make_extension: ModuleType, staged: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_extension.build(staged, tmp_path_factory.mktemp("dist"))
 
 
-def generator(root: Path) -> set[str]:
-    """What the background jobs run: all of dataset_gen but what spreads work over a cluster."""
-    package = root / "dataset_gen"
-    files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
-    kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
-    needed = "__init__ errors events files lazy progress records temporary untrusted values work_folder"
-    tg4mm = {f"generator/tg4mm/core/{name}.py" for name in needed.split()}
-    tg4mm.add("generator/tg4mm/__init__.py")
-    return kept | {"generator/__init__.py"} | tg4mm
-
-
-def test_zip_holds_the_package_and_nothing_else(repo_root: Path, zip_path: Path) -> None:
+def test_zip_holds_the_addon_and_a_wheel_of_the_repositorys_own_files(
+    make_extension: ModuleType, repo_root: Path, zip_path: Path, tmp_path: Path
+) -> None:
     with zipfile.ZipFile(zip_path) as archive:
-        assert set(archive.namelist()) == CONTENT | generator(repo_root)
+        wheel = f"wheels/tg4mm_core-{__version__}-py3-none-any.whl"
+        ours = {
+            file.relative_to(repo_root / "addon").as_posix() for file in (repo_root / "addon").rglob("*.py")
+        }
+        assert set(archive.namelist()) == {"blender_manifest.toml", "LICENSE", wheel} | ours - {
+            "make_extension.py"
+        }
+        path = Path(archive.extract(wheel, tmp_path))
+    with zipfile.ZipFile(path) as archive:
+        rows = [line.split(",") for line in archive.read(archive.namelist()[-1]).decode().splitlines()]
+        assert sorted(archive.namelist()) == sorted(row[0] for row in rows)
+        names = [name for name in archive.namelist() if ".dist-info/" not in name]
+        for name in names:
+            assert archive.read(name) == (repo_root / name).read_bytes()
+    held = {name.rpartition("/")[0] for name in names}
+    assert {"tg4mm", "tg4mm/core", "tg4mm/core/splatfile", "dataset_gen", "dataset_gen/vibration"} <= held
+    assert not {"tg4mm/core/pages", "dataset_gen/farm", "tg4mm/fit"} & held
 
 
 def test_versions_agree(repo_root: Path, zip_path: Path) -> None:
@@ -290,6 +238,8 @@ def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(
     blend = tmp_path / "bell.blend"
     installed = in_blender(INSTALL, tmp_path / "resources", zip_path, splat_path, blend)
     assert installed["heavy"] == []
+    assert all(name.startswith(str(tmp_path / "resources")) for name in installed["carried"])
+    assert Path(installed["carried"][-1]).is_file()
     assert installed["states"] == [True, False, True]
     splat = read_splat(splat_path)
     np.testing.assert_allclose(np.array(installed["places"][0]), positions_at(splat, 4, 3.0), atol=1e-3)

@@ -107,7 +107,7 @@ def in_blender(extension: ModuleType, path: Path, splat: SplatFile, as_trained: 
     write_splat(path, splat)
     obj = import_splat(path)
     put, names = setter(extension, obj), extension.names
-    put(names.DRAW, names.SPLATS)
+    put(names.DRAW, "Splats")
     put(names.VIEW_COLOUR, True)
     bpy.ops.tg4mm.blend_as_trained(on=as_trained)
     camera = add_camera(PLACE, (SIZE, SIZE))

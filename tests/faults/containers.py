@@ -15,8 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from safetensors import safe_open
 
 from tests.faults.mutate import WHOLE, changed, of_bytes, of_json, written
+from tg4mm.core.files import json_digest
+from tg4mm.core.untrusted import parse_json
+from tg4mm.run.tensor_file import DIGEST, write_tensors
 
 
 def of_tensors(data: bytes, rng: random.Random) -> bytes:
@@ -32,12 +37,6 @@ def of_tensors(data: bytes, rng: random.Random) -> bytes:
 
 
 def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
-    import torch
-    from safetensors import safe_open
-
-    from tg4mm.core.untrusted import parse_json
-    from tg4mm.run.tensor_file import DIGEST, write_tensors
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.safetensors"
         path.write_bytes(data)
@@ -97,8 +96,6 @@ def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
 
 def of_sealed(data: bytes, rng: random.Random) -> bytes:
     """JSON with a digest: as any JSON, or its values changed and the digest put right, or left out."""
-    from tg4mm.core.files import json_digest
-
     if rng.random() < 0.3:
         return of_json(data, rng)
     values = json.loads(data)
@@ -148,21 +145,8 @@ def _promising(data: bytes, rng: random.Random) -> bytes:
     """A header with another number or word in it, as long as before."""
     size = struct.unpack_from("<H", data, 8)[0]
     text = data[10 : 10 + size].decode("latin-1")
-    words: list[Any] = [
-        "(",
-        ")",
-        "'",
-        "descr",
-        "True",
-        "<f4",
-        "<c8",
-        "|O",
-        "<U9",
-        "<V0",
-        "None",
-        "1, 1,",
-        str(rng.choice(WHOLE)),
-    ]
+    words = ["(", ")", "'", "descr", "True", "<f4", "<c8", "|O", "<U9", "<V0", "None", "1, 1,"]
+    words.append(str(rng.choice(WHOLE)))
     at = rng.randrange(max(len(text) - 20, 1))
     word = rng.choice(words)
     text = (text[:at] + word + text[at + rng.choice((0, len(word))) :])[:size].ljust(size)

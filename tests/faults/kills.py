@@ -1,9 +1,10 @@
-"""Training that is killed, at random moments and after every rename, and started again: nothing is lost or changed.
+"""Commands that are killed, at random moments or after a rename, and given again: nothing is lost or half-written.
 
-    python -m tests.faults.kills --kills 60 [--renames] [--preset modal|paper-tuned] [--seed 0]
+    python -m tests.faults.kills --kills 60 [--command train|train-paper-tuned|render|…] [--renames 40] [--seed 0]
 
-The same tiny training goes on in one run folder after each kill. In the end its files must hold what an undisturbed
-training's hold, bit for bit, and nothing besides: no checkpoint, no temporary file, no lock.
+After each kill every file is as an undisturbed command leaves it, or it is a temporary one; a file that was whole
+before stays. In the end the command is given once more, and leaves what an undisturbed one does, bit for bit, and
+nothing besides: no checkpoint, no temporary file.
 """
 
 from __future__ import annotations
@@ -12,31 +13,84 @@ import argparse
 import contextlib
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
+import tg4mm.capture.sfm.reconstruct
 import tg4mm.fit.space.train
 import tg4mm.research.paper.motion
 import tg4mm.research.paper.space
+import tg4mm.show.measure
+import tg4mm.show.render
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.run import Run
-from tg4mm.run.tensor_file import model_hash
-from tg4mm.run.train import train
+from tg4mm.cli import main as program
+from tg4mm.core.temporary import is_temporary
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds
-SETTINGS: dict[str, dict[str, str]] = {
-    "modal": {"space.iterations": "120", "space.max_gaussians": "300", "motion.iterations": "3"},
-    "paper-tuned": {
-        "paper.channels": "2", "paper.resolution": "16", "paper.iterations": "80", "paper.warm_up": "40",
-        "paper.motion_iterations": "20", "space.max_gaussians": "200",
-    },
-}  # fmt: skip
 _REPLACE = os.replace
+
+
+@dataclass(frozen=True)
+class Command:
+    """`prepare(folder)` makes what is given to the command; of its words, F is the folder. It writes there, too."""
+
+    prepare: Callable[[Path], object]
+    words: str
+    passing: tuple[str, ...] = ()  # patterns of files that are not what they will be while it works
+
+
+def _dataset(folder: Path) -> None:
+    make_synthetic_dataset(
+        folder / "set", n_views=3, n_timesteps=6, size=24, freqs=(5.0,), amplitude=0.03, alphas=(), n_test=0
+    )
+
+
+def _run(folder: Path) -> None:
+    from tests.show.measure.filmed import modes, of_parts, run_of, sine
+
+    run_of(folder, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 8), n_timesteps=8, n_views=3)
+
+
+def _video(folder: Path) -> None:
+    from tests.capture.sfm.videos import still, write_video
+
+    write_video(folder / "a.mp4", still(12))
+
+
+def _photographs(folder: Path) -> None:
+    from tests.capture.sfm.scenes import intrinsics, orbit, picture, save
+
+    (folder / "in").mkdir()
+    for i, viewmat in enumerate(orbit(8, turn=1.8)):
+        shown = picture(viewmat, intrinsics(240, 180, 250.0), (240, 180), 0.0, False)
+        save(folder / "in" / f"p_{i}.png", shown)
+
+
+TRAIN = "train F/set --out F/out --set space.max_gaussians=300 --set "
+PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
+GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
+STAGES = ("out/*.safetensors", "out/*.json")
+COMMANDS = {
+    "train": Command(_dataset, f"{TRAIN}space.iterations=120 --set motion.iterations=3", STAGES),
+    "train-paper-tuned": Command(_dataset, f"{TRAIN}paper.{PAPER} --preset paper-tuned", STAGES),
+    "render": Command(_run, "render F/run --alpha 0 --split train --out F/out"),
+    "measure": Command(_run, "measure F/run --out F/out --sensor all"),
+    "sfm": Command(_video, "sfm F/a.mp4 --out F/out"),
+    "sfm-photographs": Command(
+        _photographs,
+        "sfm F/in --out F/out",
+        ("out/sfm/*.tmp*", "out/sfm/.*", "out/sfm/sparse/.*", "out/sfm/database.db*"),
+    ),
+    "generate": Command(lambda folder: None, f"generate mic --out F/out {GENERATE}", ("*/.parts/*",)),
+}
 
 
 def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None = None) -> int:
@@ -73,32 +127,39 @@ def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None 
 
 
 class Trial:
-    """One dataset and preset, an undisturbed run of them, and runs that are killed."""
+    """One command, what it leaves undisturbed, and folders in which it is killed."""
 
-    def __init__(self, root: Path, preset: str) -> None:
-        self.root, self.preset, self.data = root, preset, root / "sway_5Hz_0_03"
+    def __init__(self, root: Path, name: str) -> None:
+        self.root, self.name, self.command = root, name, COMMANDS[name]
         self.said = root / "said.txt"
-        self._must(lambda: make_synthetic_dataset(
-            self.data, n_views=3, n_timesteps=6, size=24, freqs=(5.0,), amplitude=0.03, alphas=(), n_test=0
-        ))  # fmt: skip
-        self._must(lambda: self.train("compiled"))  # so that the time below is the training's
+        (root / "given").mkdir()
+        self._must(lambda: self.command.prepare(root / "given"))
+        self._must(lambda: self.give(self._copy("compiled")))  # so that the time below is the command's
+        one, other = self._copy("one"), self._copy("other")
         began = time.monotonic()
-        self._must(lambda: self.train("undisturbed"))
+        self._must(lambda: self.give(one))
         self.seconds = time.monotonic() - began
-        self.expected = self.content("undisturbed")
+        self._must(lambda: self.give(other))
+        self.expected, again = contents(one), contents(other)
+        assert self.expected.keys() == again.keys(), "two undisturbed commands leave different files"
+        # Dates, seconds, and the folder's own name.
+        self.varying = {path for path, data in self.expected.items() if again[path] != data}
+        assert not {path for path in self.varying if path.endswith(".safetensors")}
+
+    def _copy(self, name: str) -> Path:
+        shutil.copytree(self.root / "given", self.root / name)
+        return self.root / name
 
     def _must(self, work: Callable[[], object]) -> None:
         if in_child(work, self.said):
-            raise AssertionError(f"a process that nobody killed has failed: {self.said.read_text()[-2000:]}")
+            said = self.said.read_text()[-2000:]
+            raise AssertionError(f"{self.name}, killed by nobody, has failed: {said}")
 
-    def train(self, name: str) -> None:
+    def give(self, folder: Path, rename: int = 0) -> None:
+        """The command; killed right after its `rename`-th rename, unless that is 0."""
         for module in (tg4mm.fit.space.train, tg4mm.research.paper.space, tg4mm.research.paper.motion):
             module.CHECKPOINT_EVERY_S = OFTEN_S  # type: ignore[attr-defined]
-        train(self.data, self.root / name, self.preset, settings=SETTINGS[self.preset])
-
-    def train_until_rename(self, name: str, n: int) -> None:
-        """Killed right after the n-th rename from now."""
-        left = n
+        left = rename
 
         def replace(source, target) -> None:
             nonlocal left
@@ -108,44 +169,63 @@ class Trial:
                 os.kill(os.getpid(), signal.SIGKILL)
 
         os.replace = replace  # type: ignore[assignment]
-        self.train(name)
-
-    def content(self, name: str) -> tuple[list[str], str, bytes]:
-        """Names of a run's files, the digest of its model, its uncertainty."""
-        run = Run.open(self.root / name)
-        names = sorted(str(p.relative_to(run.path)) for p in run.path.rglob("*"))
-        found = run.load_uncertainty()
-        return names, model_hash(run.path), b"" if found is None else found.tobytes()
-
-    def check(self, name: str, how: str) -> None:
-        """Let the run finish, and compare. Raises AssertionError."""
-        self._must(lambda: self.train(name))
-        found = self.content(name)
-        for what, one, other in zip(("files", "model", "uncertainty"), found, self.expected, strict=True):
-            if one != other:
-                raise AssertionError(f"{self.preset}, {how}: {what} {one!r:.300}, undisturbed {other!r:.300}")
+        status = program([word.replace("F/", f"{folder}/") for word in self.command.words.split()])
+        assert status == 0, f"exit status {status}"
 
     def random_kills(self, kills: int, seed: int) -> int:
-        """Kills at random moments, up to five in one run. Returns how many struck before the end."""
+        """Kills at random moments, up to three in one folder. Returns how many struck before the end."""
         rng, struck, number = random.Random(seed), 0, 0
         while struck < kills:
-            name, number = f"random_{number}", number + 1
-            moments = [rng.uniform(0.0, 1.1 * self.seconds) for _ in range(rng.randint(1, 5))]
-            for moment in moments:
-                struck += os.WIFSIGNALED(in_child(lambda n=name: self.train(n), self.said, moment))  # type: ignore[misc]
-            self.check(name, f"killed after {', '.join(f'{m:.3f} s' for m in moments)}")
+            folder, number = self._copy(f"random_{number}"), number + 1
+            before = contents(folder)
+            for _ in range(rng.randint(1, 3)):
+                moment = rng.uniform(0.0, self.seconds)
+                struck += os.WIFSIGNALED(in_child(lambda f=folder: self.give(f), self.said, moment))  # type: ignore[misc]
+                before = self.check_whole(folder, before, f"killed after {moment:.3f} s")
+            self.check_finished(folder, before)
         return struck
 
-    def kills_after_renames(self, most: int = 1000, step: int = 1) -> int:
-        """A kill after the first rename of a run, `step` renames later in another, and so on, the last one after at
-        most `most`. Returns how many."""
+    def kills_after_renames(self, most: int, step: int) -> int:
+        """A kill after the first rename, `step` renames later in another folder, and so on. Returns how many."""
         numbers = range(1, most + 1, step)
         for i, n in enumerate(numbers):
-            name = f"rename_{n}"
-            if not os.WIFSIGNALED(in_child(lambda: self.train_until_rename(name, n), self.said)):  # noqa: B023
+            folder = self._copy(f"rename_{n}")
+            before = contents(folder)
+            if not os.WIFSIGNALED(in_child(lambda f=folder, n=n: self.give(f, n), self.said)):  # type: ignore[misc]
                 return i
-            self.check(name, f"killed after rename {n}")
+            self.check_finished(folder, self.check_whole(folder, before, f"killed after rename {n}"))
         return len(numbers)
+
+    def check_finished(self, folder: Path, before: dict[str, bytes]) -> None:
+        """Let the command finish, and compare. Raises AssertionError."""
+        self._must(lambda: self.give(folder))
+        found = self.check_whole(folder, before, "in the end", passing=())
+        if odd := sorted(found.keys() ^ self.expected.keys()):
+            raise AssertionError(f"{self.name}, in the end: not the files of an undisturbed one: {odd[:5]}")
+        shutil.rmtree(folder)
+
+    def check_whole(
+        self, folder: Path, before: dict[str, bytes], how: str, passing: tuple[str, ...] | None = None
+    ) -> dict[str, bytes]:
+        """What is there now. Raises AssertionError for a file that is lost or not whole."""
+        found = contents(folder)
+        for path, data in found.items():
+            if any(
+                fnmatch(path, pattern) for pattern in (self.command.passing if passing is None else passing)
+            ):
+                continue
+            if path not in self.expected or (path not in self.varying and data != self.expected[path]):
+                size = len(data)
+                raise AssertionError(f"{self.name}, {how}: {path} of {size} bytes is not what it should be")
+        if lost := sorted(path for path in before.keys() - found.keys() if path in self.expected):
+            raise AssertionError(f"{self.name}, {how}: {lost[:5]} are gone")
+        return found
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below but temporary ones and locks."""
+    files = [f for f in folder.rglob("*") if f.is_file() and not is_temporary(f) and f.suffix != ".lock"]
+    return {f.relative_to(folder).as_posix(): f.read_bytes() for f in files}
 
 
 def main() -> int:
@@ -154,20 +234,18 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--kills", type=int, default=10, help="at random moments (10)")
-    parser.add_argument("--renames", type=int, default=1000, help="kills after a rename, at most (1000)")
-    parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next run's (1)")
-    parser.add_argument("--preset", choices=list(SETTINGS), default="modal")
+    parser.add_argument("--renames", type=int, default=0, help="kills after a rename, at most (0)")
+    parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next folder's (1)")
+    parser.add_argument("--command", choices=list(COMMANDS), help="one of them (default: all)")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="tg4mm-kills-") as folder:
-        trial = Trial(Path(folder), args.preset)
-        print(f"{args.preset}: a training takes {trial.seconds:.1f} s", flush=True)
-        if args.renames:
-            killed = trial.kills_after_renames(args.renames, args.step)
-            print(f"{killed} kills after a rename: nothing lost", flush=True)
-        if args.kills:
+    for name in [args.command] if args.command else COMMANDS:
+        with tempfile.TemporaryDirectory(prefix="tg4mm-kills-") as folder:
+            trial = Trial(Path(folder), name)
+            renames = trial.kills_after_renames(args.renames, args.step)
             struck = trial.random_kills(args.kills, args.seed)
-            print(f"{struck} kills at random moments, seed {args.seed}: nothing lost", flush=True)
+            kinds = f"{renames} kills after a rename, {struck} at random moments, seed {args.seed}"
+            print(f"{name}, {trial.seconds:.1f} s: {kinds}: nothing lost", flush=True)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What the harness knows of a reader: its sample, how it reads, what may happen to the file."""
+"""What the harness knows of a reader: its sample, how it reads, what may happen to the file; and samples of runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+
 from tests.faults.mutate import Mutation
+from tg4mm.core.records import write_sealed
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
+from tg4mm.research.paper.config import PaperConfig
+from tg4mm.research.paper.model import save_model, save_planes
+from tg4mm.research.paper.space import started
+from tg4mm.run import Run
+
+N, T = 5, 3  # Gaussians, timesteps
 
 
 @dataclass(frozen=True)
@@ -36,11 +48,53 @@ def sealed(name: str, values: dict[str, Any], *folders: str) -> Callable[[Path],
     """Writes a JSON file with a digest."""
 
     def make(root: Path) -> Path:
-        from tg4mm.core.records import write_sealed
-
         file = root.joinpath(*folders, name)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_sealed(file, values)
         return file
+
+    return make
+
+
+def gaussians() -> Any:
+    rng = np.random.default_rng(0)
+    shapes = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,), "sh": (N, 4, 3)}
+    return Gaussians(
+        **{k: torch.from_numpy(rng.uniform(0.1, 0.9, s).astype(np.float32)) for k, s in shapes.items()}
+    )
+
+
+def motion() -> Any:
+    rng = np.random.default_rng(1)
+    displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
+    light = AppearanceModes(rng.normal(size=(1, N, 1, 3)).astype(np.float32), rng.normal(size=(2, 1)) + 0j)
+    return ModalMotion(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
+
+
+def run_of(name: str) -> Callable[[Path], Path]:
+    """A whole run, with checkpoints as if its stages had been stopped."""
+
+    def make(root: Path) -> Path:
+        (root / "data").mkdir()
+        run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
+        run.save_space(gaussians(), {"seconds": 1.5, "n_gaussians": N, "init": "points"})
+        run.save_motion(motion(), {"seconds": 2.5, "peak_memory_mib": 100.0, "notes": ["a"]})
+        run.save_part("uncertainty", {"displacement": torch.ones(N)})
+        run.save_checkpoint(
+            "space", {"means": torch.ones(N, 3), "x": torch.zeros(())}, {"iteration": 3, "order": [1]}
+        )
+        return root / "run" / name
+
+    return make
+
+
+def paper_run(name: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        run_of("config.json")(root)
+        model = started(gaussians(), PaperConfig(channels=2, resolution=16))
+        run = Run.open(root / "run")
+        save_model(run, model)
+        save_planes(run, 1, torch.zeros(len(model.cells), 2))
+        return root / "run" / name
 
     return make

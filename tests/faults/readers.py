@@ -6,35 +6,67 @@ and the like) are not among them: they are read in a process of their own, by co
 
 from __future__ import annotations
 
+import io
 import json
+import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+import yaml
+from PIL import Image
+from safetensors.torch import save_file
 
+from dataset_gen import exr, png
+from dataset_gen.farm import sets
+from dataset_gen.report.dataset import read_dataset
+from dataset_gen.sources import bodies_file
+from dataset_gen.tree import work_folder
+from dataset_gen.vibration import read_motion
+from tests.capture.conftest import write_folder, write_tree
+from tests.capture.sfm.videos import still, write_video
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
-from tests.faults.reader import Reader, record
+from tests.faults.reader import Reader, T, gaussians, motion, paper_run, record, run_of
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
 from tests.faults.readers_splats import SPLATS
-
-N, T = 5, 3  # Gaussians, timesteps
-
+from tests.helpers.bodies_file import FOUND
+from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
+from tg4mm.capture import load_capture, load_images
+from tg4mm.capture.sfm.clip import WHOLE, Clip
+from tg4mm.capture.sfm.config import open_request
+from tg4mm.capture.sfm.defects import is_fixed, stretches_of
+from tg4mm.capture.sfm.scale import checked_length, read_length
+from tg4mm.capture.sfm.sources import Sources
+from tg4mm.capture.sfm.staging import exif_turns
+from tg4mm.capture.sfm.survey import survey_clip
+from tg4mm.capture.sfm.video import video_frames, video_info
+from tg4mm.capture.truth_file import load_truth
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.research.demo import _read_done
+from tg4mm.research.evaluate.lpips import _read
+from tg4mm.research.evaluate.run import Resume
+from tg4mm.research.paper.model import load_model, load_planes, plane_video
+from tg4mm.run import Run
+from tg4mm.run.tensor_file import model_hash
+from tg4mm.show.measure.sensors import read_sensors
+from tg4mm.show.render.cameras import cameras_from_file
+from tg4mm.show.report.closing import _stage
+from tg4mm.show.report.summary import total_seconds
 
 # Datasets.
 
 
 def _capture(root: Path) -> None:
-    from tg4mm.capture import load_capture, load_images
-
     load_images(load_capture(root))
 
 
 def _tree(root: Path) -> Path:
-    from tests.capture.conftest import write_tree
-
     scene = {
         "fps": 30,
         "n_timesteps": T,
@@ -83,20 +115,14 @@ def _truth(root: Path) -> Path:
 
 
 def _read_truth(root: Path) -> None:
-    from tg4mm.capture.truth_file import load_truth
-
     load_truth(root, 30.0, T)
 
 
 def _read_dataset(root: Path) -> None:
-    from dataset_gen.report.dataset import read_dataset
-
     read_dataset(root).timesteps_by_strength()
 
 
 def _nerfstudio(root: Path) -> Path:
-    from tests.capture.conftest import write_folder
-
     write_folder(root)
     values = json.loads((root / "transforms_train.json").read_text())
     (root / "transforms_train.json").unlink()
@@ -117,8 +143,6 @@ def _nerfstudio(root: Path) -> Path:
 
 
 def _ply(root: Path, name: str = "points3d.ply") -> Path:
-    from tests.capture.conftest import write_folder
-
     if name == "points3d.ply":
         write_folder(root)
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + "".join(
@@ -134,8 +158,6 @@ def _ply(root: Path, name: str = "points3d.ply") -> Path:
 
 def _colmap(name: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
-
         pictures(root)
         model = root / "sparse" / "0"
         model.mkdir(parents=True)
@@ -150,8 +172,6 @@ def _colmap(name: str) -> Callable[[Path], Path]:
 
 
 def _colmap_binary(model: Path) -> None:
-    import struct
-
     (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
     images = struct.pack("<Q", 2)
     for i, name in enumerate(("a/r_2.png", "b.png")):
@@ -166,11 +186,6 @@ def _colmap_binary(model: Path) -> None:
 
 def _picture(suffix: str, deep: bool = False) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        from PIL import Image
-
-        from dataset_gen import exr, png
-        from tests.capture.conftest import write_folder
-
         write_folder(root)
         pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 4), np.uint8)
         (root / "train" / "r_000.png").unlink()
@@ -193,39 +208,14 @@ def _cameras(root: Path) -> Path:
 
 
 def _read_cameras(root: Path) -> None:
-    from tg4mm.show.render.cameras import cameras_from_file
-
     cameras_from_file(root / "transforms.json", (12, 8))
 
 
 # Splat files and runs.
 
 
-def _gaussians() -> Any:
-    import torch
-
-    from tg4mm.fit.gaussians import Gaussians
-
-    rng = np.random.default_rng(0)
-    shapes = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,), "sh": (N, 4, 3)}
-    return Gaussians(
-        **{k: torch.from_numpy(rng.uniform(0.1, 0.9, s).astype(np.float32)) for k, s in shapes.items()}
-    )
-
-
-def _motion() -> Any:
-    from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
-
-    rng = np.random.default_rng(1)
-    displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
-    light = AppearanceModes(rng.normal(size=(1, N, 1, 3)).astype(np.float32), rng.normal(size=(2, 1)) + 0j)
-    return ModalMotion(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
-
-
 def _splat(root: Path) -> Path:
-    from tg4mm.core.splatfile import SplatFile, write_splat
-
-    g, m = _gaussians(), _motion()
+    g, m = gaussians(), motion()
     arrays = [getattr(g, k).numpy() for k in ("means", "quats", "scales", "opacities", "sh")]
     splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, 30.0, T, 0.01)
     write_splat(root / "a.ply", splat)
@@ -233,39 +223,11 @@ def _splat(root: Path) -> Path:
 
 
 def _read_splat(root: Path) -> None:
-    from tg4mm.core.splatfile import read_splat
-
     read_splat(root / "a.ply")
-
-
-def _run(name: str) -> Callable[[Path], Path]:
-    """A whole run, with checkpoints as if its stages had been stopped."""
-
-    def make(root: Path) -> Path:
-        import torch
-
-        from tg4mm.run import Run
-
-        (root / "data").mkdir()
-        run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
-        run.save_space(_gaussians(), {"seconds": 1.5, "n_gaussians": N, "init": "points"})
-        run.save_motion(_motion(), {"seconds": 2.5, "peak_memory_mib": 100.0, "notes": ["a"]})
-        run.save_part("uncertainty", {"displacement": torch.ones(N)})
-        run.save_checkpoint(
-            "space", {"means": torch.ones(N, 3), "x": torch.zeros(())}, {"iteration": 3, "order": [1]}
-        )
-        return root / "run" / name
-
-    return make
 
 
 def _read_run(root: Path) -> None:
     """All that render, export and report read."""
-    from tg4mm.run import Run
-    from tg4mm.run.tensor_file import model_hash
-    from tg4mm.show.report.closing import _stage
-    from tg4mm.show.report.summary import total_seconds
-
     run = Run.open(root / "run")
     run.load_space()
     run.load_motion()
@@ -278,35 +240,11 @@ def _read_run(root: Path) -> None:
 
 
 def _resume_run(root: Path) -> None:
-    from tg4mm.run import Run
-
     run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
     run.record("space", {"seconds": 1.0, "peak_memory_mib": 5.0})
 
 
-def _paper(name: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
-        import torch
-
-        from tg4mm.research.paper.config import PaperConfig
-        from tg4mm.research.paper.model import save_model, save_planes
-        from tg4mm.research.paper.space import started
-        from tg4mm.run import Run
-
-        _run("config.json")(root)
-        model = started(_gaussians(), PaperConfig(channels=2, resolution=16))
-        run = Run.open(root / "run")
-        save_model(run, model)
-        save_planes(run, 1, torch.zeros(len(model.cells), 2))
-        return root / "run" / name
-
-    return make
-
-
 def _read_paper(root: Path) -> None:
-    from tg4mm.research.paper.model import load_model, load_planes, plane_video
-    from tg4mm.run import Run
-
     run = Run.open(root / "run")
     model = load_model(run)
     model.decode(model.embedding(load_planes(run, 1, model)))
@@ -314,8 +252,6 @@ def _read_paper(root: Path) -> None:
 
 
 def _read_demo(root: Path) -> None:
-    from tg4mm.research.demo import _read_done
-
     _read_done(root, 64)
 
 
@@ -323,16 +259,12 @@ SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "clos
 
 
 def _partial(root: Path) -> Path:
-    from tg4mm.research.evaluate.run import Resume
-
     Resume(root / "metrics.json").put("key", SCORES)
     return root / ".metrics.json.partial.tmp"
 
 
 def _read_partial(root: Path) -> None:
     """What is not as it was put there is not given: no mutation may change a score."""
-    from tg4mm.research.evaluate.run import Resume
-
     assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 
 
@@ -341,10 +273,6 @@ def _read_partial(root: Path) -> None:
 
 def _motion_file(suffix: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        import yaml
-
-        from dataset_gen.vibration import read_motion
-
         path = root / f"motion{suffix}"
         source = Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml"
         path.write_text(
@@ -357,22 +285,15 @@ def _motion_file(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_motion(root: Path) -> None:
-    from dataset_gen.vibration import read_motion
-
     read_motion(next(root.glob("motion.*"))).to_json()
 
 
 def _bodies(root: Path) -> Path:
-    from dataset_gen.sources import bodies_file
-    from tests.helpers.bodies_file import FOUND
-
     bodies_file.save(root / "found.npz", FOUND)
     return root / "found.npz"
 
 
 def _read_bodies(root: Path) -> None:
-    from dataset_gen.sources import bodies_file
-
     bodies_file.load(root / "found.npz")
 
 
@@ -381,17 +302,10 @@ def _claimed(root: Path) -> Path:
 
 
 def _claim(root: Path) -> None:
-    from dataset_gen.tree import work_folder
-
     work_folder(root / "set").claim({"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}})
 
 
 def _farm(root: Path) -> None:
-    import io
-    import sys
-
-    from dataset_gen.farm import sets
-
     before, sys.stdin = (
         sys.stdin,
         io.StringIO((root / "config.json").read_text(encoding="utf-8", errors="replace")),
@@ -422,8 +336,6 @@ SURVEY = {
 
 def _length(suffix: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        import yaml
-
         text = json.dumps(LENGTH) if suffix == ".json" else yaml.safe_dump(LENGTH)
         (root / f"length{suffix}").write_text(text)
         return root / f"length{suffix}"
@@ -432,16 +344,10 @@ def _length(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_length(root: Path) -> None:
-    from tg4mm.capture.sfm.scale import checked_length, read_length
-
     checked_length(read_length(next(root.glob("length.*"))))
 
 
 def _read_survey(root: Path) -> None:
-    from tg4mm.capture.sfm.clip import WHOLE, Clip
-    from tg4mm.capture.sfm.defects import is_fixed, stretches_of
-    from tg4mm.capture.sfm.survey import survey_clip
-
     found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
     found.clock()
     is_fixed(found)
@@ -449,16 +355,10 @@ def _read_survey(root: Path) -> None:
 
 
 def _request(root: Path) -> Path:
-    from tg4mm.capture.sfm.config import open_request
-    from tg4mm.capture.sfm.sources import Sources
-
     return open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).folder / "request.json"
 
 
 def _read_request(root: Path) -> None:
-    from tg4mm.capture.sfm.config import open_request
-    from tg4mm.capture.sfm.sources import Sources
-
     open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).finished()
 
 
@@ -468,15 +368,11 @@ def _finished(root: Path) -> Path:
 
 
 def _video(root: Path) -> Path:
-    from tests.capture.sfm.videos import still, write_video
-
     write_video(root / "a.mp4", still(4, size=(32, 24)))
     return root / "a.mp4"
 
 
 def _read_video(root: Path) -> None:
-    from tg4mm.capture.sfm.video import video_frames, video_info
-
     video_info(root / "a.mp4")
     for _ in video_frames(root / "a.mp4"):
         pass
@@ -484,8 +380,6 @@ def _read_video(root: Path) -> None:
 
 def _photograph(suffix: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        from PIL import Image
-
         pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
         exif = Image.Exif()
         exif[0x0112] = 6  # a quarter turn
@@ -496,14 +390,10 @@ def _photograph(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_photograph(root: Path) -> None:
-    from tg4mm.capture.sfm.staging import exif_turns
-
     exif_turns(next(root.glob("a.*")))
 
 
 def _read_rendered(root: Path) -> None:
-    from tg4mm.core.pictures.frames import read_png
-
     read_png(root / "a.png")
 
 
@@ -516,16 +406,11 @@ def _sensors(root: Path) -> Path:
 
 
 def _read_sensors(root: Path) -> None:
-    from tg4mm.show.measure.sensors import read_sensors
-
     read_sensors(root / "sensors.yaml")
 
 
 def _weights(suffix: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        import torch
-        from safetensors.torch import save_file
-
         state = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
         if suffix == ".pth":
             torch.save(state, root / "w.pth")
@@ -537,8 +422,6 @@ def _weights(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_weights(root: Path) -> None:
-    from tg4mm.research.evaluate.lpips import _read
-
     _read(next(root.glob("w.*")))
 
 
@@ -560,16 +443,16 @@ READERS: dict[str, Reader] = {
     "cameras file": Reader(_cameras, _read_cameras, of_json),
     "truth motion.npz": Reader(_truth, _read_truth, of_npz),
     "splat file": Reader(_splat, _read_splat, of_header),
-    "run config.json": Reader(_run("config.json"), _read_run, of_json),
-    "run config.json, resumed": Reader(_run("config.json"), _resume_run, of_json),
-    "run log.json": Reader(_run("log.json"), _read_run, of_json),
-    "run log.json, resumed": Reader(_run("log.json"), _resume_run, of_json),
-    "run space": Reader(_run("space.safetensors"), _read_run, of_tensors),
-    "run motion": Reader(_run("motion.safetensors"), _read_run, of_tensors),
-    "run uncertainty": Reader(_run("uncertainty.safetensors"), _read_run, of_tensors),
-    "run checkpoint": Reader(_run("checkpoint_space.safetensors"), _read_run, of_tensors),
-    "run triplane": Reader(_paper("triplane.safetensors"), _read_paper, of_tensors),
-    "run planes": Reader(_paper("planes_0001.safetensors"), _read_paper, of_tensors),
+    "run config.json": Reader(run_of("config.json"), _read_run, of_json),
+    "run config.json, resumed": Reader(run_of("config.json"), _resume_run, of_json),
+    "run log.json": Reader(run_of("log.json"), _read_run, of_json),
+    "run log.json, resumed": Reader(run_of("log.json"), _resume_run, of_json),
+    "run space": Reader(run_of("space.safetensors"), _read_run, of_tensors),
+    "run motion": Reader(run_of("motion.safetensors"), _read_run, of_tensors),
+    "run uncertainty": Reader(run_of("uncertainty.safetensors"), _read_run, of_tensors),
+    "run checkpoint": Reader(run_of("checkpoint_space.safetensors"), _read_run, of_tensors),
+    "run triplane": Reader(paper_run("triplane.safetensors"), _read_paper, of_tensors),
+    "run planes": Reader(paper_run("planes_0001.safetensors"), _read_paper, of_tensors),
     "metrics.json, partial": Reader(_partial, _read_partial, of_json),
     "demo.json": Reader(
         record("demo.json", {"format": "tg4mm-demo", "version": 1, "size": 64, "done": {"train": 1.5}}),

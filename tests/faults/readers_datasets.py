@@ -10,10 +10,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
+from dataset_gen import exr, run
+from dataset_gen.errors import GenerateError
+from dataset_gen.points import merge, read_view
+from dataset_gen.processes import RunFailed
+from dataset_gen.report import closing
+from dataset_gen.report.dataset import read_dataset, read_picture
+from dataset_gen.report.pixels import motion_from_truth, seen_motion
+from dataset_gen.sources.header import check
+from dataset_gen.sources.mesh_file import count_not_finite
+from tests.dataset_gen.planes import Plane
 from tests.faults.containers import of_npz, of_png, of_sealed
 from tests.faults.mutate import of_bytes, of_header, of_json
 from tests.faults.reader import Reader, record, sealed
+from tg4mm.capture.sfm.engine import colmap
+from tg4mm.capture.sfm.mapping import registered, save_model, saved_model
+from tg4mm.core.pages.page import render_page
 
 SUMMARY: dict[str, Any] = {
     "format": "tg4mm-dataset-summary", "scene": "mic", "frequencies_hz": [5.0, None], "amplitude": 0.02,
@@ -30,8 +44,6 @@ def _summary(root: Path) -> Path:
 
 
 def _thumbnail(root: Path) -> Path:
-    from PIL import Image
-
     folder = root / "mic" / "report"
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)).save(
@@ -41,9 +53,7 @@ def _thumbnail(root: Path) -> Path:
 
 
 def _read_overview(root: Path) -> None:
-    from dataset_gen.errors import GenerateError
     from dataset_gen.report.overview import Entry, _summary, overview
-    from tg4mm.core.pages.page import render_page
 
     entry = Entry(root / "mic", _summary(root / "mic"))
     page = render_page(overview([entry]))
@@ -52,18 +62,12 @@ def _read_overview(root: Path) -> None:
 
 
 def _read_timing(root: Path) -> None:
-    from dataset_gen.report.closing import _timing
-
-    _timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))  # type: ignore[arg-type]
+    closing._timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))  # type: ignore[arg-type]
 
 
 def _read_former_timing(root: Path) -> None:
-    from dataset_gen.errors import GenerateError
-    from dataset_gen.processes import RunFailed
-    from dataset_gen.run import _timing
-
     try:
-        found = _timing(root / "report" / "timing.json")
+        found = run._timing(root / "report" / "timing.json")
     except RunFailed as error:
         raise GenerateError(str(error)) from None
     json.dumps({key: found[key] + 1 for key in found}, allow_nan=False)
@@ -76,9 +80,6 @@ def _view_of_points(root: Path) -> Path:
 
 
 def _read_view_of_points(root: Path) -> None:
-    from dataset_gen.errors import GenerateError
-    from dataset_gen.points import merge, read_view
-
     try:
         view = read_view(root / "r_000.npz", 8)
     except ValueError as error:
@@ -102,28 +103,20 @@ def _mesh(kind: str) -> Callable[[Path], Path]:
 
 
 def _read_mesh(root: Path) -> None:
-    from dataset_gen.sources.mesh_file import count_not_finite
-
     count_not_finite(root / "a.ply")
 
 
 def _picture(root: Path) -> Path:
-    from dataset_gen import exr
-
     pixels = np.random.default_rng(0).random((8, 12, 4)).astype(np.float32)
     (root / "a.exr").write_bytes(exr.encode(pixels))
     return root / "a.exr"
 
 
 def _read_picture(root: Path) -> None:
-    from dataset_gen.report.dataset import read_picture
-
     read_picture(root / "a.exr")
 
 
 def _pixels(root: Path) -> Path:
-    from tests.dataset_gen.planes import Plane
-
     made = Plane(root / "set")
     made.write(alphas=())
     made.truth()
@@ -131,9 +124,6 @@ def _pixels(root: Path) -> Path:
 
 
 def _read_pixels(root: Path) -> None:
-    from dataset_gen.report.dataset import read_dataset
-    from dataset_gen.report.pixels import motion_from_truth, seen_motion
-
     dataset = read_dataset(root / "set")
     seen = seen_motion(dataset, [v for v in dataset.views["test"] if v.timestep == 2])
     assert seen is not None
@@ -150,8 +140,6 @@ def _blend(packed: bool) -> Callable[[Path], Path]:
 
 
 def _read_blend(root: Path) -> None:
-    from dataset_gen.sources.header import check
-
     check(root / "a.blend", (4, 5))
 
 
@@ -159,9 +147,6 @@ def _sparse(name: str) -> Callable[[Path], Path]:
     """A model that COLMAP itself has written."""
 
     def make(root: Path) -> Path:
-        from tg4mm.capture.sfm.engine import colmap
-        from tg4mm.capture.sfm.mapping import save_model
-
         c = colmap("a test")
         model = c.Reconstruction()
         camera = c.Camera(model="SIMPLE_RADIAL", width=12, height=8, params=[20, 6, 4, 0.01], camera_id=1)
@@ -181,8 +166,6 @@ def _sparse(name: str) -> Callable[[Path], Path]:
 
 
 def _read_sparse(root: Path) -> None:
-    from tg4mm.capture.sfm.mapping import registered, saved_model
-
     model = saved_model(root / "sparse" / "0")
     for image in registered(model).values():
         image.cam_from_world().matrix()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,13 +10,41 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import torch
 
 from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json
-from tests.faults.reader import Reader, record, sealed
+from tests.faults.reader import Reader, T, paper_run, record, run_of, sealed
+from tests.helpers.synthetic import make_synthetic_dataset
+from tests.show.measure import filmed
+from tests.show.measure.filmed import modes, of_parts, sine
 from tg4mm.core.errors import RunError
-from tg4mm.core.magnification import Magnification
-from tg4mm.research.bench.measure import VERSION
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.research.bench import jobs
+from tg4mm.research.bench.ablation.catalogue import Row
+from tg4mm.research.bench.ablation.page import read_ablation
+from tg4mm.research.bench.ablation.run import _columns
+from tg4mm.research.bench.ablation.sets import _is_done, generator_arguments, kind_options
+from tg4mm.research.bench.folder import open_folder
+from tg4mm.research.bench.jobs import _digest, _Kept
+from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.measure import VERSION, read_figures
+from tg4mm.research.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table, pivots
+from tg4mm.research.bench.pages.write import _ablation
+from tg4mm.research.bench.scored import with_closure
+from tg4mm.research.bench.sets import open_set
+from tg4mm.research.evaluate.wanted import _is_ours
+from tg4mm.research.paper import embeddings
+from tg4mm.research.paper.embeddings import series_of
+from tg4mm.research.paper.model import load_model, save_planes
+from tg4mm.run import Run, figures_file
+from tg4mm.show.measure import prepare, prepared
+from tg4mm.show.measure.measurement import measure_one
+from tg4mm.show.measure.sensors import Sensor
+from tg4mm.show.render import sequence
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.sequence import RenderRequest, work_folder
+from tg4mm.show.report import accuracy, summary
 
 ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
 FREQUENCY = {
@@ -70,13 +99,9 @@ SCALED = ABLATION | {
 
 def _read_metrics(root: Path) -> None:
     """All that the report does with them."""
-    from tg4mm.research.evaluate.wanted import _is_ours
-    from tg4mm.run.figures_file import read_figures
-    from tg4mm.show.report import accuracy, summary
-
     _is_ours(root / "metrics.json")
     found: Any = SimpleNamespace(
-        metrics=read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
+        metrics=figures_file.read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
         train=SimpleNamespace(unit_scale_m=0.1), view=SimpleNamespace(alpha=5.0, truth=None),
     )  # fmt: skip
     accuracy.accuracy_section(found)
@@ -88,12 +113,6 @@ def _read_metrics(root: Path) -> None:
 
 
 def _read_figures(root: Path) -> None:
-    from tg4mm.research.bench.ablation.catalogue import Row
-    from tg4mm.research.bench.ablation.run import _columns
-    from tg4mm.research.bench.means import group_means
-    from tg4mm.research.bench.measure import read_figures
-    from tg4mm.research.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table
-
     found = read_figures(root)
     if found is None:
         raise RunError("it is made anew")
@@ -107,11 +126,6 @@ def _read_figures(root: Path) -> None:
 
 
 def _read_scores(root: Path) -> None:
-    from tg4mm.research.bench.jobs import _Kept
-    from tg4mm.research.bench.means import line_means
-    from tg4mm.research.bench.pages.tables import pivots
-    from tg4mm.research.bench.scored import with_closure
-
     found = [entry["scores"] for entry in _Kept(root / "scores.json").entries.values()]
     if not found:
         raise RunError("it is made anew")
@@ -125,7 +139,6 @@ def _read_scores(root: Path) -> None:
 
 def _read_rendered(root: Path) -> None:
     """Not what is rendered where it is of no use."""
-    from tg4mm.research.bench import jobs
 
     def render(*_: Any) -> Any:
         raise RunError("it is made anew")
@@ -138,37 +151,24 @@ def _read_rendered(root: Path) -> None:
 
 
 def _rendered(root: Path) -> Path:
-    from tg4mm.research.bench.jobs import _digest
-
     values = {"recipe": _digest({"data": "a", "alpha": 20}), "n_images": 6, "frames_per_s": 31.5}
     return sealed("x020.json", values, "pictures", "ours")(root)
 
 
 def _read_ablation(root: Path) -> None:
-    from tg4mm.research.bench.ablation.page import read_ablation
-    from tg4mm.research.bench.pages.write import _ablation
-
     _ablation(root, read_ablation(root))
 
 
 def _read_bench(root: Path) -> None:
-    from tg4mm.research.bench.folder import open_folder
-
     open_folder(root / "out", "scenes")
 
 
 def _read_complete(root: Path) -> None:
-    from tg4mm.research.bench.ablation.sets import _is_done
-
     _is_done(root, ["mic", "--out", "a"])
 
 
 def _scene(root: Path) -> Path:
     """A set as the generator would make it of a scene of its own."""
-    import json
-
-    from tests.helpers.synthetic import make_synthetic_dataset
-
     make_synthetic_dataset(
         root / "set", n_views=2, n_timesteps=4, size=16, freqs=(5.0,), alphas=(5,), n_test=1
     )
@@ -185,9 +185,6 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.research.bench.ablation.sets import generator_arguments, kind_options
-    from tg4mm.research.bench.sets import open_set
-
     data = open_set(root / "set", "a")
     generator_arguments(data, kind_options(data, "sweep", None), root / "made")
 
@@ -201,16 +198,11 @@ def _render_record(root: Path) -> Path:
 
 
 def _claim(root: Path, make: bool = False) -> None:
-    from tests.faults.readers import _run
-    from tg4mm.run import Run
-    from tg4mm.show.render.cameras import Camera
-    from tg4mm.show.render.sequence import RenderRequest, record, work_folder
-
     if make:
-        _run("config.json")(root)
+        run_of("config.json")(root)
     camera = Camera("r_000", np.eye(4), np.eye(3), 12, 8)
     work_folder(root / "out").claim(
-        record(Run.open(root / "run"), RenderRequest(Magnification.of(5.0)), [camera], "sequence")
+        sequence.record(Run.open(root / "run"), RenderRequest(Magnification.of(5.0)), [camera], "sequence")
     )
 
 
@@ -224,20 +216,11 @@ def _embeddings(name: str) -> Callable[[Path], Path]:
 
 
 def _plan() -> Any:
-    from tg4mm.core.magnification import BandGain, Magnification
-
     return Magnification((BandGain(4, 6, 5.0),), method="linear")
 
 
 def _make_embeddings(root: Path) -> None:
-    import torch
-
-    from tests.faults.readers import T, _paper
-    from tg4mm.research.paper.embeddings import series_of
-    from tg4mm.research.paper.model import load_model, save_planes
-    from tg4mm.run import Run
-
-    _paper("config.json")(root)
+    paper_run("config.json")(root)
     run = Run.open(root / "run")
     cells = len(load_model(run).cells)
     for t in range(1, T):
@@ -247,8 +230,6 @@ def _make_embeddings(root: Path) -> None:
 
 def _read_embeddings(root: Path) -> None:
     """Not what is made where they are of no use, which would write."""
-    from tg4mm.research.paper import embeddings
-    from tg4mm.run import Run
 
     def anew(*_: Any) -> None:
         raise RunError("they are made anew")
@@ -258,19 +239,14 @@ def _read_embeddings(root: Path) -> None:
 
 
 def _pass(root: Path) -> Path:
-    from tests.show.measure.filmed import modes, of_parts, run_of, sine
-    from tg4mm.show.measure import prepare
-
-    prepare(run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2))
+    prepare(
+        filmed.run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2)
+    )
     return root / "run" / "residuals.safetensors"
 
 
 def _read_pass(root: Path) -> None:
     """Not the pictures where it is of no use."""
-    from tg4mm.run import Run
-    from tg4mm.show.measure import prepare, prepared
-    from tg4mm.show.measure.measurement import measure_one
-    from tg4mm.show.measure.sensors import Sensor
 
     def anew(*_: Any) -> None:
         raise RunError("the pictures are read again")

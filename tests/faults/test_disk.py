@@ -20,7 +20,6 @@ import pytest
 import torch
 
 from tests.capture.conftest import write_tree
-from tests.faults.disk import fill
 from tests.faults.readers import READERS
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.core.errors import RunError
@@ -31,6 +30,12 @@ from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.render.video import write_mp4
 
 TMPFS = ("-t", "tmpfs", "-o")
+
+
+def fill(folder: Path) -> None:
+    """Fill the file system."""
+    room = os.statvfs(folder)
+    (folder / "filler").write_bytes(b"\1" * (room.f_bavail * room.f_frsize))
 
 
 def mount(*arguments: str) -> None:
@@ -157,7 +162,7 @@ def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_pa
 FULL_IN = """
 import sys
 from pathlib import Path
-from tests.faults.disk import fill
+from tests.faults.test_disk import fill
 from tg4mm.cli import main
 from tg4mm.run import Run
 import tg4mm.fit.space.train

@@ -24,7 +24,7 @@ def test_native_is_offered_where_blender_has_it_only(extension: ModuleType, spla
     assert extension.compat.native_splats() == (bpy.app.version >= (5, 3, 0))
     if not extension.compat.native_splats():
         with pytest.raises(ValueError, match="'Native'; expected one of Ellipsoids, Splats, Points, Arrows"):
-            setter(extension, obj)(names.DRAW, names.NATIVE)
+            setter(extension, obj)(names.DRAW, "Native")
 
 
 def test_native_attributes_are_the_raw_coefficients_and_the_opacity(
@@ -46,7 +46,7 @@ def test_native_splats_are_where_the_formula_puts_them(
 ) -> None:
     obj, names, splat = import_splat(splat_path), extension.names, read_splat(splat_path)
     put = setter(extension, obj)
-    put(names.DRAW, names.NATIVE)
+    put(names.DRAW, "Native")
     put(names.ALPHA, alpha)
     geometry = evaluated(obj, frame)
     cloud, n, t = geometry.pointcloud, len(splat), frame - 1

@@ -103,7 +103,7 @@ def test_bad_frame_leaves_nothing(extension: ModuleType, frames: list[Path]) -> 
 
 
 def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames: list[Path]) -> None:
-    missing = extension.io.numbered.missing_beside
+    missing = extension.io.loading.missing_beside
     assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
     frames[0].with_name("beat_0013.ply").unlink()
     assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []
@@ -114,8 +114,8 @@ def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames
 
 
 def test_run_ends_at_a_gap(extension: ModuleType, frames: list[Path]) -> None:
-    run = extension.io.numbered.run_around(frames[1])
+    run = extension.io.loading.run_around(frames[1])
     assert run == frames
     lonely = frames[0].with_name("beat_0013.ply")
-    assert extension.io.numbered.run_around(lonely) == [lonely]
-    assert extension.io.numbered.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None
+    assert extension.io.loading.run_around(lonely) == [lonely]
+    assert extension.io.loading.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None

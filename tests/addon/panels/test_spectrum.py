@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
-from tests.addon.playing import import_splat, setter  # noqa: E402
+from tests.addon.playing import import_splat  # noqa: E402
 
 TURNS = np.exp(2j * np.pi * np.arange(3600) / 3600)
 
@@ -49,29 +49,16 @@ def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> N
 
 
 @pytest.mark.parametrize(
-    ("freqs", "strengths", "expected"),
-    [
-        ((1, 2, 3, 4, 5), (0, 5, 1, 3, 0), (2, 4)),
-        ((5, 3, 4, 1, 2), (0, 1, 3, 0, 5), (2, 4)),  # in no order
-        ((1, 2, 3), (9, 2, 1), (1,)),  # the first
-        ((1, 2, 3), (1, 2, 9), (3,)),  # the last
-        ((1, 2, 3, 4), (0, 7, 7, 0), (2,)),  # alike
-        ((1, 2, 3, 4, 5), (0, 100, 1, 4, 0), (2,)),  # 4 is too small
-        ((1, 2, 3), (0, 0, 0), ()),
-        ((), (), ()),
-    ],
-)
-def test_peaks(
-    extension: ModuleType, freqs: tuple[float, ...], strengths: tuple[float, ...], expected: tuple[float, ...]
-) -> None:
-    assert tuple(freqs[k] for k in extension.nodes.spectrum.peaks(freqs, strengths, 1.0)) == expected
-
-
-@pytest.mark.parametrize(
     ("freqs", "strengths", "bin_hz", "expected"),
     [
+        ((5, 3, 4, 1, 2), (0, 1, 3, 0, 5), 1.0, (2, 4)),  # in no order
+        ((1, 2, 3), (9, 2, 1), 1.0, (1,)),  # the first
+        ((1, 2, 3), (1, 2, 9), 1.0, (3,)),  # the last
+        ((1, 2, 3, 4), (0, 7, 7, 0), 1.0, (2,)),  # alike
+        ((1, 2, 3, 4, 5), (0, 100, 1, 4, 0), 1.0, (2,)),  # 4 is too small
+        ((1, 2, 3), (0, 0, 0), 1.0, ()),
+        ((), (), 1.0, ()),
         ((2, 5), (2.0, 1.0), 0.5, (2, 5)),  # nothing was stored between them
-        ((2, 5), (1.0, 2.0), 1.0, (2, 5)),
         ((2, 5), (1.0, 2.0), 5.0, (5,)),  # one bin apart
         ((4, 5, 6, 7), (5.0, 10.0, 4.0, 2.0), 1.0, (5,)),  # a peak with its skirts
         ((4, 5, 6, 7), (5.0, 10.0, 4.0, 4.5), 1.0, (5,)),  # a ripple is no dip
@@ -79,24 +66,9 @@ def test_peaks(
     ],
 )
 def test_peaks_are_apart_by_a_dip_or_an_empty_bin(
-    extension: ModuleType,
-    freqs: tuple[float, ...],
-    strengths: tuple[float, ...],
-    bin_hz: float,
-    expected: tuple[float, ...],
+    extension: ModuleType, freqs: tuple[float], strengths: tuple[float], bin_hz: float, expected: tuple[float]
 ) -> None:
     assert tuple(freqs[k] for k in extension.nodes.spectrum.peaks(freqs, strengths, bin_hz)) == expected
-
-
-@pytest.mark.parametrize(("vibrations", "bins"), [((5.4,), (5,)), ((3.5, 9.3), (3, 9)), ((4.0, 6.0), (4, 6))])
-def test_leakage_of_a_vibration_between_bins_makes_no_peaks(
-    extension: ModuleType, vibrations: tuple[float, ...], bins: tuple[int, ...]
-) -> None:
-    t = np.arange(30) / 30.0  # bins of 1 Hz
-    strengths = np.abs(np.fft.rfft(sum(np.cos(2 * np.pi * f * t) for f in vibrations)))[1:]
-    found = extension.nodes.spectrum.peaks(np.arange(1.0, 16.0), strengths, 1.0)
-    assert len(found) == len(vibrations)
-    assert all(abs(k + 1 - b) <= 1 for k, b in zip(found, bins, strict=True))
 
 
 def test_of_many_peaks_the_largest_are_kept(extension: ModuleType) -> None:
@@ -202,25 +174,3 @@ def test_old_pictures_make_room(extension: ModuleType) -> None:
         assert pictures.pixels(function, float(i + 1), unit) is not None
     assert pictures.pixels(function, 3.0, unit) is None
     assert pictures.pixels(function, 4.0, unit) is not None
-
-
-def test_a_picture_fits_the_sidebar(extension: ModuleType) -> None:
-    def width(pixels: int, scale: float = 1.0) -> float:
-        system = SimpleNamespace(system=SimpleNamespace(ui_scale=scale))
-        return extension.panels.pictures.fitting_width(
-            SimpleNamespace(region=SimpleNamespace(width=pixels), preferences=system)
-        )
-
-    assert width(220) == pytest.approx(8.0)
-    assert width(440, 2.0) == pytest.approx(8.0)
-    assert width(2000) == 11.0
-    assert width(30) == 4.0
-
-
-def test_drawing_a_panel_writes_nothing(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    setter(extension, obj)(extension.names.COLOUR_BY, extension.names.PHASE_COLOUR)
-    before = {key: str(value) for key, value in obj.items()}
-    key = picture_of(extension, obj)
-    extension.panels.pictures.shared().icon(*key)
-    assert {key: str(value) for key, value in obj.items()} == before

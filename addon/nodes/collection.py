@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 
-def collection(context: Any) -> Any:
+def receiving(context: Any) -> Any:
     """The context's collection; if it is excluded, hidden or linked, the nearest above it that is none of these.
 
     The scene's own collection if there is no such, or if the collection is not in the view layer.

@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..nodes import colours
+from ..nodes import colours, images
 from . import plots
 
 Key = tuple[Any, ...]
@@ -37,22 +37,15 @@ def phase(scene: Any, encoded: bool = False) -> plots.Rows:
 def through_view(linear: np.ndarray, scene: Any) -> np.ndarray:
     """[K, 3] sRGB in 0..1 of linear colours [K, 3], by way of a saved picture."""
     image = bpy.data.images.new("tg4mm colours", len(linear), 1, float_buffer=True)
-    shown = None
     try:
         rgba = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)
         image.pixels.foreach_set(rgba.astype(np.float32).ravel())
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "colours.png"
             _save(image, file, scene)
-            shown = bpy.data.images.load(str(file))
-            shown.colorspace_settings.name = "Non-Color"
-            pixels = np.empty(4 * len(linear), np.float32)
-            shown.pixels.foreach_get(pixels)
+            return images.pixels(file.read_bytes())[0, :, :3].astype(np.float64)
     finally:
-        for made in (image, shown):
-            if made is not None:
-                bpy.data.images.remove(made)
-    return pixels.reshape(-1, 4)[:, :3].astype(np.float64)
+        bpy.data.images.remove(image)
 
 
 def _save(image: Any, file: Path, scene: Any) -> None:

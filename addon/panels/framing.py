@@ -39,7 +39,7 @@ def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest corner [3], in the world, of what is opaque of the objects."""
     ends = []
     for obj in objects:
-        points = _points(obj)
+        points = drawing.main_points(scene.first_mesh(obj))  # all where none is opaque
         if len(points):
             turned = points @ np.array(obj.matrix_world)[:3, :3].T + np.array(obj.matrix_world)[:3, 3]
             ends.append(np.percentile(turned, drawing.ENDS, axis=0))
@@ -78,12 +78,6 @@ def _is_startup_cube(obj: Any) -> bool:
     if obj.matrix_world != Matrix.Identity(4) or (len(obj.data.vertices), len(obj.data.polygons)) != (8, 6):
         return False
     return all(abs(abs(c) - 1.0) < 1e-6 for vertex in obj.data.vertices for c in vertex.co)
-
-
-def _points(obj: Any) -> np.ndarray:
-    """[n, 3] positions of the opaque Gaussians, of a sequence those of its first frame; all where none is opaque."""
-    frames = scene.sequence_frames(obj)
-    return drawing.main_points(obj.data if frames is None else frames[0].data)
 
 
 def _frame(area: Any, middle: np.ndarray, radius: float) -> None:
