@@ -48,7 +48,9 @@ from tg4mm.capture.sfm.video import video_frames, video_info
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
-from tg4mm.research.demo import _read_done
+from tg4mm.core.steps import run_steps
+from tg4mm.core.work_folder import WorkFolder
+from tg4mm.research.demo import STEPS_FILE
 from tg4mm.research.evaluate.lpips import _read
 from tg4mm.research.evaluate.run import Resume
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
@@ -252,7 +254,10 @@ def _read_paper(root: Path) -> None:
 
 
 def _read_demo(root: Path) -> None:
-    _read_done(root, 64)
+    folder = WorkFolder(root, STEPS_FILE, free=("done",))
+    request = {"format": "tg4mm-demo", "version": 1, "size": 64}
+    folder.claim(request, {**request, "done": {}})
+    run_steps(folder, request, [], print)
 
 
 SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "closure": 0.75}

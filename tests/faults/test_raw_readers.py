@@ -45,6 +45,7 @@ ALLOWED = {
     # What this program has just written itself, or another of its own processes says.
     "tg4mm/core/memory.py": "temporary arrays without a name",
     "tg4mm/capture/sfm/config.py": "a request, as JSON would give it back",
+    "tg4mm/core/steps.py": "a request, as JSON would give it back",
     "tg4mm/core/work_folder.py": "a request, as JSON would give it back",
     "dataset_gen/worker.py": "the task given to a render process",
     "dataset_gen/render.py": "what Blender rendered a moment ago",
