@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fox_phone_sets import project, visible
-from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, similarity
+from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, world_of
 from tg4mm.run import Run
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
 from tg4mm.show.measure.fourier import sinusoid_columns
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     """Print the table."""
     truth, scene = Truth.load(options.truth), prepare(Run.open(options.run))
     kind = kind_of(scene.capture)
-    world = _world(scene, truth, kind)
+    world, _ = world_of(scene.capture, truth)
     own = [parse_sensor(text) for text in options.sensor]
     sensors = [*(_pixel(name) if kind == "tripod" else _sphere(name, truth, world) for name in PLACES), *own]
     for sensor in sensors:
@@ -52,17 +52,6 @@ def run(options: argparse.Namespace) -> None:
     told = np.array([t for t in times if np.isfinite(t)])
     within = ", ".join(f"{np.mean(told < k):.0%} within {k}" for k in (1, 2, 3))
     print(f"\n{len(told)} parts of phasors; errors by their deviations: {within} (68%, 95%, 99.7% expected)")
-
-
-def _world(scene: Prepared, truth: Truth, kind: str) -> Similarity:
-    """By the sweep's photographs or the clips, whose true poses are known."""
-    capture, own, true = scene.capture, [], []
-    for row, path in enumerate(capture.paths):
-        pose = truth.c2w(path.stem, int(capture.timesteps[row]), kind)
-        if pose is not None and capture.camera_ids[row] not in capture.camera_ids[:row]:
-            own.append(np.linalg.inv(capture.viewmats[row]))
-            true.append(pose)
-    return similarity(np.stack(own), np.stack(true))
 
 
 def _pixel(name: str) -> Sensor:

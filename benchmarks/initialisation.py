@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import Capture, SurfacePoints, load_capture, load_images
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_json
 from tg4mm.core.metrics import psnr, ssim
@@ -57,13 +57,14 @@ def sheet(picture: np.ndarray, truth: np.ndarray) -> Image.Image:
     return Image.fromarray((side * 255 + 0.5).astype(np.uint8).repeat(grow, 0).repeat(grow, 1))
 
 
-def _fit(root: Path, capture: Capture, views: RestViews, config: SpaceConfig) -> tuple[Gaussians, float]:
-    """Gaussians at rest and processor seconds."""
+def fitted(root: Path, views: RestViews, points: SurfacePoints | None, config: SpaceConfig) -> tuple:
+    """Gaussians at rest, the stage's part of the run's log, processor seconds and seconds."""
     with tempfile.TemporaryDirectory() as folder:
         run = Run.create(Path(folder) / "run", root, "modal", {"space": asdict(config)})
-        began = time.process_time()
-        gaussians = train_space(run, views, capture.points, config)
-        return gaussians, time.process_time() - began
+        began = time.process_time(), time.monotonic()
+        gaussians = train_space(run, views, points, config)
+        used = time.process_time() - began[0], time.monotonic() - began[1]
+        return gaussians, run.log()["space"], *used
 
 
 def measured(
@@ -74,7 +75,7 @@ def measured(
     count, began = min(config.init_points, config.max_gaussians), time.process_time()
     first = initial_points(views, capture.points, start, count, np.random.default_rng(config.seed))
     finding = time.process_time() - began
-    gaussians, seconds = _fit(root, capture, views, config)
+    gaussians, _, seconds, _ = fitted(root, views, capture.points, config)
     pictures = rendered(gaussians, test)
     truths = list(test.rgb)
     return {
@@ -114,7 +115,9 @@ def rows_of(root: Path, out: Path, starts: Sequence[str], config: SpaceConfig, p
 def _load(root: Path, config: SpaceConfig) -> tuple[Capture, RestViews, RestViews]:
     capture, test = (load_capture(root, split=split) for split in ("train", "test"))
     views = rest_views(capture, load_images(capture))
-    _fit(root, capture, views, replace(config, iterations=_WARM_UP, init="random"))  # loads the kernels
+    fitted(
+        root, views, capture.points, replace(config, iterations=_WARM_UP, init="random")
+    )  # loads the kernels
     return capture, views, rest_views(test, load_images(test))
 
 

@@ -15,24 +15,20 @@ each channel that fits best.
 from __future__ import annotations
 
 import argparse
-import tempfile
-import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from benchmarks.common import machine
-from benchmarks.initialisation import sheet
-from tg4mm.capture import SurfacePoints, load_capture, load_images
+from benchmarks.initialisation import fitted, sheet
+from tg4mm.capture import load_capture, load_images
 from tg4mm.core.metrics import psnr
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
+from tg4mm.fit.space import RestViews, rest_views
 from tg4mm.fit.space.levels import shrunk
 from tg4mm.fit.space.losses import fitting_gain
-from tg4mm.run import Run
-from tg4mm.run.stages.space import train_space
 from tg4mm.run.train import parse_settings
 from tg4mm.show.render.image import render_image
 
@@ -51,16 +47,6 @@ def spoilt(views: RestViews, deviation: float) -> tuple[RestViews, np.ndarray]:
     logs = np.random.default_rng(1).normal(0, deviation, (len(views.rgb), 3))
     gains = np.exp(logs - logs.mean(0)).astype(np.float32)
     return replace(views, rgb=np.clip(views.rgb * gains[:, None, None], 0, 1)), gains
-
-
-def fitted(root: Path, views: RestViews, points: SurfacePoints | None, config: SpaceConfig) -> tuple:
-    """Gaussians at rest, the stage's part of the run's log, processor seconds and seconds."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Run.create(Path(folder) / "run", root, "modal", {"space": asdict(config)})
-        began = time.process_time(), time.monotonic()
-        gaussians = train_space(run, views, points, config)
-        used = time.process_time() - began[0], time.monotonic() - began[1]
-        return gaussians, run.log()["space"], *used
 
 
 def rendered(gaussians: Gaussians, views: RestViews) -> list[np.ndarray]:
