@@ -80,7 +80,7 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
 
 def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
     """Of a sensor, as `measure.json` has them; marked: what its table marks."""
-    from tg4mm.show.measure.codec import reported_deviation
+    from tg4mm.capture.codec import reported_deviation
     from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
 
     left, upper, right, lower = region
