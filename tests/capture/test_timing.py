@@ -42,6 +42,7 @@ class TestKind:
         steps = list(range(20))
         assert of_cameras({0: steps, 1: [0], 2: [0]}, 20) == "tripod"
         assert of_cameras({0: steps, 1: steps}, 20) == "rig"
+        assert of_cameras(dict.fromkeys(range(3), steps), 20) == "rig"
         assert of_cameras({t: [t] for t in steps}, 20) == "handheld"
 
     def test_a_camera_that_misses_one_of_many_stayed(self) -> None:
@@ -127,6 +128,11 @@ class TestTimes:
 
     def test_a_camera_seen_at_every_tenth_timestep_is_measured_by_tens(self) -> None:
         check_times("scene.json", np.arange(4) * 10 / 30, np.arange(4) * 10, ["a"] * 4, 30.0)
+
+    def test_the_camera_whose_times_are_wrong_is_named(self) -> None:
+        times = np.concatenate([np.arange(2) / 30, np.arange(2) / 25])
+        with pytest.raises(CaptureError, match=r"the times of camera b step by 0\.04 s \(25 Hz\)"):
+            check_times("scene.json", times, np.tile(np.arange(2), 2), ["a"] * 2 + ["b"] * 2, 30.0)
 
     def test_each_camera_has_a_clock_of_its_own(self) -> None:
         times = np.concatenate([np.arange(5) / 30, 100 + np.arange(5) / 30])

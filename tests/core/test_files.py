@@ -53,18 +53,6 @@ def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
     assert len(calls) == 1
 
 
-def test_on_windows_waiting_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def held(source: Path, target: Path) -> None:
-        raise PermissionError(13, "The process cannot access the file", str(target))
-
-    monkeypatch.setattr("tg4mm.core.temporary.os.replace", held)
-    monkeypatch.setattr("tg4mm.core.temporary.WINDOWS", True)
-    monkeypatch.setattr("tg4mm.core.temporary._PATIENCE_S", 0.1)
-    with pytest.raises(PermissionError):
-        write_json(tmp_path / "a.json", 1)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_json_without_nan(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", {"v": float("nan")})

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig
-from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.run import Run
 from tg4mm.run.preset import presets
 from tg4mm.run.train import parse_settings, train
 
@@ -211,50 +205,3 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
         "tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded")
     )
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
-
-
-@pytest.mark.slow
-def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path, tmp_path: Path) -> None:
-    """kill -9 as soon as the first checkpoint of a stage is there, then the same command again."""
-    options = [
-        "space.iterations=600",
-        "space.max_gaussians=600",
-        "motion.iterations=60",
-        "motion.tolerance=1e-6",
-    ]
-    code = (
-        "import sys, tg4mm.fit.space.train as s; from tg4mm.cli import main; "
-        "s.CHECKPOINT_EVERY_S = 0.02; sys.exit(main(sys.argv[1:]))"
-    )
-
-    def program(out: Path) -> subprocess.Popen:
-        sets = [part for option in options for part in ("--set", option)]
-        command = [sys.executable, "-c", code, "train", str(data), "--out", str(out), *sets]
-        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=os.environ)
-
-    def killed(out: Path, checkpoint: str) -> None:
-        process, until = program(out), time.monotonic() + 300
-        try:
-            while not (out / checkpoint).exists():
-                assert process.poll() is None, f"ended before {checkpoint}: {process.stderr.read().decode()}"
-                assert time.monotonic() < until
-                time.sleep(0.002)
-            process.send_signal(signal.SIGKILL)
-        finally:
-            process.kill()
-            process.communicate()
-        assert process.returncode == -signal.SIGKILL
-
-    assert program(tmp_path / "whole").wait(300) == 0
-    killed(tmp_path / "killed", "checkpoint_space.safetensors")
-    assert not (tmp_path / "killed" / "space.safetensors").exists()
-    killed(tmp_path / "killed", "checkpoint_motion.safetensors")
-    assert not (tmp_path / "killed" / "motion.safetensors").exists()
-    assert program(tmp_path / "killed").wait(300) == 0
-    same_results(Run.open(tmp_path / "killed"), Run.open(tmp_path / "whole"))
-    names = {p.name for p in (tmp_path / "killed").iterdir()}
-    assert names == {
-        "config.json", "log.json", "space.safetensors", "motion.safetensors", "uncertainty.safetensors"
-    }  # fmt: skip
-    parts = [Run.open(tmp_path / name).load_part(UNCERTAINTY)[0] for name in ("killed", "whole")]
-    assert all(torch.equal(parts[0][k], v) for k, v in parts[1].items())

@@ -11,7 +11,6 @@ from tests.capture.sfm.scenes import intrinsics, orbit, picture, surface_distanc
 from tests.fit.space.scenes import views_of
 from tg4mm.capture.sfm import SfmPoints, TriangulationConfig, triangulate_views
 from tg4mm.capture.sfm.points import outside_masks
-from tg4mm.capture.sfm.triangulate import view_pairs
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, initial
 from tg4mm.fit.space.initial import initial_points
@@ -92,25 +91,7 @@ class TestStart:
         assert first.source.startswith("hull (sfm found ")
         assert len(first.xyz) == initial.FEWEST
 
-    def test_without_texture_and_masks_random_points_do(self) -> None:
-        pytest.importorskip("pycolmap")
-        grey = np.full((4, 64, 64, 3), 0.5)
-        blank = views_of(orbit(4), intrinsics(64, 64, 80.0), np.ones((4, 64, 64)), grey)
-        with pytest.warns(UserWarning, match="found 0 points"):
-            first = initial_points(blank, None, "sfm", 50, np.random.default_rng(0))
-        assert first.source == "random (sfm found 0 points)"
-
     def test_without_pycolmap_it_is_refused_in_one_line(self, box: RestViews, monkeypatch) -> None:
         monkeypatch.setitem(sys.modules, "pycolmap", None)
         with pytest.raises(Tg4mmError, match=r"needs pycolmap .*pip install '\.\[sfm\]'"):
             initial_points(box, None, "sfm", 100, np.random.default_rng(0))
-
-
-class TestPairs:
-    def test_cameras_that_look_the_other_way_are_left_out(self) -> None:
-        pairs = view_pairs(orbit(12, low=0.2, high=0.2), 60, 24)
-        assert {(j - i) % 12 for i, j in pairs} == {1, 2, 10, 11}  # 30° apart each, at 0.2 rad of elevation
-
-    def test_only_the_nearest_of_many(self) -> None:
-        pairs = view_pairs(orbit(40, low=0.5, high=0.5), 180, 4)
-        assert {min(j - i, 40 - j + i) for i, j in pairs} == {1, 2}

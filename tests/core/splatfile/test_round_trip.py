@@ -56,22 +56,8 @@ def test_another_reader_sees_the_3dgs_layout(make, tmp_path):
     ply = PlyData.read(str(tmp_path / "a.ply"))
     names = [p.name for p in ply["vertex"].properties]
     rest = [f"f_rest_{i}" for i in range(45)]
-    plain = [
-        "x",
-        "y",
-        "z",
-        "nx",
-        "ny",
-        "nz",
-        "f_dc_0",
-        "f_dc_1",
-        "f_dc_2",
-        *rest,
-        "opacity",
-        "scale_0",
-        "scale_1",
-    ]
-    plain += ["scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    plain = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
+    plain += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     kinds = [
         "re_x",
         "re_y",
