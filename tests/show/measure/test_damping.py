@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tg4mm.show.measure.damping import damping_of, half_power
+from tg4mm.capture.codec import Loss
+from tg4mm.show.measure.damping import HALF_POWER, Damping, damping_of, half_power, with_loss
 from tg4mm.show.measure.spectrum import spectrum_of
 
 FPS, HZ = 30.0, 4.0
@@ -63,3 +64,17 @@ def test_what_is_over_early_in_the_record_has_the_right_one(ratio: float) -> Non
     found = damping_of(series, spectrum_of(times, displacement, noise).peaks[0])
     assert found is not None
     assert found.ratio == pytest.approx(ratio / np.hypot(1, ratio), rel=0.001)
+
+
+def test_a_codec_that_takes_more_of_what_has_rung_down_is_in_the_dampings_deviation() -> None:
+    ringing = Damping(0.012, 0.0003, 0.6)
+    told = with_loss(ringing, Loss(0.97, 0.05), Loss(0.88, 0.05))
+    assert told is not None
+    assert (told.ratio, told.decay_per_s) == (ringing.ratio, ringing.decay_per_s)
+    assert told.deviation == pytest.approx(np.hypot(0.0003, 0.012 * np.log(0.97 / 0.88)))
+    assert with_loss(ringing, Loss(1.0, 0.0), Loss(1.0, 0.0)) == ringing
+    unknown = Loss(float("nan"), float("nan"), "not known")
+    assert with_loss(ringing, unknown, unknown) == ringing
+    driven = Damping(0.012, 0.0003, 0.6, HALF_POWER)
+    assert with_loss(driven, Loss(0.97, 0.05), Loss(0.5, 0.05)) == driven
+    assert with_loss(None, Loss(0.97, 0.05), Loss(0.5, 0.05)) is None

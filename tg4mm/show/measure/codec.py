@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from tg4mm.capture.codec import Tone, codec_losses
+from tg4mm.capture.codec import Loss, Tone, codec_losses
 from tg4mm.capture.scene import video_file
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
@@ -16,24 +16,40 @@ _NEAR_PX = 4.0  # of the Gaussians of a region: a pixel that belongs to it
 
 
 def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[SensorResult]:
-    """The results with what compression let through of every peak; as they are where no video is kept with the run."""
+    """The results with what compression let through of every peak; as they are where no video is kept with the run.
+
+    Of what rings down also when it is weaker by e, on whose share the decay that was fitted depends.
+    """
     video = video_file(scene.capture.root)
     if video is None or len(scene.observations.frames) != 1:
         return list(results)
     regions = [_region(scene, result) for result in results]
-    tones = [_tones(result) for result in results]
     fps = scene.observations.fps
-    found = codec_losses(video.path, regions, tones, fps, video.from_s, video.repeats)
-    return [result.with_(losses=tuple(own)) for result, own in zip(results, found, strict=True)]
+
+    def tested(tones: list[list[Tone]]) -> list[tuple[Loss, ...]]:
+        found = codec_losses(video.path, regions, tones, fps, video.from_s, video.repeats)
+        return [tuple(own) for own in found]
+
+    losses = tested([_tones(result) for result in results])
+    faded = tested([_tones(result, 1 / np.e) if _rings(result) else [] for result in results])
+    each = zip(results, losses, faded, strict=True)
+    return [result.with_(losses=own, faded=weaker) for result, own, weaker in each]
 
 
-def _tones(result: SensorResult) -> list[Tone]:
-    """Of all peaks, pixels right and down."""
+def _rings(result: SensorResult) -> bool:
+    """Whether a peak decays."""
+    return any(p.line is not None and p.line.decay_per_s > 0 for p in result.spectrum.peaks)
+
+
+def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
+    """Of all peaks, pixels right and down; those that decay multiplied."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
-    return [
-        Tone(p.frequency_hz, np.array([p.phasor[right], -p.phasor[up]]) * result.px_per_unit)
-        for p in result.spectrum.peaks
-    ]
+    out = []
+    for p in result.spectrum.peaks:
+        decays = p.line is not None and p.line.decay_per_s > 0
+        scale = result.px_per_unit * (of_decaying if decays else 1.0)
+        out.append(Tone(p.frequency_hz, np.array([p.phasor[right], -p.phasor[up]]) * scale))
+    return out
 
 
 def _region(scene: Prepared, result: SensorResult) -> np.ndarray:

@@ -12,12 +12,13 @@ the window's. Given where the peak is at least half as wide as the window's own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
+from tg4mm.capture.codec import Loss
 from tg4mm.core.lines import FEWEST, Line, fit_lines
 from tg4mm.show.measure.orbit import orbit_of
 from tg4mm.show.measure.series import Series
@@ -29,6 +30,8 @@ _BINS = 8  # that a peak is fitted to, at least
 _WINDOW = 1.44  # full width at half power of Hann's window, over 1 / length
 _RESOLVED = 0.5  # times the window's own width that a peak must be wide
 _CORRELATED = 1.9 * 1.2  # neighbouring bins of Hann's window, half-overlapping windows [Welch 1967]
+_LEAST_GAIN = 0.05  # of what a codec lets through: less is noise of its test
+HALF_POWER = "half-power bandwidth"
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,19 @@ def damping_of(series: Series, peak: Peak) -> Damping | None:
     if line is not None and line.damping is not None and line.damping_deviation is not None:
         return Damping(line.damping, line.damping_deviation, line.decay_per_s)
     return half_power(series.times_s, series.displacement @ orbit_of(peak).direction, peak.frequency_hz)
+
+
+def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None:
+    """With what compression may have done to a decay in its deviation.
+
+    Of a share g(a) of an amplitude a is left. Between a and a / e, which tell a decay, it comes out larger by
+    ln g(a) − ln g(a / e) of itself.
+    """
+    gains = np.array([whole.gain, faded.gain])
+    if found is None or found.method == HALF_POWER or not np.isfinite(gains).all():
+        return found
+    false = abs(float(np.diff(np.log(np.maximum(gains, _LEAST_GAIN)))[0]))
+    return replace(found, deviation=float(np.hypot(found.deviation, found.ratio * false)))
 
 
 def _line_of(series: Series, hz: float) -> Line | None:
@@ -105,4 +121,4 @@ def _fitted_width(
     deviation = float(np.sqrt(covariance[2, 2]))
     if 2 * half < _RESOLVED * own or deviation > half / 3:
         return None
-    return Damping(half / centre, deviation / centre, 2 * np.pi * half, "half-power bandwidth")
+    return Damping(half / centre, deviation / centre, 2 * np.pi * half, HALF_POWER)

@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.capture.codec import Loss
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.compression import with_sidebands
-from tg4mm.show.measure.damping import Damping, damping_of
+from tg4mm.show.measure.damping import Damping, damping_of, with_loss
 from tg4mm.show.measure.derivatives import Derivatives, derivatives_of
 from tg4mm.show.measure.orbit import Orbit, orbit_of
 from tg4mm.show.measure.relations import Relation
@@ -54,6 +54,9 @@ class SensorResult:
     codec_period: int | None = None  # frames, of the video's compression
     between: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
     losses: tuple[Loss, ...] = ()  # of every peak, what compression let through; none where it was not tested
+    faded: tuple[
+        Loss, ...
+    ] = ()  # the same of peaks that decay when they are weaker by e; none where nothing decays
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
@@ -146,4 +149,7 @@ class SensorResult:
         best = [
             max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
         ]
-        return tuple(damping_of(record.series, record.peaks[k]) for k, record in enumerate(best))
+        found = [damping_of(record.series, record.peaks[k]) for k, record in enumerate(best)]
+        if not self.faded:
+            return tuple(found)
+        return tuple(map(with_loss, found, self.losses, self.faded))
