@@ -30,7 +30,7 @@ from tg4mm.cli.train import split_settings
 from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.research.bench.measure import Plan
+    from tg4mm.research.bench.request import Plan
     from tg4mm.research.bench.scenes import ScenesRequest
 
 bench = typer.Typer(
@@ -219,11 +219,10 @@ def _request(
 ) -> ScenesRequest:
     plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
-    from tg4mm.research.bench.measure import SCORINGS
     from tg4mm.research.bench.methods.external import parse_external
     from tg4mm.research.bench.methods.known import checked_names
     from tg4mm.research.bench.methods.tracking import checked_settings
-    from tg4mm.research.bench.request import settings_by_preset
+    from tg4mm.research.bench.request import SCORINGS, settings_by_preset
     from tg4mm.research.bench.scenes import ScenesRequest
     from tg4mm.research.bench.vqa import checkouts
 
@@ -284,7 +283,7 @@ def _plan(alphas: str | None, band: bool, lpips_weights: list[Path] | None, devi
     if wanted is not None and any(not 0 <= a < float("inf") for a in wanted):
         raise Tg4mmError(f"--alphas {alphas!r}: expected numbers of at least 0")
     from tg4mm.fit.device import check_device
-    from tg4mm.research.bench.measure import Plan
+    from tg4mm.research.bench.request import Plan
 
     check_device(device.value)
     return Plan(

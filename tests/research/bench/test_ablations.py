@@ -22,10 +22,9 @@ from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lin
 from tg4mm.research.bench.ablation.run import run_ablation
 from tg4mm.research.bench.ablation.sets import KINDS, alphas_for
 from tg4mm.research.bench.folder import circumstances
-from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.pages.markdown import trained_otherwise
 from tg4mm.research.bench.pages.write import _ablation
-from tg4mm.research.bench.request import check_settings, setting_names
+from tg4mm.research.bench.request import Plan, check_settings, setting_names
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.run import Run

@@ -16,12 +16,13 @@ import pytest
 from PIL import Image
 
 from tg4mm.cli import main
+from tg4mm.research.bench.folder import filmed_digest
 from tg4mm.research.bench.jobs import run_job
-from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.methods.video import Linear2D
 from tg4mm.research.bench.pages.shown import gather
 from tg4mm.research.bench.pages.tables import groups_of, tables_of
-from tg4mm.research.bench.sets import filmed_digest, open_set
+from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.sets import open_set
 from tg4mm.research.bench.vqa import checkouts
 
 ROOT = Path(__file__).parents[3]

@@ -13,7 +13,6 @@ from tests.research.bench.conftest import MODAL
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.magnify.half_octaves import half_octave_bands
 from tg4mm.fit.magnify.phase import PhaseMagnifier
-from tg4mm.research.bench.measure import Plan
 from tg4mm.research.bench.methods.tracking import HexPlane, checked_settings, tracking
 from tg4mm.research.bench.methods.video import (
     Linear2D,
@@ -23,6 +22,7 @@ from tg4mm.research.bench.methods.video import (
     collapse,
     laplacian,
 )
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.sets import BenchSet, open_set
 from tg4mm.run import Run
 

@@ -19,10 +19,11 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import group_means, line_means
-from tg4mm.research.bench.measure import SEEN, Plan, Training, _request
+from tg4mm.research.bench.measure import SEEN, _request
 from tg4mm.research.bench.methods import trained
 from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
-from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.research.bench.request import Plan, Training, same_time_training
+from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
 from tg4mm.research.bench.sets import open_set, open_sets, truth_at
 from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.research.evaluate.subject import subject_of

@@ -17,7 +17,7 @@ from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.catalogue import ABLATIONS
 from tg4mm.research.bench.ablation.run import _job
 from tg4mm.research.bench.ablation.sets import generator_arguments, with_noise, with_timesteps, with_views
-from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.sets import (
     amplitude_name,
     band_around,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import shlex
@@ -9,11 +10,13 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from tg4mm import __version__
+from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.values import Maybe
@@ -60,6 +63,30 @@ def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> No
             )
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, {"root": str(root), "digest": digest, "contents": filmed})
+
+
+def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
+    """[name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
+    stats = ((file, file.stat()) for file in files)
+    return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
+
+
+def filmed_digest(root: Path) -> str:
+    """Of what a method may train on: all cameras, the training pictures and points3d.ply. A copy has the same."""
+    files = {*root.glob("[0-9]*/transforms_*.json"), *load_capture(root, split="train").paths}
+    files |= {file for file in (root / "points3d.ply",) if file.is_file()}
+    state = files_state(sorted(files), root)
+    return _content_digest(root, tuple(tuple(entry) for entry in state))
+
+
+@lru_cache(maxsize=64)  # every job of a set asks
+def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
+    """Of the files' names and bytes."""
+    digest = hashlib.sha256()
+    for name, size, _ in state:
+        digest.update(f"{name} {size}\n".encode())
+        digest.update((root / name).read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def safe_name(text: str) -> str:

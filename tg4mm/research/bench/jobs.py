@@ -20,12 +20,13 @@ from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.folder import claim_set, safe_name
-from tg4mm.research.bench.measure import Plan, alphas_of
+from tg4mm.research.bench.folder import claim_set, files_state, filmed_digest, safe_name
+from tg4mm.research.bench.measure import alphas_of
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.scored import cameras_of, picture_name, score_pictures, video_of
-from tg4mm.research.bench.sets import BenchSet, files_state, filmed_digest, truth_at, truth_state
+from tg4mm.research.bench.sets import BenchSet, truth_at, truth_state
 from tg4mm.research.bench.vqa import Checkout
 from tg4mm.research.evaluate.lpips import load_lpips
 

@@ -7,20 +7,19 @@ import gc
 import shutil
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import AS_CAPTURED, Magnification
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, safe_name
 from tg4mm.research.bench.observed import observed_figures
+from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
 from tg4mm.research.evaluate.lpips import load_lpips
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC, evaluate_run
@@ -57,78 +56,6 @@ FORM = {
     "observed?": {str: Maybe(float)},
     "strongest_hz?": Maybe(float),
 }
-
-
-@dataclass(frozen=True)
-class Scoring:
-    """A way to magnify a trained run."""
-
-    name: str
-    method: str  # "modal", "linear", "phase"
-    filter: str | None = None  # None: the method's own, zero-phase
-
-    def magnified(self, bands: Iterable[tuple[float, float]], alpha: float = 1.0) -> Magnification:
-        """By α in the bands; without any everywhere."""
-        chosen = None if self.filter is None else TemporalFilter(self.filter)
-        return Magnification.of(alpha, *bands, method=self.method, filter=chosen)
-
-
-SCORINGS = {
-    "modal": (Scoring("modal", "modal"),),
-    "paper": (Scoring("linear", "linear"), Scoring("phase", "phase")),
-    "paper-tuned": (Scoring("linear", "linear"), Scoring("phase", "phase")),
-}
-
-
-class Trainer(Protocol):
-    """Another way to a run than `tg4mm train`."""
-
-    def plain(self) -> dict[str, Any]:
-        """Its settings, in JSON's types."""
-        ...
-
-    def overrides(self) -> dict[str, str]:
-        """Those that differ from its defaults, as `--set` takes them."""
-        ...
-
-    def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
-        """Train into the folder `place`, or go on there; `settings` as of the preset."""
-        ...
-
-
-@dataclass(frozen=True)
-class Training:
-    """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
-
-    name: str  # a folder's name
-    preset: str
-    settings: Mapping[str, str] = field(default_factory=dict)
-    scorings: tuple[Scoring, ...] = ()  # (): those of the preset
-    trainer: Trainer | None = None  # None: `tg4mm train`
-
-    @property
-    def ways(self) -> tuple[Scoring, ...]:
-        return self.scorings or SCORINGS[self.preset]
-
-    @property
-    def overrides(self) -> dict[str, str]:
-        """All settings that differ from the defaults."""
-        return {**self.settings, **(self.trainer.overrides() if self.trainer else {})}
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What holds for all runs of a benchmark."""
-
-    alphas: tuple[float, ...] | None = None  # None: all with ground truth
-    banded: bool = True  # magnify the band around the motion; False: every frequency
-    lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
-    device: str = "cpu"
-    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
-
-    def bands(self, data: BenchSet) -> tuple[tuple[float, float], ...]:
-        """That every method magnifies, Hz; (): every frequency."""
-        return (data.band_hz,) if self.banded else ()
 
 
 def measure(

@@ -1,14 +1,96 @@
-"""What a user gives for several presets at once, sorted by preset."""
+"""What a benchmark runs: trainings and how each is magnified, what holds for all, and settings sorted by preset."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import Magnification
+from tg4mm.research.bench.sets import BenchSet
+from tg4mm.research.paper.config import PaperConfig
+from tg4mm.run import Run
 from tg4mm.run.preset import preset_named
 from tg4mm.run.train import parse_settings
 
+
+@dataclass(frozen=True)
+class Scoring:
+    """A way to magnify a trained run."""
+
+    name: str
+    method: str  # "modal", "linear", "phase"
+    filter: str | None = None  # None: the method's own, zero-phase
+
+    def magnified(self, bands: Iterable[tuple[float, float]], alpha: float = 1.0) -> Magnification:
+        """By α in the bands; without any everywhere."""
+        chosen = None if self.filter is None else TemporalFilter(self.filter)
+        return Magnification.of(alpha, *bands, method=self.method, filter=chosen)
+
+
+SCORINGS = {
+    "modal": (Scoring("modal", "modal"),),
+    "paper": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+    "paper-tuned": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+}
+
+
+class Trainer(Protocol):
+    """Another way to a run than `tg4mm train`."""
+
+    def plain(self) -> dict[str, Any]:
+        """Its settings, in JSON's types."""
+        ...
+
+    def overrides(self) -> dict[str, str]:
+        """Those that differ from its defaults, as `--set` takes them."""
+        ...
+
+    def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
+        """Train into the folder `place`, or go on there; `settings` as of the preset."""
+        ...
+
+
+@dataclass(frozen=True)
+class Training:
+    """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
+
+    name: str  # a folder's name
+    preset: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+    scorings: tuple[Scoring, ...] = ()  # (): those of the preset
+    trainer: Trainer | None = None  # None: `tg4mm train`
+
+    @property
+    def ways(self) -> tuple[Scoring, ...]:
+        return self.scorings or SCORINGS[self.preset]
+
+    @property
+    def overrides(self) -> dict[str, str]:
+        """All settings that differ from the defaults."""
+        return {**self.settings, **(self.trainer.overrides() if self.trainer else {})}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What holds for all runs of a benchmark."""
+
+    alphas: tuple[float, ...] | None = None  # None: all with ground truth
+    banded: bool = True  # magnify the band around the motion; False: every frequency
+    lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
+    device: str = "cpu"
+    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
+
+    def bands(self, data: BenchSet) -> tuple[tuple[float, float], ...]:
+        """That every method magnifies, Hz; (): every frequency."""
+        return (data.band_hz,) if self.banded else ()
+
+
+SAME_TIME = "modal's time"
 # With a `paper` preset the base Gaussians' iterations are paper.warm_up, so this one is for modal alone.
 _OF_MODAL = {"space.iterations"}
 
@@ -38,3 +120,19 @@ def setting_names(preset: str) -> set[str]:
 def check_settings(settings: Mapping[str, str], preset: str) -> None:
     """Raise Tg4mmError for a setting that `tg4mm train` would refuse, before anything is written."""
     preset_named(preset).check(parse_settings(settings, preset))
+
+
+def same_time_training(preset: str, settings: dict[str, str], factor: float) -> Training:
+    """The preset with all its iterations times `factor`.
+
+    The factor is measured, so it differs between machines; the iterations that follow from it are settings like any
+    other, stand on the page, and repeat the run bit for bit.
+    """
+    config: PaperConfig = parse_settings(settings, preset)["paper"]
+    warm_up = max(round(config.warm_up * factor), 1)
+    scaled = {
+        "paper.warm_up": str(warm_up),
+        "paper.iterations": str(max(round(config.iterations * factor), warm_up + 1)),
+        "paper.motion_iterations": str(max(round(config.motion_iterations * factor), 1)),
+    }
+    return Training(f"{preset}, {SAME_TIME}", preset, {**settings, **scaled})

@@ -15,22 +15,19 @@ from tg4mm.research.bench.ablation.page import read_ablation
 from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
 from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import group_means, line_means
-from tg4mm.research.bench.measure import Plan, Training, alphas_of, check_plan, is_measured, warm_up
+from tg4mm.research.bench.measure import alphas_of, check_plan, is_measured, warm_up
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.methods.known import DEFAULT, methods_of
 from tg4mm.research.bench.methods.trained import Trained
 from tg4mm.research.bench.pages.write import write_page, write_results
-from tg4mm.research.bench.request import check_settings
+from tg4mm.research.bench.request import Plan, Training, check_settings, same_time_training
 from tg4mm.research.bench.scored import with_closure
 from tg4mm.research.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth
 from tg4mm.research.bench.vqa import Checkout
 from tg4mm.research.evaluate.run import CEILING, STATIC
-from tg4mm.research.paper.config import PaperConfig
-from tg4mm.run.train import parse_settings
 
 KIND = "scenes"
-SAME_TIME = "modal's time"
 SAME_TIME_CHOICES = ("needed", "always", "never")
 Printer = Callable[[str], None]
 
@@ -287,19 +284,3 @@ def same_time_trainings(figures: dict[str, dict[str, Any]], request: ScenesReque
         if request.same_time == "always" or factor > 1.0:
             found.append(same_time_training(preset, request.settings.get(preset, {}), factor))
     return found
-
-
-def same_time_training(preset: str, settings: dict[str, str], factor: float) -> Training:
-    """The preset with all its iterations times `factor`.
-
-    The factor is measured, so it differs between machines; the iterations that follow from it are settings like any
-    other, stand on the page, and repeat the run bit for bit.
-    """
-    config: PaperConfig = parse_settings(settings, preset)["paper"]
-    warm_up = max(round(config.warm_up * factor), 1)
-    scaled = {
-        "paper.warm_up": str(warm_up),
-        "paper.iterations": str(max(round(config.iterations * factor), warm_up + 1)),
-        "paper.motion_iterations": str(max(round(config.motion_iterations * factor), 1)),
-    }
-    return Training(f"{preset}, {SAME_TIME}", preset, {**settings, **scaled})

@@ -19,6 +19,7 @@ from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.files import to_json
 from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.folder import files_state
 from tg4mm.run.config import read_json
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
@@ -270,35 +271,11 @@ def _captured(root: Path, digest: str, alpha: int) -> Capture:
     return load_capture(root, split="test", magnification=alpha)
 
 
-def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
-    """[name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
-    stats = ((file, file.stat()) for file in files)
-    return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
-
-
 def truth_state(data: BenchSet, alpha: float) -> str:
     """The digest of the names, sizes and times of change of the test pictures at α."""
     truth = truth_at(data, alpha)
     state = repr(files_state(truth.paths, truth.root))
     return hashlib.sha256(state.encode()).hexdigest()[:16]
-
-
-def filmed_digest(root: Path) -> str:
-    """Of what a method may train on: all cameras, the training pictures and points3d.ply. A copy has the same."""
-    files = {*root.glob("[0-9]*/transforms_*.json"), *load_capture(root, split="train").paths}
-    files |= {file for file in (root / "points3d.ply",) if file.is_file()}
-    state = files_state(sorted(files), root)
-    return _content_digest(root, tuple(tuple(entry) for entry in state))
-
-
-@lru_cache(maxsize=64)  # every job of a set asks
-def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
-    """Of the files' names and bytes."""
-    digest = hashlib.sha256()
-    for name, size, _ in state:
-        digest.update(f"{name} {size}\n".encode())
-        digest.update((root / name).read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def _digest(root: Path) -> str:

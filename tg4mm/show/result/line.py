@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tg4mm.core.lines import FEWEST, Line, find_lines, fit_lines, projected
 from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import CLEAR_PERIODS
+from tg4mm.show.result.model import Length, with_deviation
 
+_SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _FREE = 8  # samples beside four for each line that a fit needs
 
 
@@ -80,3 +84,46 @@ def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarra
     by_noise = np.asarray(noise, np.float64) ** 2
     by_model = np.maximum(np.asarray(deviation, np.float64) ** 2 - by_noise, 0)
     return np.sqrt(2 * (by_noise + share[:, None] * by_model)).astype(np.float32)
+
+
+def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
+
+    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
+    """
+    turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
+    shape = weights[:, None] * turned.real
+    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
+        float((shape * turned.real).sum()), 1e-30
+    )
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
+    return np.asarray((along[:, None] * gains).real.sum(0))
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A peak of the modes, and the line that it belongs to."""
+
+    mode_hz: float
+    hz: float
+    deviation_hz: float
+    line: Line | None  # None: the record is too short, or the fit is of steady lines alone
+    is_steady: bool = False
+
+    def reach(self, duration_s: float) -> float:
+        """Hz to either side that are its own: 1 / duration, or the width of what rings down."""
+        return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
+
+
+def is_drift(found: Peak, duration_s: float) -> bool:
+    """Whether the record holds too little of a frequency to tell it from a slow drift."""
+    return found.mode_hz * duration_s < CLEAR_PERIODS or found.hz < _SURE * found.deviation_hz
+
+
+def drift_line(drifts: list[Peak], duration_s: float) -> list[str]:
+    """A line on the strongest peak that is taken for a drift."""
+    return [
+        f"whether something vibrates at {with_deviation(Length(v.hz, v.deviation_hz))} Hz or drifts: the record holds "
+        f"{v.hz * duration_s:.2g} periods of it; a longer one tells"
+        for v in drifts[:1]
+    ]

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
+from tg4mm.capture.scene import video_file
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import CLEAR_PERIODS
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
+
+if TYPE_CHECKING:
+    from tg4mm.show.result.read import Reading
+
 
 _MOST = 4  # things that move by themselves, said one by one
 _LEAST_READOUT_S = (
@@ -87,3 +97,35 @@ def _moves(mover: Mover) -> str:
 
 def _at(line: LookLine) -> str:
     return f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})"
+
+
+def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
+    """What the run cannot tell, a line each."""
+    duration = reading.duration_s
+    out = [*reading.log.get("notes", ()), *([] if reading.look is None else looked_notes(reading.look))]
+    out.append(
+        f"frequencies under {CLEAR_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
+        f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+    )
+    if "along_sight" in reading.uncertainty and vibrations:
+        out.append(
+            "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
+            "than the ± says"
+        )
+    if "noise" not in reading.uncertainty and vibrations:
+        out.append(
+            f"how sure the amplitudes are: the preset {reading.run.preset} with these settings does not say it"
+        )
+    if vibrations and reading.capture is not None and video_file(reading.capture.root) is not None:
+        out.append(
+            "what the video's compression took of small amplitudes, which the ± does not hold: "
+            f"tg4mm measure {shlex.quote(str(reading.run.path))} --out FOLDER tests it"
+        )
+    if reading.capture is None:
+        out.append(f"pixels and the scale: the dataset {reading.run.dataset} is not there")
+    elif reading.capture.unit_scale_m is None and reading.capture.kind.sees_depth:
+        out.append(
+            "millimetres: unit_scale_m (metres per scene unit) in "
+            f"{shlex.quote(str(reading.capture.root / 'scene.json'))} is not known"
+        )
+    return tuple(out)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,25 +10,32 @@ import numpy as np
 
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import Found
-from tg4mm.capture.scene import between_frames, video_file
+from tg4mm.capture.scene import between_frames
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import RunError
-from tg4mm.core.lines import Line
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import CLEAR_PERIODS, PERIODS, frames_of
+from tg4mm.fit.motion.observations import PERIODS, frames_of
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
-from tg4mm.show.result.line import line_near, mode_deviations, phasors_at, why_no_damping
-from tg4mm.show.result.looked import looked_notes, looked_vibrations
-from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
+from tg4mm.show.result.line import (
+    Peak,
+    drift_line,
+    is_drift,
+    line_near,
+    mode_deviations,
+    phasors_at,
+    series_of,
+    why_no_damping,
+)
+from tg4mm.show.result.looked import cannot_tell, looked_vibrations
+from tg4mm.show.result.model import Length, Result, Vibration
 from tg4mm.show.result.reach import Reach, Seen, reach_of, seen_by
 
-_SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
 _STEADY = "the fit takes the vibration to be steady"
@@ -90,7 +96,7 @@ class Reading:
         seen = self.seen
         has_regions = self.look is not None and bool(self.look.vibrations)
         found = [] if has_regions else self._found(motion, seen)
-        drifts = [v for v in found if _is_drift(v, self.duration_s)]
+        drifts = [v for v in found if is_drift(v, self.duration_s)]
         vibrations, beside = self._named(motion, seen, [v for v in found if v not in drifts])
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
@@ -109,7 +115,7 @@ class Reading:
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=(*_drift_line(drifts, self.duration_s), *self._cannot(motion, vibrations)),
+            cannot=(*drift_line(drifts, self.duration_s), *cannot_tell(self, motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
             beside=beside,
@@ -121,7 +127,7 @@ class Reading:
         return None if self.capture is None or self.capture.kind.sees_depth else look_of(self.run)
 
     def _named(
-        self, motion: ModalMotion, seen: Seen, found: list[_Found]
+        self, motion: ModalMotion, seen: Seen, found: list[Peak]
     ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
         """The vibrations that the model holds, and others; where a flat capture's regions name some, these alone.
 
@@ -159,31 +165,31 @@ class Reading:
         """Of everything that stands out, what may be a drift among it, by falling strength."""
         return [] if self.motion is None else [v.hz for v in self._found(self.motion, self.seen)]
 
-    def _found(self, motion: ModalMotion, seen: Seen) -> list[_Found]:
+    def _found(self, motion: ModalMotion, seen: Seen) -> list[Peak]:
         """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
         hz = [float(f) for f in peaks(motion, PERIODS / self.duration_s, self.uncertainty.get("noise"))]
         told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
-        out: list[_Found] = []
+        out: list[Peak] = []
         for f in hz:
             if (
                 told
             ):  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
-                out.append(_Found(f, f, told[min(told, key=lambda g: abs(g - f))], None, is_steady=True))
+                out.append(Peak(f, f, told[min(told, key=lambda g: abs(g - f))], None, is_steady=True))
                 continue
             own = self._line(motion, seen, f, [g for g in hz if g != f])
             if all(abs(own.hz - v.hz) >= v.reach(self.duration_s) for v in out):
                 out.append(own)
         return out
 
-    def _line(self, motion: ModalMotion, seen: Seen, hz: float, others: list[float]) -> _Found:
+    def _line(self, motion: ModalMotion, seen: Seen, hz: float, others: list[float]) -> Peak:
         series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
         noise = float(self.log.get("noise_to_motion") or 0.0)
         line = line_near(series, motion.fps, hz, others, noise, self._between)
         if line is None:  # a bin, uniformly distributed
-            return _Found(hz, hz, 1 / (self.duration_s * np.sqrt(12)), None)
-        return _Found(hz, line.hz, line.hz_deviation, line)
+            return Peak(hz, hz, 1 / (self.duration_s * np.sqrt(12)), None)
+        return Peak(hz, line.hz, line.hz_deviation, line)
 
-    def _vibrations(self, motion: ModalMotion, seen: Seen, found: list[_Found]) -> tuple[Vibration, ...]:
+    def _vibrations(self, motion: ModalMotion, seen: Seen, found: list[Peak]) -> tuple[Vibration, ...]:
         bands = suggested_bands(
             [v.hz for v in found], [v.deviation_hz for v in found], self.duration_s, motion.fps,
             [v.reach(self.duration_s) for v in found],
@@ -268,81 +274,8 @@ class Reading:
         noise_px, is_decoded = self._noise(self.seen)[1], self.run.preset != "modal"
         return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
 
-    def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
-        duration = self.duration_s
-        out = [*self.log.get("notes", ()), *([] if self.look is None else looked_notes(self.look))]
-        out.append(
-            f"frequencies under {CLEAR_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
-            f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
-        )
-        if "along_sight" in self.uncertainty and vibrations:
-            out.append(
-                "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
-                "than the ± says"
-            )
-        if "noise" not in self.uncertainty and vibrations:
-            out.append(
-                f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"
-            )
-        if vibrations and self.capture is not None and video_file(self.capture.root) is not None:
-            out.append(
-                "what the video's compression took of small amplitudes, which the ± does not hold: "
-                f"tg4mm measure {shlex.quote(str(self.run.path))} --out FOLDER tests it"
-            )
-        if self.capture is None:
-            out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
-        elif self.capture.unit_scale_m is None and self.capture.kind.sees_depth:
-            out.append(
-                "millimetres: unit_scale_m (metres per scene unit) in "
-                f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"
-            )
-        return tuple(out)
-
 
 _STATED = ("frequencies_hz", "frequency_deviation_hz")
-
-
-def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
-
-    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
-    """
-    turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
-    shape = weights[:, None] * turned.real
-    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
-        float((shape * turned.real).sum()), 1e-30
-    )
-    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
-    return np.asarray((along[:, None] * gains).real.sum(0))
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A peak of the modes, and the line that it belongs to."""
-
-    mode_hz: float
-    hz: float
-    deviation_hz: float
-    line: Line | None  # None: the record is too short, or the fit is of steady lines alone
-    is_steady: bool = False
-
-    def reach(self, duration_s: float) -> float:
-        """Hz to either side that are its own: 1 / duration, or the width of what rings down."""
-        return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
-
-
-def _is_drift(found: _Found, duration_s: float) -> bool:
-    """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return found.mode_hz * duration_s < CLEAR_PERIODS or found.hz < _SURE * found.deviation_hz
-
-
-def _drift_line(drifts: list[_Found], duration_s: float) -> list[str]:
-    """A line on the strongest peak that is taken for a drift."""
-    return [
-        f"whether something vibrates at {with_deviation(Length(v.hz, v.deviation_hz))} Hz or drifts: the record holds "
-        f"{v.hz * duration_s:.2g} periods of it; a longer one tells"
-        for v in drifts[:1]
-    ]
 
 
 def _index(motion: ModalMotion, hz: float) -> int:

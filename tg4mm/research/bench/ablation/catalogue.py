@@ -6,10 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from tg4mm.core.choices import FILTERS
+from tg4mm.core.filters import TemporalFilter
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.sets import KINDS
-from tg4mm.research.bench.measure import Scoring
+from tg4mm.research.bench.request import Scoring
+from tg4mm.research.bench.sets import BenchSet
 from tg4mm.run.preset import preset_named
 
 _NOISE = 5.0  # of 255: a sensor's, where the ablation is of something else
@@ -283,3 +287,12 @@ def _complete(row: Row, preset: str, given: Mapping[str, str]) -> Row:
         settings[name] = str(max(round(base * factor), 1)) if whole else f"{base * factor:.12g}"
         label = f"{name} = {settings[name]}"
     return replace(row, label=label, settings=settings, scalings={})
+
+
+def filter_figures(kind: str | None, data: BenchSet) -> dict[str, float]:
+    """What the filter alone does to the motion's frequency f: arg H(f) in degrees (ahead: positive), and |H(f) − 1|."""
+    response = TemporalFilter(kind or "zero-phase").response(data.band_hz, [data.frequency_hz], data.fps)[0]
+    return {
+        "filter_phase_deg": float(np.degrees(np.angle(response))),
+        "filter_error": float(abs(response - 1)),
+    }

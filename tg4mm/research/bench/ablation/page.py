@@ -12,7 +12,7 @@ from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import CIRCUMSTANCES, FORMAT, VERSION
 from tg4mm.research.bench.means import mean_of_all
 from tg4mm.research.bench.measure import OF_RUN
-from tg4mm.research.bench.pages.markdown import markdown, origin, trained_otherwise
+from tg4mm.research.bench.pages.markdown import markdown, not_there, origin, trained_otherwise
 from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.research.text import NOTHING, Table, shown
@@ -167,16 +167,6 @@ def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
     notes = {note: None for line in results["lines"] for note in line["notes"]}
     parts += [f"Note: {note}" for note in notes]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def not_there(results: Mapping[str, Any]) -> str:
-    """What failed or was left out, and why; empty where nothing was."""
-    lines = [
-        f"- {word}: {x['set']}{', ' if x['method'] else ''}{x['method']}: {x['why']}"
-        for word, found in (("Failed", results["failed"]), ("Left out", results["left_out"]))
-        for x in found
-    ]
-    return "\n".join(lines)
 
 
 def _trained_with(results: Mapping[str, Any]) -> str:

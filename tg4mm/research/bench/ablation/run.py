@@ -10,11 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import RunError, Tg4mmError
-from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
 from tg4mm.research.bench import BenchError, StepError
-from tg4mm.research.bench.ablation.catalogue import Ablation, Row, chosen_preset, find_ablation, rows_of
+from tg4mm.research.bench.ablation.catalogue import (
+    Ablation,
+    Row,
+    chosen_preset,
+    filter_figures,
+    find_ablation,
+    rows_of,
+)
 from tg4mm.research.bench.ablation.page import FILE, ablation_cells, ablation_page, picture
 from tg4mm.research.bench.ablation.sets import (
     TARGETS_PX,
@@ -30,26 +36,17 @@ from tg4mm.research.bench.folder import (
     VERSION,
     circumstances,
     claim_set,
+    filmed_digest,
     open_folder,
     safe_name,
     why_failed,
     write_text,
 )
 from tg4mm.research.bench.means import scalars
-from tg4mm.research.bench.measure import (
-    OF_RUN,
-    SCORINGS,
-    Plan,
-    Scoring,
-    Training,
-    check_plan,
-    is_measured,
-    measure,
-    warm_up,
-)
+from tg4mm.research.bench.measure import OF_RUN, check_plan, is_measured, measure, warm_up
 from tg4mm.research.bench.pages.shown import slices_picture
-from tg4mm.research.bench.request import check_settings, settings_by_preset
-from tg4mm.research.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
+from tg4mm.research.bench.request import SCORINGS, Plan, Scoring, Training, check_settings, settings_by_preset
+from tg4mm.research.bench.sets import BenchSet, open_set, open_those_that_open, torn_truth
 from tg4mm.research.text import latex_table
 
 Printer = Callable[[str], None]
@@ -267,7 +264,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
     rest = figures["rows"].get("0", {})
     values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")
     if row.scorings and figures["request"]["band_hz"]:
-        values |= _filter_figures(row.scorings[0].filter, data)
+        values |= filter_figures(row.scorings[0].filter, data)
     return {
         "set": data.label,
         "row": row.label,
@@ -290,17 +287,6 @@ def _columns(row: Row, figures: dict[str, Any]) -> dict[str, str]:
         return {f"α = {a}": a for a in alphas}
     made = {str(round(target / row.amplitude_px)): f"+{target:g} px" for target in reversed(TARGETS_PX)}
     return {made[a]: a for a in alphas if a in made}
-
-
-def _filter_figures(kind: str | None, data: BenchSet) -> dict[str, float]:
-    """What the filter alone does to the motion's frequency f: arg H(f) in degrees (ahead: positive), and |H(f) − 1|."""
-    import numpy as np
-
-    response = TemporalFilter(kind or "zero-phase").response(data.band_hz, [data.frequency_hz], data.fps)[0]
-    return {
-        "filter_phase_deg": float(np.degrees(np.angle(response))),
-        "filter_error": float(abs(response - 1)),
-    }
 
 
 def _write(out: Path, results: dict[str, Any]) -> None:

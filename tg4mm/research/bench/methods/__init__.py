@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tg4mm.capture import Capture
-from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.sets import BenchSet
 
 Pictures = Iterator[

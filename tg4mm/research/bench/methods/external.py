@@ -9,10 +9,11 @@ from typing import Any
 from tg4mm.capture import Capture
 from tg4mm.core.pictures.decode import image_header
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.folder import files_state
 from tg4mm.research.bench.methods import Pictures
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.scored import cameras_of, picture_name, video_of
-from tg4mm.research.bench.sets import BenchSet, check_name, files_state, truth_at
+from tg4mm.research.bench.sets import BenchSet, check_name, truth_at
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from tg4mm.capture import Capture, load_capture
 from tg4mm.core.magnification import Magnification
-from tg4mm.research.bench.measure import Plan, Scoring, Training, measure
+from tg4mm.research.bench.measure import measure
 from tg4mm.research.bench.methods import Pictures
+from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
 from tg4mm.research.evaluate.scores import Method, render_views

@@ -19,10 +19,11 @@ from tg4mm.core.filters import apply_response, bins
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.magnify.half_octaves import half_octave_bands
 from tg4mm.fit.magnify.phase import SMALLEST, PhaseMagnifier
-from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.folder import files_state
 from tg4mm.research.bench.methods import Pictures
+from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.scored import cameras_of, video_of
-from tg4mm.research.bench.sets import BenchSet, files_state, truth_at
+from tg4mm.research.bench.sets import BenchSet, truth_at
 
 # NTSC's luma and two chroma signals from RGB.
 _YIQ = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
