@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import bpy
@@ -116,3 +116,44 @@ def render_cycles(path: Path, samples: int, clear: bool = False) -> None:
     scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
+
+
+class Layout:
+    """Stands in for Blender's layout: records what is drawn, and reads every property, as drawing does."""
+
+    def __init__(self) -> None:
+        self.drawn: list[str] = []  # labels; operators and properties, each with the text beside
+        self.pictures = 0
+        self.asked: list[tuple[str, SimpleNamespace]] = []  # operators and the properties they are given
+
+    def label(self, text: str = "", icon: str = "NONE") -> None:
+        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
+        self.drawn.append(text)
+
+    def operator(self, name: str, text: str = "", **_: Any) -> SimpleNamespace:
+        module, _, function = name.partition(".")
+        assert getattr(getattr(bpy.ops, module), function).get_rna_type()
+        self.drawn += [name, text]
+        self.asked.append((name, SimpleNamespace()))
+        return self.asked[-1][1]
+
+    def prop(self, owner: Any, path: str, text: str = "", **_: Any) -> None:
+        owner.path_resolve(path) if hasattr(owner, "path_resolve") else getattr(owner, path)
+        self.drawn += [path, text]
+
+    def prop_search(self, owner: Any, path: str, data: Any, found: str, **_: Any) -> None:
+        getattr(data, found)
+        self.prop(owner, path)
+
+    def progress(self, factor: float, text: str) -> None:
+        assert 0 <= factor <= 1
+        self.drawn.append(f"progress {text}")
+
+    def template_icon(self, icon_value: int, scale: float) -> None:
+        assert scale > 1
+        self.pictures += 1
+
+    def column(self, **_: Any) -> Layout:
+        return self
+
+    row = box = grid_flow = split = column

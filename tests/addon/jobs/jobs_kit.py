@@ -1,4 +1,4 @@
-"""What the tests of background jobs share: waiting for one by hand, and the panels on a stand-in layout."""
+"""What the tests of background jobs share: waiting for one by hand, and what the panels show."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import bpy
+
+from tests.addon.playing import Layout
 
 
 def wait(
@@ -23,40 +25,6 @@ def wait(
         assert again == (background.INTERVAL_S if background.running(kind) else None)
         time.sleep(0.02)
     return job
-
-
-class Layout:
-    """Records what is drawn; reads every property, as drawing does."""
-
-    def __init__(self, drawn: list[str] | None = None) -> None:
-        self.drawn: list[str] = [] if drawn is None else drawn
-
-    def label(self, text: str = "", icon: str = "NONE") -> None:
-        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
-        self.drawn.append(text)
-
-    def operator(self, name: str, **options: Any) -> Any:
-        module, _, function = name.partition(".")
-        assert getattr(getattr(bpy.ops, module), function).get_rna_type()
-        self.drawn.append(f"{name} {options.get('text', '')}".strip())
-        return SimpleNamespace()
-
-    def prop(self, owner: Any, path: str, **options: Any) -> None:
-        owner.path_resolve(path) if hasattr(owner, "path_resolve") else getattr(owner, path)
-        self.drawn.append(path)
-
-    def prop_search(self, owner: Any, path: str, data: Any, found: str, **_: Any) -> None:
-        getattr(data, found)
-        self.prop(owner, path)
-
-    def progress(self, factor: float, text: str) -> None:
-        assert 0 <= factor <= 1
-        self.drawn.append(f"progress {text}")
-
-    def row(self, **_: Any) -> Layout:
-        return Layout(self.drawn)
-
-    column = row
 
 
 def drawn(extension: ModuleType, *panels: str) -> list[str]:

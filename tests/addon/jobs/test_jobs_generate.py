@@ -89,7 +89,7 @@ def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
     assert bpy.ops.tg4mm.cancel_job(kind=KIND) == {"CANCELLED"}
     first = next(out.glob("cubes_*/000/train/r_*.png"))
     written = first.stat().st_mtime_ns
-    assert "tg4mm.generate Go On" in drawn(extension, "Generate")
+    assert "Go On" in drawn(extension, "Generate")
 
     settings.timesteps = 3  # not what was begun
     assert bpy.ops.tg4mm.generate(go_on=True) == {"FINISHED"}
@@ -103,7 +103,7 @@ def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
     assert job.state.value == "done", job.message
     assert first.stat().st_mtime_ns == written
     assert load_capture(job.results[-1], split="train").n_timesteps == 8
-    assert "tg4mm.generate Go On" not in drawn(extension, "Generate")
+    assert "Go On" not in drawn(extension, "Generate")
 
 
 @pytest.mark.parametrize(

@@ -17,38 +17,7 @@ from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 import bmesh  # noqa: E402
 
-from tests.addon.playing import import_splat, setter  # noqa: E402
-
-
-class Layout:
-    """Records labels, operators and properties; reads every property, as drawing does."""
-
-    def __init__(self) -> None:
-        self.drawn: list[str] = []
-        self.pictures = 0
-        self.asked: list[tuple[str, SimpleNamespace]] = []  # operators and the properties they are given
-
-    def label(self, text: str = "", **_: Any) -> None:
-        self.drawn.append(text)
-
-    def operator(self, name: str, text: str = "", **_: Any) -> SimpleNamespace:
-        assert getattr(getattr(bpy.ops, name.split(".")[0]), name.split(".")[1]).get_rna_type()
-        self.drawn += [name, text]
-        self.asked.append((name, SimpleNamespace()))
-        return self.asked[-1][1]
-
-    def prop(self, owner: Any, path: str, text: str = "", **_: Any) -> None:
-        owner.path_resolve(path)
-        self.drawn.append(text or path)
-
-    def template_icon(self, icon_value: int, scale: float) -> None:
-        assert scale > 1
-        self.pictures += 1
-
-    def column(self, **_: Any) -> Layout:
-        return self
-
-    row = box = grid_flow = split = column
+from tests.addon.playing import Layout, import_splat, setter  # noqa: E402
 
 
 def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layout:
