@@ -67,6 +67,18 @@ def test_a_page_and_json_go_to_a_folder(video: Path, tmp_path: Path) -> None:
     assert "--fps 240" in page
 
 
+def test_a_part_of_the_video(
+    video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["look", str(video), "--from", "1", "--until", "3"]) == 0
+    said = capsys.readouterr().out
+    assert ": 60 pictures" in said
+    assert "--kind flat --from 1 --until 3 --out" in said
+    assert main(["look", str(video), "--until", "0.5"]) == 2
+    assert "holds 15 pictures; at least 24 are needed" in capsys.readouterr().err
+
+
 def test_a_folder_of_numbered_pictures_needs_its_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,6 +116,8 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         (["noise.mp4"], "noise.mp4: is not a video that can be decoded"),
         (["empty"], "empty: holds no pictures"),
         (["noise.mp4", "--fps", "0"], "--fps is 0; expected pictures a second, more than 0"),
+        (["noise.mp4", "--from", "3", "--until", "2"], "--from 3 --until 2: holds nothing"),
+        (["empty", "--from", "3"], "--from and --until are of videos"),
         (["noise.mp4", "--png", "a.jpg"], "--png a.jpg: expected a name that ends in .png"),
         (["noise.mp4", "--out", "notes.txt"], "--out notes.txt: is a file; expected a folder"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,15 @@ def look(
             "(a folder). [default: the file's own times]"
         ),
     ] = None,
+    start: Annotated[
+        float, typer.Option("--from", metavar="SECONDS", help="Where to begin in the video.")
+    ] = 0.0,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Where to stop, seconds from the video's beginning. [default: its end]"
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for look.html, look.json and look.png.")] = None,
     png: Annotated[
         Path | None,
@@ -44,12 +54,19 @@ def look(
         raise Tg4mmError(f"--fps is {fps:g}; expected pictures a second, more than 0")
     if png is not None and png.suffix.lower() != ".png":
         raise Tg4mmError(f"--png {png}: expected a name that ends in .png")
+    stop = math.inf if until is None else until
+    if not 0 <= start < stop:
+        raise Tg4mmError(f"--from {start:g}{'' if until is None else f' --until {until:g}'}: holds nothing")
+    if video.is_dir() and (start or until is not None):
+        raise Tg4mmError("--from and --until are of videos; leave out files of the folder")
+    from tg4mm.capture.look import Window
     from tg4mm.capture.look import look as looked
     from tg4mm.show.look import Words, write_json_file, write_page, write_picture
 
     if out is not None and out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder")
-    words = Words(looked(video, fps), video, fps)
+    window = Window(start, stop)
+    words = Words(looked(video, fps, window), video, fps, window)
     target = png or (Path(f"{video.resolve().stem}-look.png") if out is None else out / "look.png")
     for folder in (out, target.parent):
         if folder is not None:

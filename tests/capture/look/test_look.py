@@ -130,6 +130,19 @@ def test_a_coded_video_needs_nothing_else(tmp_path: Path) -> None:
     assert slow.vibrations[0].hz == pytest.approx(4 * line.hz, rel=1e-3)
 
 
+def test_pictures_that_are_shown_again_are_left_out_and_the_others_have_their_true_times(
+    tmp_path: Path,
+) -> None:
+    """25 pictures a second stored as 30."""
+    made = replace(film((0.2, 0.0), tone(5.2), seed=8), fps=25)
+    shown = np.repeat(made.pictures(), np.where(np.arange(FRAMES) % 5 == 2, 2, 1), axis=0)
+    write_video(tmp_path / "a.mp4", shown, 30, Coding("libx264", 4_000_000))
+    found = look(tmp_path / "a.mp4")
+    assert len(found.repeats) == 36
+    assert found.rate == pytest.approx(25)
+    assert [round(line.hz, 1) for line in found.vibrations] == [5.2]
+
+
 def test_what_cannot_be_looked_at_is_said() -> None:
     few = [Picture(np.zeros((32, 32), np.uint8), k / FPS) for k in range(10)]
     with pytest.raises(CaptureError, match="a film: holds 10 pictures; at least 24 are needed"):

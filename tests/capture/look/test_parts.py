@@ -7,7 +7,9 @@ import pytest
 
 from benchmarks.calibration.film import Layer, Mode, texture
 from tg4mm.capture.look.cells import Grid, Template
-from tg4mm.capture.look.reading import knocks
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, knocks
+from tg4mm.capture.look.ringing import fitted
+from tg4mm.capture.look.scene import find_masks
 from tg4mm.capture.look.search import images
 from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
 
@@ -79,3 +81,33 @@ def test_a_knock_is_a_step_that_stays() -> None:
 def test_images_of_a_line_by_every_second_to_fourth_picture() -> None:
     assert min(abs(f - 3.7) for f in images(11.3, 30.0)) < 1e-9  # half the rate less it
     assert min(abs(f - 6.2) for f in images(1.3, 30.0)) < 1e-9  # a quarter of the rate less it
+    assert min(abs(f - 26.4) for f in images(23.6, 120.0, (12,))) < 1e-9  # key frames at every twelfth
+
+
+def test_a_hit_is_one_though_few_pictures_keep_small_motion() -> None:
+    rng, t = np.random.default_rng(5), np.arange(200) / FPS
+    x = t - 2.2
+    hit = np.where(x >= 0, np.exp(-0.5 * x) * np.sin(2 * np.pi * 3.1 * x), 0.0)
+    few = np.arange(200) % 16 == 0
+    line = fitted(hit + 0.1 * rng.normal(size=200), t, 3.1, 0.01, whole=few)
+    assert line.kind == "begins"
+    assert line.start_s == pytest.approx(2.2, abs=0.05)
+    assert abs(line.decay - 0.5) < 3 * line.decay_deviation
+
+
+def test_key_frames_with_more_noise_do_not_look_like_something_that_passes() -> None:
+    rng, (frames, rows, columns) = np.random.default_rng(6), (120, 6, 8)
+    kinds = np.where(
+        np.arange(frames) % 12 == 0, INTRA, np.where(np.arange(frames) % 3 == 0, FORWARD, BETWEEN)
+    )
+    noise = np.select([kinds == INTRA, kinds == FORWARD], [30.0, 20.0], 10.0)
+    misfit = noise[:, None] * rng.chisquare(200, (frames, rows * columns)) / 200
+    empty = np.zeros((frames, rows * columns))
+    series = CellSeries(
+        *(np.arange(frames) / FPS, kinds, np.zeros((*empty.shape, 2)), empty + 1, misfit),
+        *(np.tile(np.eye(2), (rows * columns, 1, 1)), np.zeros(frames, int), Grid(rows, columns, 16)),
+        *((128, 96), np.zeros((96, 128), np.uint8)),
+    )
+    assert find_masks(series).hidden.mean() < 0.01
+    misfit[40:50, :6] *= 4
+    assert find_masks(series).hidden[42:48, :6].all()

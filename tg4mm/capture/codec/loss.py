@@ -25,6 +25,7 @@ from tg4mm.core.errors import Tg4mmError
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)
 SCATTER, BESIDE = 1.15, 0.05
+_TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
 FRESH_PIXELS, FRESH_NOISE = (
@@ -98,7 +99,7 @@ def codec_losses(
     if made.is_key.all():  # every picture by itself: noise, but no memory
         return [[Loss(1.0, 0.0) for _ in own] for own in tones]
     if not made.encoder or quick:
-        unasked = "it is too large for a quick test" if made.encoder else _UNASKED
+        unasked = _TOO_LARGE if made.encoder else _UNASKED
         own_words = [_by_pictures(made, mask, unasked) for mask in masks]
         found = [[loss] * len(own) for loss, own in zip(own_words, tones, strict=True)]
         if not made.encoder or most * height * width > _QUICK_MOST:

@@ -20,7 +20,6 @@ def with_losses(
     fps: float,
     start_s: float = 0.0,
     repeats: Sequence[int] = (),
-    quick: bool = True,
 ) -> tuple[LookLine, ...]:
     """The lines, those without a mark with what compression let through of them (`codec_losses` says how)."""
     lines = found.vibrations
@@ -32,7 +31,7 @@ def with_losses(
     tones = [[_tone(line) for line in some] for some in own]
     told = codec_losses(
         *(video, masks, tones, fps, start_s, repeats),
-        quick=quick,
+        quick=True,
         without_between=found.without_between,
     )
     known = {

@@ -16,7 +16,7 @@ from tg4mm.capture.look.movers import movers_of
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
-from tg4mm.capture.look.recording import read_recording
+from tg4mm.capture.look.recording import WHOLE, Window, read_recording
 from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
@@ -29,18 +29,19 @@ _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 
 
-def look(video: Path | str, fps: float | None = None) -> Look:
+def look(video: Path | str, fps: float | None = None, window: Window = WHOLE) -> Look:
     """What vibrates in a recording of a fixed camera, what moves by itself, what its light does.
 
     video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
-    recording's (slow motion); a folder needs it. Raises CaptureError where it cannot be decoded or is too short.
+    recording's (slow motion); a folder needs it. window: the part of a video that is looked at. Raises CaptureError
+    where it cannot be decoded or is too short.
     """
     path = Path(video)
-    series, repeats = read_recording(path, fps)
+    series, repeats = read_recording(path, fps, window)
     found = replace(look_at(series), repeats=repeats)
     if path.is_dir():
         return found
-    return replace(found, lines=with_losses(found, path, found.rate, repeats=repeats))
+    return replace(found, lines=with_losses(found, path, found.rate, window.start_s, repeats))
 
 
 def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -12,7 +13,7 @@ import numpy as np
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import NAMES, VIDEO_SUFFIXES, frame_rate, is_regular, regular_times
 from tg4mm.capture.sfm.frozen import find_repeats
-from tg4mm.capture.sfm.video import grey_frames, video_info
+from tg4mm.capture.sfm.video import VideoInfo, grey_frames, video_info
 from tg4mm.capture.transforms import natural
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import decode
@@ -24,11 +25,24 @@ _WATCHED = 30_000  # pixels, about, by which frames are compared with the one be
 _SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
 
 
-def read_recording(path: Path, fps: float | None = None) -> tuple[CellSeries, tuple[int, ...]]:
+@dataclass(frozen=True)
+class Window:
+    """The part of a video that is looked at, seconds from its first frame."""
+
+    start_s: float = 0.0
+    stop_s: float = math.inf
+
+
+WHOLE = Window()
+
+
+def read_recording(
+    path: Path, fps: float | None = None, window: Window = WHOLE
+) -> tuple[CellSeries, tuple[int, ...]]:
     """Cells' series of a video or of a folder of pictures, and the frames that repeat the one before them.
 
-    fps: pictures a second; None: the video's own. Repeats are left out, and the others have their true times. Raises
-    CaptureError where there is nothing to decode, or no rate is known.
+    fps: pictures a second; None: the video's own. window: of a video alone. Repeats are left out, and the others have
+    their true times. Raises CaptureError where there is nothing to decode, or no rate is known.
     """
     if not path.exists():
         raise CaptureError(f"{path}: does not exist")
@@ -37,8 +51,8 @@ def read_recording(path: Path, fps: float | None = None) -> tuple[CellSeries, tu
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
     info, watched = video_info(path), _Watched()
-    with progress("regions", max(info.total, 1), "pictures", brief=True) as update:
-        series = read_cells(watched.passing(video_pictures(path, fps), update), str(path))
+    with progress("regions", _expected(info, window), "pictures", brief=True) as update:
+        series = read_cells(watched.passing(video_pictures(path, fps, window), update), str(path))
     times = [Fraction(t).limit_denominator(10_000_000) for t in series.times_s.tolist()]
     rate = Fraction(fps).limit_denominator(1001) if fps else frame_rate(path, times, info.rates, info.tick)
     if fps or is_regular(times, rate, info.tick):
@@ -53,12 +67,20 @@ def read_recording(path: Path, fps: float | None = None) -> tuple[CellSeries, tu
     return series.of_pictures(np.ones(len(exact), bool), exact), ()
 
 
-def video_pictures(path: Path, fps: float | None = None) -> Iterator[Picture]:
+def _expected(info: VideoInfo, window: Window) -> int:
+    """Pictures, about."""
+    if not info.duration_s:
+        return max(info.total, 1)
+    seconds = min(window.stop_s, info.duration_s) - window.start_s
+    return max(1, round(info.total * seconds / info.duration_s))
+
+
+def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE) -> Iterator[Picture]:
     """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
 
     Raises CaptureError where it cannot be decoded.
     """
-    for k, frame in enumerate(grey_frames(path)):
+    for k, frame in enumerate(grey_frames(path, window.start_s, window.stop_s)):
         kind = INTRA if frame.is_alone else BETWEEN if frame.is_between else FORWARD
         yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
 

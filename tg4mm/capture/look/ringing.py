@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize
@@ -59,7 +59,7 @@ def fitted(
     """The vibration near hz in series [F] whose noise has variance `noise`: the simplest kind that BIC allows.
 
     width_hz: how far from hz it may lie, for what lives shorter than the record. whole [F] bool: pictures that keep
-    small motion; the decay is of these alone, as what others lose would pass for damping.
+    small motion; the decay is of these alone where they can tell it, as what others lose would pass for damping.
     """
     duration = float(times_s[-1] - times_s[0])
     steady_hz = refined(series, times_s, hz) if width_hz is None else hz
@@ -75,12 +75,18 @@ def fitted(
             best = Vibration(hit[1][0], hit[1][1], hit[1][2], HIT)
         elif ring[0] - steady > penalty:
             best = Vibration(ring[1][0], ring[1][1], None, RING)
-    if whole is not None and best.decay:
-        best = _decay_of(best, series[whole], times_s[whole], times_s[0])
-    best = _with_deviations(best, series, times_s, noise, whole)
-    if best.decay and best.decay < _SURE * best.decay_deviation:
+    every = _with_deviations(best, series, times_s, noise, None)
+    if not best.decay:
+        return every
+    if every.decay < _SURE * every.decay_deviation:
         return _with_deviations(Vibration(steady_hz), series, times_s, noise, None)
-    return best
+    if whole is None:
+        return every
+    of_whole = _decay_of(best, series[whole], times_s[whole], times_s[0])
+    of_whole = _with_deviations(of_whole, series, times_s, noise, whole)
+    if of_whole.decay < _SURE * of_whole.decay_deviation:  # too few to tell how fast: all tell that it decays
+        return replace(every, decay_deviation=max(every.decay_deviation, of_whole.decay_deviation))
+    return of_whole
 
 
 class _Search:

@@ -27,12 +27,10 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
     if capture.kind.sees_depth or capture.n_timesteps < FEWEST:
         return None
     if (kept := look_of(run)) is None:
-        seen = look_at_pictures(_pictures(capture, images), str(capture.root))
-        video = video_file(capture.root)
-        kept = seen
-        if video is not None:
-            told = with_losses(seen, video.path, seen.rate, video.from_s, video.repeats, quick=False)
-            kept = replace(seen, lines=told)
+        kept = look_at_pictures(_pictures(capture, images), str(capture.root))
+        if (video := video_file(capture.root)) is not None:
+            lines = with_losses(kept, video.path, kept.rate, video.from_s, video.repeats)
+            kept = replace(kept, lines=lines)
         run.record(_STAGE, to_record(kept))
     return kept
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look import Look, LookLine, Mover
+from tg4mm.capture.look import Look, LookLine, Mover, Window
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
+from tg4mm.capture.look.recording import WHOLE
 from tg4mm.core.digits import value_with_deviation
 from tg4mm.core.files import write_json
 
@@ -36,6 +38,7 @@ class Words:
     found: Look
     source: Path
     fps: float | None = None  # as asked for
+    window: Window = WHOLE
 
     @property
     def head(self) -> str:
@@ -129,7 +132,9 @@ class Words:
     def commands(self) -> list[tuple[str, str]]:
         """(command, what it does) to go on with."""
         name = shlex.quote(self.source.stem)
-        rate = f" --fps {self.fps:g}" if self.fps is not None else ""
+        asked = f" --fps {self.fps:g}" if self.fps is not None else ""
+        asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
+        asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
         if not self.found.vibrations:
             return [
                 (
@@ -139,7 +144,7 @@ class Words:
             ]
         return [
             (
-                f"tg4mm sfm {shlex.quote(str(self.source))} --kind flat{rate} --out data/{name}",
+                f"tg4mm sfm {shlex.quote(str(self.source))} --kind flat{asked} --out data/{name}",
                 "a dataset of it",
             ),
             (f"tg4mm train data/{name} --out runs/{name}", "its motion, to be magnified and measured"),
