@@ -110,7 +110,8 @@ class Search:
             self._open &= np.abs(self.hz - peak.hz) >= 0.75 / scene.duration
             return
         explains = wander <= max(_LEFT, _LEFT_SHARE * statistic / 2) and statistic >= peak.cut * wander
-        if not explains or self._is_near(vibration) or self._support(peak, vibration, row) < _SUPPORT:
+        support = self._support(peak, vibration, row)
+        if not explains or self._is_near(vibration) or support < _least_support(peak):
             self._raise(peak, vibration.hz, max(wander, 2.0))
             return
         self.lines.append(Line(vibration, statistic, peak.cut, peak.pool, shape, noise))
@@ -237,6 +238,13 @@ class Search:
         if pool.seen is not None:
             own = own * pool.seen
         return line.shape.series(pool.residual + own, pool.seen)
+
+
+def _least_support(peak: Peak) -> float:
+    """What noise exceeds as seldom, whether it had one record to choose from or all windows that overlap by half."""
+    if peak.window is None:
+        return _SUPPORT
+    return float(stats.gamma.isf(stats.gamma.sf(_SUPPORT, 2) * peak.window / 2, 2))
 
 
 def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list[float]:
