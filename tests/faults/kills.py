@@ -224,8 +224,8 @@ class Trial:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below but temporary ones and locks."""
-    files = [f for f in folder.rglob("*") if f.is_file() and not is_temporary(f) and f.suffix != ".lock"]
-    return {f.relative_to(folder).as_posix(): f.read_bytes() for f in files}
+    files = [f for f in folder.rglob("*") if f.is_file() and not f.name.endswith(".lock")]
+    return {f.relative_to(folder).as_posix(): f.read_bytes() for f in files if not is_temporary(f)}
 
 
 def main() -> int:
