@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
@@ -78,7 +79,7 @@ def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch)
     demo.run_demo(tmp_path, 32, Said())
     run = Run.open(tmp_path / "run")
     space = run.load_space()
-    (tmp_path / "run" / "motion.safetensors").unlink()
+    shutil.rmtree(tmp_path / "run")
     old = (tmp_path / "magnified" / "003" / "r_000.png").read_bytes()
     make = demo._train
 
@@ -92,7 +93,7 @@ def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch)
     mine = tmp_path / "magnified" / "notes.txt"
     mine.write_text("mine")
     demo.run_demo(tmp_path, 32, Said())
-    assert mine.read_text() == "mine"
+    assert (tmp_path / "magnified_1" / "notes.txt").read_text() == "mine"
     assert (tmp_path / "magnified" / "003" / "r_000.png").read_bytes() != old
 
 
@@ -125,4 +126,4 @@ def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
     monkeypatch.setattr(generator, "run_generator", lambda arguments: 2)
     with pytest.raises(Tg4mmError, match="status 2"):
         demo.run_demo(tmp_path, 32, Said())
-    assert json.loads((tmp_path / "demo.json").read_text())["done"] == {}
+    assert json.loads((tmp_path / "demo.json").read_text())["done"] == {"generate": {"asked": {}}}
