@@ -33,7 +33,7 @@ from tg4mm.show.render.image import render_image
 from tg4mm.show.view.app import App
 from tg4mm.show.view.local_server import LocalServer, start_server, stop_server
 from tg4mm.show.view.painter import Look
-from tg4mm.show.view.scene import Scene, open_scene
+from tg4mm.show.view.scene import RunScene, open_scene
 from tg4mm.show.view.screen import Canvas
 from tg4mm.show.view.session import Clock, Session
 
@@ -43,7 +43,7 @@ PLAYED = 10.0  # seconds in the browser
 COUNT = "window.decoded = 0; const r = URL.revokeObjectURL; URL.revokeObjectURL = u => { window.decoded++; r(u); }"
 
 
-def synthetic(n: int, size: int, n_modes: int) -> Scene:
+def synthetic(n: int, size: int, n_modes: int) -> RunScene:
     """Gaussians of about two pixels that fill a ball, each with `n_modes` random phasors."""
     (means, quats, scales, opacities, sh), viewmat, K = ball(n, size)
     gaussians = Gaussians(*(p.detach() for p in (means, quats, scales, opacities, sh)))
@@ -90,7 +90,7 @@ def report(name: str, timed: Times) -> None:
     print(f"{name:46s} {median:7.1f} ms ({least:.1f})   {1e3 / median:6.1f} frames/s ({1e3 / least:.1f})")
 
 
-def steps(shown: Scene, size: int, repeats: int) -> None:
+def steps(shown: RunScene, size: int, repeats: int) -> None:
     """Print the time of the whole way and of its steps."""
     server = start_server(0)
     view = canvas(shown.cameras[0], size)
@@ -120,7 +120,7 @@ def steps(shown: Scene, size: int, repeats: int) -> None:
     stop_server(server)
 
 
-def in_browser(shown: Scene, size: int) -> None:
+def in_browser(shown: RunScene, size: int) -> None:
     """Print the rate of pictures in a headless Chromium, and their size as the pace has chosen it."""
     from playwright.sync_api import sync_playwright
 

@@ -37,7 +37,7 @@ from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
 from tg4mm.research.evaluate.run import fingerprint
-from tg4mm.research.evaluate.scores import Method, Scorer
+from tg4mm.research.evaluate.scores import Candidate, Scorer
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -221,6 +221,6 @@ def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
     images, scorer = load_images(capture), Scorer(g, {})
     found = set()
     for own in (None, appearance(), appearance(2e-3)):
-        method = Method("ours", replace(motion(), appearance=own))
+        method = Candidate("ours", replace(motion(), appearance=own))
         found.add(fingerprint(scorer, [method], capture, images, 5.0))
     assert len(found) == 3

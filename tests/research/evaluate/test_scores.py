@@ -12,21 +12,21 @@ from tg4mm.capture import Capture, load_capture
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.research.evaluate.scores import Method, change_figures, closure
+from tg4mm.research.evaluate.scores import Candidate, change_figures, closure
 
 FPS, T = 30.0, 30
 
 
 def method(
     modes: dict[float, complex], band: tuple[float, float] | None = None, rotation: complex = 0
-) -> Method:
+) -> Candidate:
     shape = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0]])
     displacement = np.stack([m * shape for m in modes.values()]).astype(np.complex64)
     motion = ModalMotion(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
-    return Method("ours", motion, Magnification.of(1.0, *([band] if band else [])))
+    return Candidate("ours", motion, Magnification.of(1.0, *([band] if band else [])))
 
 
-def displacement(m: Method, t: int, alpha: float) -> np.ndarray:
+def displacement(m: Candidate, t: int, alpha: float) -> np.ndarray:
     gain = 1 + alpha * (m.magnified.inside(m.motion.freqs_hz) & (m.motion.freqs_hz > 0))  # 0 Hz stands still
     phase = gain * np.exp(2j * np.pi * m.motion.freqs_hz * t / FPS)
     return np.einsum("k,knc->nc", phase, m.motion.displacement).real
@@ -59,7 +59,7 @@ def test_a_rotation_out_of_phase_with_the_displacement_counts() -> None:
 
 
 def test_the_rest_pose_is_one_for_all_methods() -> None:
-    assert Method("nothing moves", None).state(7, 50.0) == ()
+    assert Candidate("nothing moves", None).state(7, 50.0) == ()
     assert method({3.0: -1j}).state(0, 50.0) == method({3.0: -1j}).state(5, 20.0) == ()
     assert method({3.0: 0.0}).state(3, 50.0) == ()
     assert method({3.0: 1.0}).state(0, 0.0) != ()
@@ -83,7 +83,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def figures(scene: Scene, motion: ModalMotion | None, alpha: float = 0.0) -> dict[str, float | None]:
     capture, gaussians, exact = scene
-    return change_figures(gaussians, Method("ours", motion), Method("ceiling", exact), capture, alpha)
+    return change_figures(gaussians, Candidate("ours", motion), Candidate("ceiling", exact), capture, alpha)
 
 
 def scaled(motion: ModalMotion, by: complex) -> ModalMotion:
@@ -114,8 +114,8 @@ def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene: Scene) -> None:
 
 def test_without_a_change_there_is_nothing_to_compare(scene: Scene) -> None:
     capture, gaussians, exact = scene
-    still = Method("ceiling", scaled(exact, 0))
-    found = change_figures(gaussians, Method("ours", exact), still, capture, 0.0)
+    still = Candidate("ceiling", scaled(exact, 0))
+    found = change_figures(gaussians, Candidate("ours", exact), still, capture, 0.0)
     assert found == {"change_gain": None, "change_residual": None}
 
 

@@ -7,7 +7,7 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.show.view.scene import Scene, open_scene
+from tg4mm.show.view.scene import RunScene, open_scene
 
 DEVIATION = 2e-4  # scene units
 
@@ -34,5 +34,5 @@ def still_run(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def scene(run: Run) -> Scene:
+def scene(run: Run) -> RunScene:
     return open_scene(run)

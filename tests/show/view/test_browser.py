@@ -17,7 +17,7 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.painter import Look
-from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.scene import RunScene
 from tg4mm.show.view.session import Clock, Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
@@ -68,7 +68,7 @@ def until(holds: Callable[[], bool], what: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def opened(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
+def opened(scene: RunScene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
     session = Session(scene, Look(Magnification.of(0.0)), Clock(scene.duration, offset=0.1))
     folder = tmp_path_factory.mktemp("saved")
     with browser() as chromium:

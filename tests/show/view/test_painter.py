@@ -17,7 +17,7 @@ from tg4mm.run import Run
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.scene import Scene, open_scene
+from tg4mm.show.view.scene import RunScene, open_scene
 from tg4mm.show.view.screen import RATE, Canvas, Pace, Screen
 from tg4mm.show.view.session import Clock, Session
 
@@ -93,7 +93,7 @@ def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, pain
 
 
 def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+    scene: RunScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     painter, drawn = Painter(scene), threading.Event()
     monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")

@@ -14,7 +14,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.scores import BACKGROUND, Method, render_views
+from tg4mm.research.evaluate.scores import BACKGROUND, Candidate, render_views
 from tg4mm.research.evaluate.subject import Subject
 from tg4mm.show.weights import blending_weights, pixel_sums
 
@@ -57,7 +57,7 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
     """
     alpha = min(data.alphas, key=lambda a: abs(np.log((1 + a) * data.amplitude_px / _SHIFT_PX)))
     capture = load_capture(data.root, split="test", magnification=alpha)
-    images, moved = load_images(capture), Method("exact", exact)
+    images, moved = load_images(capture), Candidate("exact", exact)
     times = looked_at(capture.n_timesteps, data.fps, data.frequency_hz)
     sums = np.zeros((len(gaussians), 3))  # made · made, made · true, true · true
     for camera in np.unique(capture.camera_ids).tolist():

@@ -21,8 +21,8 @@ from tg4mm.core.untrusted import read_json
 from tg4mm.research.evaluate.lpips import Lpips
 from tg4mm.research.evaluate.scores import (
     BACKGROUND,
+    Candidate,
     Key,
-    Method,
     Scorer,
     camera_key,
     change_figures,
@@ -236,7 +236,7 @@ def _entry_digest(key: str, entry: Any) -> str:
 
 
 def fingerprint(
-    scorer: Scorer, methods: list[Method], capture: Capture, images: ImageStack, alpha: float
+    scorer: Scorer, methods: list[Candidate], capture: Capture, images: ImageStack, alpha: float
 ) -> str:
     """Digest of everything an α's scores depend on, so that only what is still true is resumed."""
     digest = hashlib.blake2b(digest_size=16)

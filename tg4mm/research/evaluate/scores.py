@@ -35,7 +35,7 @@ class Posing:
 
 
 @dataclass(frozen=True)
-class Method:
+class Candidate:
     """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in the bands of `magnified`."""
 
     name: str
@@ -92,7 +92,7 @@ class Scorer:
 
     def score(
         self,
-        methods: list[Method],
+        methods: list[Candidate],
         capture: Capture,
         images: ImageStack,
         alpha: float,
@@ -117,7 +117,7 @@ class Scorer:
         return {name: [self.scores[key] for key in rows] for name, rows in keys.items()}
 
     def _keys(
-        self, methods: list[Method], capture: Capture, images: ImageStack, alpha: float
+        self, methods: list[Candidate], capture: Capture, images: ImageStack, alpha: float
     ) -> dict[str, list[Key]]:
         """For each method the key (motion state, camera, pixels) of each image."""
         n = range(len(images))
@@ -129,7 +129,7 @@ class Scorer:
         return {m.name: [(states[m.name][int(capture.timesteps[i])], *scenes[i]) for i in n] for m in methods}
 
     def _score_state(
-        self, method: Method, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
+        self, method: Candidate, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
     ) -> Iterator[tuple[Key, dict[str, float]]]:
         """Score the images `wanted` of one motion state: each camera is rendered once, a few at a time."""
         by_camera: dict[Any, list[Key]] = {}
@@ -174,8 +174,8 @@ def closure(ours: float, static: float, ceiling: float) -> float | None:
 
 def change_figures(
     gaussians: Gaussians,
-    ours: Method,
-    ceiling: Method,
+    ours: Candidate,
+    ceiling: Candidate,
     capture: Capture,
     alpha: float,
     update: Callable[[int], None] = lambda done: None,
@@ -188,7 +188,7 @@ def change_figures(
     """
     products = np.zeros(3)  # a·a, a·c, c·c
     known: dict[Key, np.ndarray] = {}
-    rest = Method("rest", None)
+    rest = Candidate("rest", None)
     for t in np.unique(capture.timesteps).tolist():
         rows = np.flatnonzero(capture.timesteps == t)
         states = ours.state(t, alpha), ceiling.state(t, alpha)

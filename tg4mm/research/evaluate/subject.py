@@ -15,7 +15,7 @@ from tg4mm.core.magnification import Magnification, check_bands
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, mean_squares
-from tg4mm.research.evaluate.scores import Method, Posing
+from tg4mm.research.evaluate.scores import Candidate, Posing
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
@@ -41,12 +41,12 @@ class Subject:
     posing: Posing | None  # None: modal, by the estimated motion
 
     @property
-    def methods(self) -> list[Method]:
-        found = [Method(STATIC, None)]
+    def methods(self) -> list[Candidate]:
+        found = [Candidate(STATIC, None)]
         if self.estimated is not None:
-            found.append(Method(OURS, self.estimated, self.magnified, self.posing))
+            found.append(Candidate(OURS, self.estimated, self.magnified, self.posing))
         if self.exact is not None:
-            found.append(Method(CEILING, self.exact))
+            found.append(Candidate(CEILING, self.exact))
         return found
 
 

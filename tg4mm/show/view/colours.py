@@ -12,7 +12,7 @@ from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.svg import colour_bar, number, phase_bar
 from tg4mm.core.phasors import main_direction, peak_displacement, scale_top
-from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.scene import RunScene
 
 Band = tuple[float, float] | None
 
@@ -26,14 +26,14 @@ class Colour(StrEnum):
     uncertainty = "uncertainty"
 
 
-def choices(scene: Scene) -> tuple[Colour, ...]:
+def choices(scene: RunScene) -> tuple[Colour, ...]:
     """The colours that this scene has data for."""
     if scene.motion is None or not len(scene.frequencies):
         return (Colour.picture,)
     return tuple(c for c in Colour if c is not Colour.uncertainty or scene.deviation is not None)
 
 
-def gaussian_colours(scene: Scene, colour: Colour, magnified: Magnification) -> np.ndarray | None:
+def gaussian_colours(scene: RunScene, colour: Colour, magnified: Magnification) -> np.ndarray | None:
     """[N, 3] sRGB in 0..1; None for the colours as filmed, and where no frequency is in the band.
 
     Amplitude (peak displacement) and phase (of the motion along its main direction, at timestep 0) are those of the
@@ -55,7 +55,7 @@ def gaussian_colours(scene: Scene, colour: Colour, magnified: Magnification) -> 
     return amount_colours(amplitude / max(top, 1e-30))
 
 
-def legend(scene: Scene, colour: Colour, magnified: Magnification) -> Markup:
+def legend(scene: RunScene, colour: Colour, magnified: Magnification) -> Markup:
     """The scale of the colours, as a drawing under a line that names what is shown; empty for `as filmed`."""
     if colour is Colour.picture or scene.motion is None:
         return Markup()

@@ -20,7 +20,7 @@ from tg4mm.fit.motion.animate import animator
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, gaussian_colours
-from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.scene import RunScene
 from tg4mm.show.weights import pixel_sums
 
 Bands = tuple[tuple[float, float], ...]
@@ -42,7 +42,7 @@ class Painter:
     numba's kernels take all cores anyway, and not all of its threading layers may be entered twice.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RunScene) -> None:
         self._scene = scene
         self._pose = animator(scene.gaussians, scene.motion, packed=True)
         self._lock = threading.Lock()

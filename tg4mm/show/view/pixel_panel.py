@@ -20,7 +20,7 @@ from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure_one, prep
 from tg4mm.show.measure.sensors import PIXEL_RADIUS
 from tg4mm.show.measure.spectrum import strength_of
 from tg4mm.show.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
-from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.scene import RunScene
 from tg4mm.show.view.screen import Canvas, full_size
 from tg4mm.show.view.session import Session
 
@@ -153,13 +153,13 @@ class Waveform:
     of_clip: str = ""  # what the displacement is, where that is another direction: of clips
 
 
-def seen_at(scene: Scene, weights: np.ndarray) -> np.ndarray | None:
+def seen_at(scene: RunScene, weights: np.ndarray) -> np.ndarray | None:
     """[3] the mean place of the Gaussians with these blending weights [N]; None for background (opacity below 0.05)."""
     total = float(weights.sum())
     return None if total < _FAINTEST else weights @ scene.gaussians.means.numpy().astype(float) / total
 
 
-def modal_waveform(scene: Scene, weights: np.ndarray) -> Waveform | None:
+def modal_waveform(scene: RunScene, weights: np.ndarray) -> Waveform | None:
     """The fitted motion of the Gaussians blended in a pixel, with their blending weights [N] there.
 
     None where nothing moves. Displacements are blended as colours are; the standard deviation is that of a single
@@ -207,7 +207,7 @@ def vector(v: np.ndarray) -> str:
 class Measurer:
     """Measures points of the scene in the capture's own pictures, which it reads once, when first asked."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RunScene) -> None:
         self._scene = scene
         self._prepared: Prepared | None = None
 

@@ -27,7 +27,7 @@ _LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes
 
 
 @dataclass(frozen=True)
-class Scene:
+class RunScene:
     """A run as it is shown."""
 
     path: Path
@@ -79,7 +79,7 @@ class Scene:
         return 0.0 if self.strongest() is None else result_of(Run.open(self.path)).alpha
 
 
-def open_scene(run: Run) -> Scene:
+def open_scene(run: Run) -> RunScene:
     """Read what a run shows. Raises RunError where its space stage is not finished, or a file is torn.
 
     Without the dataset there are no cameras to jump to, and its scale is unknown; a note says so.
@@ -100,7 +100,7 @@ def open_scene(run: Run) -> Scene:
     weights = gaussians.opacities.numpy().astype(np.float64)
     if capture is not None:
         weights = blending_weights(gaussians, _few_cameras(capture))
-    return Scene(
+    return RunScene(
         run.path,
         gaussians,
         motion,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.scene import RunScene
 
 
 class Session:
@@ -18,7 +18,7 @@ class Session:
     `revision` counts the changes of the look, `changed` is set by every change: whoever draws waits for it.
     """
 
-    def __init__(self, scene: Scene, look: Look, clock: Clock) -> None:
+    def __init__(self, scene: RunScene, look: Look, clock: Clock) -> None:
         self.scene = scene
         self.painter = Painter(scene)
         self.changed = threading.Event()

@@ -16,7 +16,7 @@ from tg4mm.research.bench.methods import Pictures
 from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
-from tg4mm.research.evaluate.scores import Method, render_views
+from tg4mm.research.evaluate.scores import Candidate, render_views
 from tg4mm.research.evaluate.subject import Subject, subject_of
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
@@ -77,7 +77,7 @@ def _subject_of(run: Path, model: str, root: Path, magnified: Magnification, dev
     return subject_of(Run.open(run), load_capture(root), magnified, {}, device)
 
 
-def _pictures(subject: Subject, method: Method, capture: Capture, alpha: float) -> Pictures:
+def _pictures(subject: Subject, method: Candidate, capture: Capture, alpha: float) -> Pictures:
     for t in np.unique(capture.timesteps).tolist():
         gaussians = method.pose(subject.gaussians, t, alpha)
         rows = np.flatnonzero(capture.timesteps == t)
