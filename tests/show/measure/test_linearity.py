@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.show.measure.linearity import missing_share
+from tg4mm.show.measure.linearity import missing_share, other_share
 
 
 def picture(sigma: float, x: float) -> np.ndarray:
@@ -36,3 +36,18 @@ def test_it_is_what_is_missing_of_the_true_motion(sigma: float, x: float) -> Non
 
 def test_blurred_texture_keeps_in_proportion_where_speckle_does_not() -> None:
     assert abs(2.9 / linear_answer(6.0, 2.9) - 1) < 0.1 < 1.6 / linear_answer(1.2, 1.6) - 1
+
+
+@pytest.mark.parametrize("passes", [False, True])
+def test_what_passes_is_told_from_motion(passes: bool) -> None:
+    rng = np.random.default_rng(1)
+    frames = np.stack([picture(1.2, x) for x in (0.5, 0.5, 0.4, 0, 0, 0)])
+    if passes:
+        frames[:3] = picture(1.2, 0)
+        frames[:3, 16:48, 30:60] = 0.3
+    frames += rng.normal(0, 0.03, frames.shape)
+    weights = np.zeros((64, 96))
+    weights[8:-8, 12:-12] = 1
+    moved = np.array([[0.5, 0.0]] * 3 + [[0.0, 0.0]] * 3)
+    share = other_share(picture(1.2, 0), frames, moved, weights)
+    assert share > 0.7 if passes else abs(share) < 0.1

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from tg4mm.show.measure.sensor_result import SensorResult
 
 _HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
+_OTHER = 0.5  # of the largest changes: what is no motion of the region, from here on its numbers are none
 _LACKING = 0.05  # of the largest motion: what the answer lacks of it, from here on it is said
 
 
@@ -48,8 +49,13 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         )
     for result in results:
         if (found := lacking(scene, result)) is not None:
-            size, share, deviation = found
-            if share > max(_LACKING, 2 * deviation):
+            size, share, deviation, other = found
+            if other > _OTHER:
+                out.append(
+                    f"{result.name}: {100 * other:.0f} % of what changes its pictures most is no motion of {size:.2g} px "
+                    "but something that passes, or a light: its numbers are none of a vibration"
+                )
+            elif share > max(_LACKING, 2 * deviation):
                 out.append(
                     f"{result.name} moves by up to {size:.2g} px, further than its picture changes in proportion to: "
                     f"the largest motions come out {100 * share:.0f} % too small"

@@ -7,6 +7,8 @@ compared with the frame: what is left, through the gradients of the moved pictur
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.ndimage import shift
 
@@ -21,8 +23,8 @@ _EDGE = 0.02  # of the strongest change: pixels that change less do not count
 _MARGIN = 6  # pixels around them
 
 
-def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float] | None:
-    """Largest motion in pixels, the share of it that the answer lacks, and the share's deviation.
+def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float, float] | None:
+    """Largest motion in pixels, the share of it that the answer lacks, the share's deviation, and `other_share`.
 
     None for a moving camera, and for a motion that is small.
     """
@@ -39,14 +41,16 @@ def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float]
     size = np.linalg.norm(moved, axis=1)
     if not size.max(initial=0) > _LOOKED_AT_PX:
         return None
-    largest = np.argsort(-size)[:_FRAMES]
-    raw = scene.observations.pictures.strips(own.rows[largest].tolist())
+    order = np.argsort(-size)
+    largest, least = order[:_FRAMES], order[-_FRAMES:]
+    raw = scene.observations.pictures.strips(own.rows[np.concatenate([largest, least])].tolist())
     pictures = over_white(raw(slice(None)), scene.observations.pictures.maximum)
     fields = result.body.motions(scene.means, result.body.weights)[: len(series.axes)]
     changes = np.asarray(view.view.jvp(fields))
     weights = (changes**2).sum((0, 3))
-    share, deviation = missing_share(view.mean, pictures, moved[largest], weights)
-    return float(size.max()), share, deviation
+    share, deviation = missing_share(view.mean, pictures[: len(largest)], moved[largest], weights)
+    other = other_share(view.mean, pictures, moved[np.concatenate([largest, least])], weights)
+    return float(size.max()), share, deviation, other
 
 
 def missing_share(
@@ -57,18 +61,47 @@ def missing_share(
     mean [H, W, 3] the picture that they moved from; weights [H, W]: where it counts. The second number is the standard
     error over the frames.
     """
-    inside = weights > _EDGE * weights.max()
-    down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
-    box = tuple(slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
-    some, own = mean[box].astype(np.float64), inside[box]
     shares = []
-    for picture, (x, y) in zip(pictures, moved, strict=True):
-        there = shift(some, (y, x, 0), order=3, mode="nearest")
-        slope_down, slope_right = np.gradient(there, axis=(0, 1))
-        columns = np.stack([-slope_right[own], -slope_down[own], there[own], np.ones_like(there[own])], -1)
-        left = (picture[box] - there)[own]
-        found = np.linalg.lstsq(columns.reshape(-1, 4), left.reshape(-1), rcond=None)[0][:2]
+    for (x, y), left, columns, _ in _compared(mean, pictures, moved, weights):
+        found = np.linalg.lstsq(columns, left, rcond=None)[0][:2]
         shares.append(float(found @ [x, y]) / (x * x + y * y))
     return float(np.mean(shares)), float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(
         shares
     ) > 1 else 0.0
+
+
+def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray) -> float:
+    """Of what changes pictures in a region, the share that is no motion of it: something passes, or a light.
+
+    As `missing_share`; the first half of the pictures has the largest motions, the second the smallest, whose leftovers
+    are noise. Of each half the median picture counts.
+    """
+    before, after = [], []
+    for _, left, columns, change in _compared(mean, pictures, moved, weights):
+        light = columns[:, 2:]
+        before.append(((change - light @ np.linalg.lstsq(light, change, rcond=None)[0]) ** 2).sum())
+        after.append(((left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]) ** 2).sum())
+    half = len(pictures) // 2
+    noise, all_of_it = np.median(after[half:]), np.median(before[:half])
+    return float((np.median(after[:half]) - noise) / max(all_of_it - noise, 1e-12))
+
+
+def _compared(
+    mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each picture, where it counts: its motion [2], what it has beyond the mean picture moved by that [P], the
+    columns [P, 4] of more motion and of light, and what it has beyond the mean picture [P]."""
+    inside = weights > _EDGE * weights.max()
+    down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    box = tuple(slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
+    some, own = mean[box].astype(np.float64), inside[box]
+    for picture, motion in zip(pictures, moved, strict=True):
+        there = shift(some, (motion[1], motion[0], 0), order=3, mode="nearest")
+        slope_down, slope_right = np.gradient(there, axis=(0, 1))
+        columns = np.stack([-slope_right[own], -slope_down[own], there[own], np.ones_like(there[own])], -1)
+        yield (
+            motion,
+            (picture[box] - there)[own].ravel(),
+            columns.reshape(-1, 4),
+            (picture[box] - some)[own].ravel(),
+        )
