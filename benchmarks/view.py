@@ -51,7 +51,7 @@ def synthetic(n: int, size: int, n_modes: int) -> RunScene:
     phasors = (rng.normal(size=(2, n_modes, n, 3)) * 1e-3).astype(np.complex64)
     motion = ModalMotion(np.arange(2.0, 2.0 + n_modes), phasors[0], phasors[1], 30.0, 30)
     camera = Camera("ball", viewmat.numpy().astype(float), K.numpy().astype(float), size, size)
-    return Scene(Path("ball"), gaussians, motion, np.ones(n), None, (camera,), "scene units", 1.0)
+    return RunScene(Path("ball"), gaussians, motion, np.ones(n), None, (camera,), "scene units", 1.0)
 
 
 def canvas(camera: Camera, size: int) -> Canvas:
