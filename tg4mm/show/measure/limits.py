@@ -52,8 +52,8 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             size, share, deviation, other = found
             if other > _OTHER:
                 out.append(
-                    f"{result.name}: {100 * other:.0f} % of what changes its pictures most is no motion of {size:.2g} px "
-                    "but something that passes, or a light: its numbers are none of a vibration"
+                    f"{result.name}: {100 * other:.0f} % of what changes its pictures most is no motion of {size:.2g} "
+                    "px but something that passes, or a light: its numbers are none of a vibration"
                 )
             elif share > max(_LACKING, 2 * deviation):
                 out.append(
