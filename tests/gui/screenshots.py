@@ -1,6 +1,6 @@
 """The README's pictures of the extension, out of the real Blender.
 
-    python tests/gui/screenshots.py SPLAT.ply [--low HZ --high HZ] [--alpha 50] [--draw Ellipsoids] [--out docs/images]
+    python tests/gui/screenshots.py SPLAT.ply [--low HZ --high HZ] [--alpha 50] [--draw Splats] [--out docs/images]
 
 Imports the file by mouse, opens the tab, magnifies the band, probes what moves most, and writes blender_panel.png and
 blender_amplitude.png, ellipsoids coloured by amplitude with the legend, at the frame where the motion is largest.
@@ -69,7 +69,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--low", type=float, default=0.0, help="lowest frequency that is magnified, Hz")
     parser.add_argument("--high", type=float, default=1e6, help="highest frequency that is magnified, Hz")
     parser.add_argument("--alpha", type=float, default=50.0)
-    parser.add_argument("--draw", default="Splats", help="Ellipsoids, Splats, Points or Arrows")
+    parser.add_argument("--draw", default="Ellipsoids", help="Ellipsoids, Splats, Points or Arrows")
     parser.add_argument("--out", type=Path, default=REPO / "docs" / "images")
     return parser.parse_args()
 
