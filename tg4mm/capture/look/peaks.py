@@ -6,7 +6,7 @@ All of the record is searched first, then windows of a quarter and a twelfth of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import stats
@@ -57,6 +57,10 @@ class Shape:
         return np.where(enough, total / np.where(enough, share, 1), 0), enough
 
 
+# (pool, first picture, one after the last): frequencies, power of the residual there, and its median
+Spectra = dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
 @dataclass(frozen=True)
 class Candidates:
     """The pools of a recording and the frequencies at which lines are still sought."""
@@ -66,6 +70,7 @@ class Candidates:
     hz: np.ndarray  # [K]
     open: np.ndarray  # [K] bool
     tests: int  # places × frequencies of the whole record
+    spectra: Spectra = field(default_factory=dict)  # of windows: kept by who changes the residuals
 
     def strongest(self) -> Peak | None:
         """What noise makes once in a hundred recordings, or less often."""
@@ -111,14 +116,18 @@ class Candidates:
         """The number of tests, and the least chance with its peak."""
         times = self.times_s[rows]
         n, share = len(times), len(times) / len(self.times_s)
-        hz, amplitudes = spectrum(pool.residual[rows], times)
+        key = (j, rows.start, rows.stop)
+        if key not in self.spectra:
+            hz, amplitudes = spectrum(pool.residual[rows], times)
+            power = np.abs(amplitudes) ** 2 * share
+            self.spectra[key] = hz, power, np.median(power[2:], 0) / LOG2
+        hz, power, typical = self.spectra[key]
         at = np.minimum(np.round(hz / self.hz[1]).astype(int), len(self.hz) - 1)
         span = n * step(self.times_s)
         usable = self.open[at] & (hz >= LOWEST / span) & (hz <= 0.5 / step(self.times_s) - 0.5 / span)
         if not usable.any():
             return 0, None
-        power = np.abs(amplitudes) ** 2 * share
-        floor = np.maximum(pool.floor[at[usable]], np.median(power[2:], 0) / LOG2)
+        floor = np.maximum(pool.floor[at[usable]], typical)
         ratio = power[usable] / floor
         statistics = ratio.reshape(len(ratio), -1, 2).sum(2)
         r, places = np.nonzero(statistics > _SHORT_PEAK)
@@ -129,9 +138,8 @@ class Candidates:
         k = int(np.argmin(chance))
         row = int(np.flatnonzero(usable)[r[k]])
         cut = 2 * float(stats.f.isf(CHANCE / self.tests, 4, _WINDOW_FREEDOM))
-        peak = Peak(
-            j, int(places[k]), float(hz[row]), float(values[k]), cut, amplitudes[row] * share**0.5, share
-        )
+        amplitudes = spectrum(pool.residual[rows], times)[1][row] * share**0.5
+        peak = Peak(j, int(places[k]), float(hz[row]), float(values[k]), cut, amplitudes, share)
         return statistics.size, (float(chance[k]), peak)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from tg4mm.capture.look.model import Smallest
-from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, beam_floor, shape_of
+from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, Spectra, beam_floor, shape_of
 from tg4mm.capture.look.pools import Pool, pools_of
 from tg4mm.capture.look.ringing import Vibration, fitted
 from tg4mm.capture.look.scene import PATTERNS, Scene
@@ -54,6 +54,7 @@ class Search:
         self.allowed = (self.hz >= LOWEST / d) & (self.hz <= top - 0.5 / d)
         self._open = self.allowed.copy()
         self._tries: dict[int, int] = {}
+        self._spectra: Spectra = {}
         self.composite = np.mean(self.pools[0].statistics(), 1) / 2 if self.pools else np.ones(len(self.hz))
         if self.pools and self._open.any():
             self._find()
@@ -88,7 +89,9 @@ class Search:
 
     def _find(self) -> None:
         for _ in range(MOST):
-            peak = Candidates(self.pools, self.times, self.hz, self._open, self._tests).strongest()
+            peak = Candidates(
+                self.pools, self.times, self.hz, self._open, self._tests, self._spectra
+            ).strongest()
             if peak is None:
                 return
             self._judge(peak)
@@ -116,6 +119,7 @@ class Search:
             return
         self.lines.append(Line(vibration, statistic, peak.cut, peak.pool, shape, noise))
         self._take_off()
+        self._spectra.clear()
         for each in self.pools:
             each.update(self.times)
         half = max(1 / scene.duration, 2.5 * vibration.decay / (2 * np.pi))
