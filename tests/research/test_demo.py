@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 
@@ -79,7 +78,7 @@ def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch)
     demo.run_demo(tmp_path, 32, Said())
     run = Run.open(tmp_path / "run")
     space = run.load_space()
-    shutil.rmtree(tmp_path / "run")
+    (tmp_path / "run" / "motion.safetensors").unlink()
     old = (tmp_path / "magnified" / "003" / "r_000.png").read_bytes()
     make = demo._train
 

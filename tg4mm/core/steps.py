@@ -25,7 +25,8 @@ class Step:
     work: Callable[[], object]  # goes on by itself where a kill left it
     asked: Mapping[str, Any] = field(default_factory=dict)  # JSON values that the result depends on
     after: Sequence[str] = ()  # names of the steps whose results it reads
-    in_place: bool = False  # another request changes the result; else a folder is moved aside first
+    folder: Path | None = None  # holds the result; None: the result itself
+    in_place: bool = False  # another request changes the result; else its folder is moved aside first
 
 
 def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Step], say: Say) -> None:
@@ -49,7 +50,7 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Ste
             say(f"{label}: already done")
             continue
         if (entry is None or entry.get("asked") != asked) and not step.in_place:
-            _set_aside(step.result, say)
+            _set_aside(step.folder or step.result, say)
         for name in _dependents(step.name, steps):
             done.pop(name, None)
         done[step.name] = {"asked": asked}  # begun: after a kill the same request goes on

@@ -58,7 +58,12 @@ def demo_steps(places: Places, size: int) -> list[Step]:
     """The steps in order; each calls what the command line calls."""
     parts: list[tuple[str, str, Path, Callable[[], object]]] = [
         ("generate", f"Generate the mic scene, {size}×{size}", places.data, lambda: _generate(places, size)),
-        ("train", "Train: Gaussians at rest, then their motion", places.run, lambda: _train(places)),
+        (
+            "train",
+            "Train: Gaussians at rest, then their motion",
+            places.run / "motion.safetensors",
+            lambda: _train(places),
+        ),
         ("render", f"Render the test cameras, α = {ALPHA:g}", places.magnified, lambda: _render(places)),
         ("orbit", f"Render an orbit, α = {ALPHA:g}", places.orbit, lambda: _orbit(places)),
         ("evaluate", "Compare with ground truth", places.metrics, lambda: _evaluate(places)),
@@ -66,7 +71,8 @@ def demo_steps(places: Places, size: int) -> list[Step]:
         ("report", "Write the report", places.report, lambda: _report(places)),
     ]
     names = [name for name, *_ in parts]
-    return [Step(*part, after=names[:i]) for i, part in enumerate(parts)]
+    folders = {"train": places.run}
+    return [Step(*part, after=names[:i], folder=folders.get(part[0])) for i, part in enumerate(parts)]
 
 
 def _generate(places: Places, size: int) -> None:

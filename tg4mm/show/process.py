@@ -87,10 +87,11 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         return write_report(Run.open(run), out / "report.html", chosen)
 
     steps = [
-        Step("dataset", "Poses and times", dataset, make, {"pictures": pictures, **settings}),
+        Step("dataset", "Poses and times", dataset / "scene.json", make, {"pictures": pictures, **settings},
+             folder=dataset),
         Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
-        Step("run", "The scene at rest and its motion", run, fit, {"settings": trained, "device": options.device},
-             ["dataset"]),
+        Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
+             {"settings": trained, "device": options.device}, ["dataset"], run),
         Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
              {"sensors": sensors, "quick": options.quick}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
