@@ -110,4 +110,4 @@ def test_without_torch_there_is_still_what_needs_none() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'tg4mm' has no attribute 'fit_sapce'"):
         tg4mm.fit_sapce  # noqa: B018
-    assert tg4mm.render is importlib.import_module("tg4mm.show.render").render
+    assert tg4mm.render is importlib.import_module("tg4mm.show.render.image").render

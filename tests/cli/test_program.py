@@ -13,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
-    "demo", "generate", "convert", "train", "render", "evaluate", "measure", "report", "view", "export", "sfm", "bench",
+    "look", "process", "sfm", "train", "render", "measure", "report", "view", "export",
+    "generate", "evaluate", "bench", "convert", "demo",
 )  # fmt: skip
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
