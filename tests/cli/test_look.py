@@ -46,7 +46,7 @@ def test_a_video_is_told_in_words_and_drawn(
     right, up = (float(number.replace("−", "-")) for number in re.findall(r"(\S+) (?:right|up)", first))
     assert (right, up) == pytest.approx((0.8, -0.6), abs=0.1)
     assert "|k × 30 Hz ± its frequency|" in said
-    assert f"tg4mm sfm '{video}' --kind flat --out data/'my pump' && tg4mm train" in said
+    assert f"tg4mm process '{video}' --kind flat --out 'my pump'-out" in said
     assert Image.open(tmp_path / "my pump-look.png").size[0] > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["my pump-look.png"]
 

@@ -35,7 +35,8 @@ def measure(
         bool,
         typer.Option(
             "--keep/--no-keep",
-            help="Keep what is read from the pictures in the run folder, so that the next call is fast.",
+            help="Keep what is read from the pictures in the run folder, so that the next call is fast; of a flat "
+            "capture nothing is kept.",
         ),
     ] = True,
     animate: Annotated[

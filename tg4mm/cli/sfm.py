@@ -34,9 +34,9 @@ InputArgument = Annotated[
     Path,
     typer.Argument(
         metavar="INPUT",
-        help="A folder of photographs; or one video of a fixed or a moving camera; or a folder with a video (or a "
-        "folder of frames) for each fixed camera, cam_00.mp4 …, and optionally the scene at rest from all around, "
-        "sweep/ (photographs) or sweep.mp4.",
+        help="A folder of photographs; or one video of a fixed or a moving camera, or with --fps a folder of its "
+        "numbered pictures; or a folder with a video (or a folder of frames) for each fixed camera, cam_00.mp4 …, and "
+        "optionally the scene at rest from all around, sweep/ (photographs) or sweep.mp4.",
     ),
 ]
 KindOption = Annotated[

@@ -60,7 +60,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     """
     options = options or ProcessOptions()
     checked(options.sfm)
-    pictures = files_of(find_sources(source))
+    pictures = files_of(find_sources(source, timed=options.sfm.fps is not None))
     record = {"format": "tg4mm-process", "version": 1, "source": str(source.resolve())}
     folder = WorkFolder(out, RECORD, free=("done",))
     with folder.held("processes into it"):

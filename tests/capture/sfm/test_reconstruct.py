@@ -153,7 +153,6 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
     [
         (SfmConfig(camera_model="FISH"), "--camera-model is FISH, expected SIMPLE_PINHOLE, "),
         (SfmConfig(focal_px=-3.0), "--focal-px is -3.0, expected a finite number above 0"),
-        (SfmConfig(fps=30.0), "--fps is 30, but photographs have no frame rate"),
         (SfmConfig(kind="drone"), "--kind is drone, expected photos, flat, tripod"),
         (SfmConfig(kind="rig"), "--kind is rig, but .* holds 12 photographs, which can be photos"),
         (SfmConfig(start_s=-1.0), "--from is -1.0, expected a finite number of at least 0"),

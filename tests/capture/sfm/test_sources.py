@@ -68,6 +68,13 @@ def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
     assert len(sources.sweep.pictures) == 5
 
 
+def test_pictures_with_a_rate_are_a_recording(tmp_path: Path) -> None:
+    fill(tmp_path / "cam", 4)
+    sources = find_sources(tmp_path / "cam", timed=True)
+    assert sources.photographs is None
+    assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam", 4)]
+
+
 def test_a_recording_called_sweep_is_none_where_it_is_alone(tmp_path: Path) -> None:
     fill(tmp_path / "sweep", 4)
     photographs = find_sources(tmp_path / "sweep").photographs

@@ -102,8 +102,6 @@ def _check_as_long(surveys: Sequence[Survey]) -> None:
 
 def check_options(sources: Sources, config: SfmConfig) -> None:
     """Options that what lies on disk has no use for."""
-    if sources.photographs is not None and config.fps is not None:
-        raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
     if config.synchronous and not any(kind.together for kind in possible_kinds(sources)):
         raise Tg4mmError(
             f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"

@@ -75,7 +75,7 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     input: damaged recordings, too few pictures, no overlap, pictures that could not be placed.
     """
     config = checked(config)
-    sources = find_sources(images)
+    sources = find_sources(images, timed=config.fps is not None)
     check_kind(sources, config.kind)
     check_options(sources, config)
     if sources.photographs is not None or sources.sweep is not None or len(sources.clips) > 1:

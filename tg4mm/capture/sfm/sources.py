@@ -37,8 +37,11 @@ class Sources:
         return tuple(clip for clip in (self.photographs, *self.clips, self.sweep) if clip is not None)
 
 
-def find_sources(path: Path) -> Sources:
-    """What `path` holds. Raises CaptureError where it is missing, holds nothing usable, or mixes layouts."""
+def find_sources(path: Path, timed: bool = False) -> Sources:
+    """What `path` holds. Raises CaptureError where it is missing, holds nothing usable, or mixes layouts.
+
+    timed: a frame rate is given, so that a folder of pictures is a recording.
+    """
     if not path.exists():
         raise CaptureError(f"{path}: does not exist")
     if path.is_file():
@@ -62,7 +65,8 @@ def find_sources(path: Path) -> Sources:
             )
         if len(pictures) < FEWEST:
             raise CaptureError(f"{path}: holds {len(pictures)} pictures, at least {FEWEST} are needed")
-        return Sources(path, photographs=Clip(_named(path.name), path, pictures))
+        clip = Clip(_named(path.name), path, pictures)
+        return Sources(path, clips=(clip,)) if timed else Sources(path, photographs=clip)
     if not cameras:
         only = f"nothing but {SWEEP}" if sweep else "no pictures"
         raise CaptureError(f"{path}: holds {only}; {LAYOUTS}")

@@ -144,10 +144,9 @@ class Words:
             ]
         return [
             (
-                f"tg4mm sfm {shlex.quote(str(self.source))} --kind flat{asked} --out data/{name}",
-                "a dataset of it",
-            ),
-            (f"tg4mm train data/{name} --out runs/{name}", "its motion, to be magnified and measured"),
+                f"tg4mm process {shlex.quote(str(self.source))} --kind flat{asked} --out {name}-out",
+                "numbers of each part, a magnified video, pages",
+            )
         ]
 
     def lines(self) -> list[str]:
