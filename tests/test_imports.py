@@ -53,18 +53,6 @@ def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> N
     assert done.returncode == 0, done.stderr
 
 
-def test_splat_file_reader_needs_numpy_alone(repo_root: Path) -> None:
-    code = (
-        "before = set(sys.modules)\n"
-        "import tg4mm.core.splatfile\n"
-        "new = {n.partition('.')[0] for n in set(sys.modules) - before}\n"
-        "foreign = new - set(sys.stdlib_module_names) - {'tg4mm', 'numpy'}\n"
-        "assert not {n for n in foreign if 'cython' not in n}, foreign\n"  # numpy's own
-    )
-    done = run_without(["torch", "bpy", "plyfile", "PIL"], code, repo_root)
-    assert done.returncode == 0, done.stderr
-
-
 FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each may import those before it
 MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
 MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research", "cli")}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,44 +14,15 @@ import pytest
 
 import tg4mm
 
-NAMES = [
-    "BandGain",
-    "Camera",
-    "Capture",
-    "CaptureError",
-    "Gaussians",
-    "ImageStack",
-    "Magnification",
-    "Measurement",
-    "ModalMotion",
-    "MotionConfig",
-    "MotionFit",
-    "Prepared",
-    "Run",
-    "RunError",
-    "Sensor",
-    "SensorResult",
-    "SpaceConfig",
-    "SplatFile",
-    "SplatFileError",
-    "Tg4mmError",
-    "animate",
-    "capture_cameras",
-    "fit_motion",
-    "fit_space",
-    "load_capture",
-    "load_images",
-    "measure",
-    "orbit",
-    "parse_sensor",
-    "prepare",
-    "prepare_fit",
-    "rasterization",
-    "read_splat",
-    "render",
-    "to_splat",
-    "write_splat",
-]
+NAMES = re.findall(
+    r"\w+",
+    """
+    BandGain Camera Capture CaptureError Gaussians ImageStack Magnification Measurement ModalMotion
+    MotionConfig MotionFit Prepared Run RunError Sensor SensorResult SpaceConfig SplatFile SplatFileError
+    Tg4mmError animate capture_cameras fit_motion fit_space load_capture load_images measure orbit
+    parse_sensor prepare prepare_fit rasterization read_splat render to_splat write_splat
+    """,
+)
 
 
 def python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:

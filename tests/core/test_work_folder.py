@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tg4mm.core.errors import CaptureError, RunError
-from tg4mm.core.work_folder import WorkFolder, flat
+from tg4mm.core.work_folder import WorkFolder
 
 ASKED = {"alpha": 5.0, "cameras": {"seed": 0, "views": 3}, "band": None}
 
@@ -110,7 +110,3 @@ def test_a_lock_is_given_back_after_an_error(tmp_path: Path) -> None:
         raise ZeroDivisionError
     with folder(tmp_path / "run").held("works"):
         pass
-
-
-def test_nested_values_have_dotted_names() -> None:
-    assert flat({"a": {"b": 1, "c": {}}, "d": [1]}) == {"a.b": 1, "a.c": {}, "d": [1]}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
-import pytest
 
 from tg4mm.core.splatfile import SplatFile
 
@@ -54,22 +53,8 @@ def assert_same(a: SplatFile, b: SplatFile) -> None:
             assert one == other, name
 
 
-NAMES = [
-    "x",
-    "y",
-    "z",
-    "f_dc_0",
-    "f_dc_1",
-    "f_dc_2",
-    "opacity",
-    "scale_0",
-    "scale_1",
-    "scale_2",
-    "rot_0",
-    "rot_1",
-    "rot_2",
-    "rot_3",
-]
+NAMES = [*"xyz", *(f"f_dc_{i}" for i in range(3)), "opacity"]
+NAMES += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 
 def plain_ply(
@@ -87,27 +72,3 @@ def plain_ply(
     lines = ["ply", f"format {head}", *before, f"element vertex {count}"]
     lines += [f"property {kind} {name}" for name, (kind, _) in properties.items()]
     return "\n".join([*lines, *after, "end_header\n"]).encode("latin-1") + data
-
-
-@pytest.fixture
-def make():
-    """`random_splat`, `plain_ply`, `assert_same` and the names of a plain file's properties."""
-
-    class Make:
-        splat = staticmethod(random_splat)
-        ply = staticmethod(plain_ply)
-        same = staticmethod(assert_same)
-        names = NAMES
-
-    return Make
-
-
-@pytest.fixture(scope="module")
-def make_module():
-    """`make` for hypothesis, which wants fixtures that outlive an example."""
-
-    class Make:
-        splat = staticmethod(random_splat)
-        same = staticmethod(assert_same)
-
-    return Make

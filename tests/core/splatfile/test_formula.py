@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from tests.core.splatfile.conftest import random_splat
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import positions_at, rotations_at
 
@@ -16,10 +17,10 @@ alphas = st.floats(-2, 100)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def one_mode(make, freq=3.0, displacement=(0, 0, 0), rotation=(0, 0, 0)):
+def one_mode(freq=3.0, displacement=(0, 0, 0), rotation=(0, 0, 0)):
     """One Gaussian, not turned, with one mode."""
     return replace(
-        make.splat(n=1, m=1),
+        random_splat(n=1, m=1),
         freqs_hz=np.array([freq]),
         displacement=np.array([[displacement]], np.complex64),
         rotation=np.array([[rotation]], np.complex64),
@@ -34,9 +35,9 @@ def rotated(quats, v):
 
 
 @given(times, alphas)
-def test_a_sinusoid_in_metres_of_motion(make_module, t, alpha):
+def test_a_sinusoid_in_metres_of_motion(t, alpha):
     """Phasor −i·a is a·sin(2π f t / fps), phasor a is a·cos: the sign convention."""
-    splat = one_mode(make_module, 3.0, displacement=(-0.5j, 0.25, 0))
+    splat = one_mode(3.0, displacement=(-0.5j, 0.25, 0))
     w = 2 * math.pi * 3.0 * t / 30
     moved = positions_at(splat, t, alpha) - splat.means
     expected = (1 + alpha) * np.array([[0.5 * math.sin(w), 0.25 * math.cos(w), 0]])
@@ -44,8 +45,8 @@ def test_a_sinusoid_in_metres_of_motion(make_module, t, alpha):
 
 
 @given(seeds, times, alphas)
-def test_displacement_grows_by_exactly_one_plus_alpha(make_module, seed, t, alpha):
-    splat = make_module.splat(seed)
+def test_displacement_grows_by_exactly_one_plus_alpha(seed, t, alpha):
+    splat = random_splat(seed)
     as_it_was = positions_at(splat, t) - splat.means
     np.testing.assert_allclose(
         positions_at(splat, t, alpha) - splat.means, (1 + alpha) * as_it_was, rtol=1e-9, atol=1e-9
@@ -53,16 +54,16 @@ def test_displacement_grows_by_exactly_one_plus_alpha(make_module, seed, t, alph
 
 
 @given(seeds, times)
-def test_alpha_0_is_the_identity_whatever_the_band(make_module, seed, t):
-    splat = make_module.splat(seed, m=3)
+def test_alpha_0_is_the_identity_whatever_the_band(seed, t):
+    splat = random_splat(seed, m=3)
     np.testing.assert_array_equal(positions_at(splat, t, 0.0, (1.0, 7.0)), positions_at(splat, t))
     np.testing.assert_array_equal(rotations_at(splat, t, 0.0, (1.0, 7.0)), rotations_at(splat, t))
 
 
 @given(seeds, times, alphas, st.floats(0, 7), st.floats(7, 15))
-def test_modes_outside_the_band_keep_their_size(make_module, seed, t, alpha, low, high):
+def test_modes_outside_the_band_keep_their_size(seed, t, alpha, low, high):
     assume(low < high)
-    splat = make_module.splat(seed, m=4)
+    splat = random_splat(seed, m=4)
     inside = (splat.freqs_hz >= low) & (splat.freqs_hz <= high)
 
     def only(mask):
@@ -73,8 +74,8 @@ def test_modes_outside_the_band_keep_their_size(make_module, seed, t, alpha, low
     np.testing.assert_allclose(positions_at(splat, t, alpha, (low, high)) - splat.means, expected, atol=1e-9)
 
 
-def test_both_ends_of_the_band_are_inside(make):
-    splat = one_mode(make, 3.0, displacement=(1, 0, 0))
+def test_both_ends_of_the_band_are_inside():
+    splat = one_mode(3.0, displacement=(1, 0, 0))
     x = [
         positions_at(splat, 0, 1.0, band)[0, 0] - splat.means[0, 0]
         for band in ((3, 4), (2, 3), (3.1, 4), (1, 2.9))
@@ -83,10 +84,10 @@ def test_both_ends_of_the_band_are_inside(make):
 
 
 @given(times, alphas, st.tuples(*[st.floats(-1, 1)] * 3))
-def test_a_rotation_phasor_turns_about_its_axis_by_the_magnified_angle(make_module, t, alpha, axis):
+def test_a_rotation_phasor_turns_about_its_axis_by_the_magnified_angle(t, alpha, axis):
     size = math.hypot(*axis)
     assume(size > 1e-3)
-    splat = one_mode(make_module, 3.0, rotation=[0.02 * a for a in axis])
+    splat = one_mode(3.0, rotation=[0.02 * a for a in axis])
     quats = rotations_at(splat, t, alpha)
     angle = (1 + alpha) * 0.02 * size * math.cos(2 * math.pi * 3 * t / 30)
     np.testing.assert_allclose(np.linalg.norm(quats, axis=1), 1, atol=1e-12)
@@ -97,8 +98,8 @@ def test_a_rotation_phasor_turns_about_its_axis_by_the_magnified_angle(make_modu
 
 
 @given(seeds, times)
-def test_the_turn_follows_the_rest_rotation_in_world_axes(make_module, seed, t):
-    splat = make_module.splat(seed)
+def test_the_turn_follows_the_rest_rotation_in_world_axes(seed, t):
+    splat = random_splat(seed)
     untwisted = replace(splat, quats=np.tile(np.array([1, 0, 0, 0], np.float32), (5, 1)))
     still = replace(splat, rotation=splat.rotation * np.float32(0))
     v = np.array([0.3, -0.7, 0.5])
@@ -109,11 +110,11 @@ def test_the_turn_follows_the_rest_rotation_in_world_axes(make_module, seed, t):
 
 
 @pytest.mark.parametrize("band", [(4, 4), (5, 4), (-1, 4), (math.nan, 4), (1, math.inf)])
-def test_a_bad_band_is_refused(make, band):
+def test_a_bad_band_is_refused(band):
     with pytest.raises(SplatFileError, match=r"band \(.*\) Hz; expected 0 ≤ low < high"):
-        positions_at(make.splat(), 0, 1.0, band)
+        positions_at(random_splat(), 0, 1.0, band)
 
 
-def test_a_bad_alpha_is_refused(make):
+def test_a_bad_alpha_is_refused():
     with pytest.raises(SplatFileError, match="alpha is nan"):
-        positions_at(make.splat(), 0, math.nan)
+        positions_at(random_splat(), 0, math.nan)

@@ -5,6 +5,7 @@ import random
 import numpy as np
 import pytest
 
+from tests.core.splatfile.conftest import NAMES, plain_ply
 from tg4mm.core.splatfile import read_splat
 
 
@@ -34,19 +35,19 @@ def read(tmp_path):
     return read_bytes
 
 
-def in_order(make, order, kinds, extra=()):
+def in_order(order, kinds, extra=()):
     """The default content with its properties in another order and of other types, and further properties."""
-    values = {name: 0.25 * (i + 1) + np.arange(2) for i, name in enumerate(make.names)}
+    values = {name: 0.25 * (i + 1) + np.arange(2) for i, name in enumerate(NAMES)}
     properties = {name: kinds[i % len(kinds)] for i, name in enumerate(order)} | dict(extra)
     data = np.zeros(2, [(name, kind) for name, (_, kind) in properties.items()])
     for name in order:
         data[name] = values[name]
-    return make.ply(properties, data=data.tobytes())
+    return plain_ply(properties, data=data.tobytes())
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_any_order_of_float_and_double_among_other_properties(read, make, seed):
-    order = list(make.names)
+def test_any_order_of_float_and_double_among_other_properties(read, seed):
+    order = list(NAMES)
     random.Random(seed).shuffle(order)
     kinds = [("float", "<f4"), ("double", "<f8"), ("float32", "<f4")]
     extra = {
@@ -55,31 +56,31 @@ def test_any_order_of_float_and_double_among_other_properties(read, make, seed):
         "id": ("int", "<i4"),
         "mode_name": ("short", "<i2"),
     }
-    check_plain(read(in_order(make, order, kinds, extra)))
+    check_plain(read(in_order(order, kinds, extra)))
 
 
 @pytest.mark.parametrize(("count", "degree"), [(0, 0), (9, 1), (24, 2), (45, 3)])
-def test_every_degree_is_channel_major(read, make, count, degree):
-    names = [*make.names, *(f"f_rest_{i}" for i in range(count))]
+def test_every_degree_is_channel_major(read, count, degree):
+    names = [*NAMES, *(f"f_rest_{i}" for i in range(count))]
     data = np.zeros(1, [(name, "<f4") for name in names])
     data["rot_0"] = 1
     for i in range(count):
         data[f"f_rest_{i}"] = i
-    splat = read(make.ply(dict.fromkeys(names, ("float", "<f4")), count=1, data=data.tobytes()))
+    splat = read(plain_ply(dict.fromkeys(names, ("float", "<f4")), count=1, data=data.tobytes()))
     assert splat.sh_degree == degree
     per_channel = count // 3
     for channel in range(3):
         assert splat.sh[0, 1:, channel].tolist() == [channel * per_channel + i for i in range(per_channel)]
 
 
-def test_comments_and_windows_line_ends(read, make):
-    data = make.ply(before=["comment Exported by ä", "comment", "obj_info n 3", ""])
+def test_comments_and_windows_line_ends(read):
+    data = plain_ply(before=["comment Exported by ä", "comment", "obj_info n 3", ""])
     check_plain(read(data))
     head, _, body = data.partition(b"end_header\n")
     check_plain(read(head.replace(b"\n", b"\r\n") + b"end_header\r\n" + body))
 
 
-def test_elements_before_and_after_are_skipped(read, make):
+def test_elements_before_and_after_are_skipped(read):
     before = ["element chunk 3", "property float a", "property uchar b"]
     after = [
         "element face 0",
@@ -87,6 +88,6 @@ def test_elements_before_and_after_are_skipped(read, make):
         "element extra 1",
         "property double c",
     ]
-    data = make.ply(before=before, after=after)
+    data = plain_ply(before=before, after=after)
     head, _, body = data.partition(b"end_header\n")
     check_plain(read(head + b"end_header\n" + b"\xff" * 15 + body + b"\xff" * 8))

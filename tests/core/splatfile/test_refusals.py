@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.core.splatfile.conftest import NAMES, plain_ply, random_splat
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
@@ -31,9 +32,9 @@ def refused(tmp_path):
 
 
 @pytest.fixture
-def good(make, tmp_path):
+def good(tmp_path):
     """The bytes of a file with two modes."""
-    write_splat(tmp_path / "good.ply", make.splat())
+    write_splat(tmp_path / "good.ply", random_splat())
     return (tmp_path / "good.ply").read_bytes()
 
 
@@ -54,9 +55,9 @@ def test_missing_file_and_folder(tmp_path):
 
 @settings(deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_file_cut_anywhere_is_refused(make_module, tmp_path_factory, cut):
+def test_a_file_cut_anywhere_is_refused(tmp_path_factory, cut):
     path = tmp_path_factory.getbasetemp() / "cut.ply"
-    write_splat(path, make_module.splat())
+    write_splat(path, random_splat())
     data = path.read_bytes()
     path.write_bytes(data[: cut % len(data)])
     with pytest.raises(SplatFileError, match=r"truncated|end_header|is not a PLY|format"):
@@ -88,20 +89,21 @@ def test_an_absurd_count_allocates_nothing(refused, good):
     assert peak < 10e6
 
 
-def test_no_gaussians(refused, make):
-    refused(make.ply(count=0), "0 entries")
+def test_no_gaussians(refused):
+    refused(plain_ply(count=0), "0 entries")
 
 
-def test_nothing_that_can_be_drawn(refused, make):
-    properties = dict.fromkeys(make.names, ("double", "<f8"))
+def test_nothing_that_can_be_drawn(refused):
+    properties = dict.fromkeys(NAMES, ("double", "<f8"))
     refused(
-        make.ply(properties, count=1, data=np.full(14, 1e300).tobytes()), "has nothing to draw: each of its 1"
+        plain_ply(properties, count=1, data=np.full(14, 1e300).tobytes()),
+        "has nothing to draw: each of its 1",
     )
 
 
 @pytest.mark.parametrize("form", ["text 1.0", "binary_little_endian 2.0", ""])
-def test_other_formats(refused, make, form):
-    refused(make.ply(head=form), form or "no format line", "expected format binary_little_endian")
+def test_other_formats(refused, form):
+    refused(plain_ply(head=form), form or "no format line", "expected format binary_little_endian")
 
 
 @pytest.mark.parametrize(
@@ -126,27 +128,27 @@ def test_headers_that_are_none(refused, data, part):
     refused(data, part)
 
 
-def test_properties(refused, make):
-    plain = dict.fromkeys(make.names, ("float", "<f4"))
+def test_properties(refused):
+    plain = dict.fromkeys(NAMES, ("float", "<f4"))
     without = {name: kind for name, kind in plain.items() if name not in ("scale_2", "rot_0")}
-    refused(make.ply(without), "property scale_2 is missing, 2 in all")
-    refused(make.ply({"packed_position": ("uint", "<u4")}), "is compressed, but has no element chunk")
-    refused(make.ply({**plain, "opacity": ("uchar", "u1")}), "property opacity is a whole number type")
-    refused(make.ply({**plain, "opacity": ("half", "<f2")}), "'property half opacity' has no type")
-    refused(make.ply(after=["property float x"]), "property x appears twice")
-    refused(make.ply(after=["property list uchar int i"]), "element vertex has a list property, i")
+    refused(plain_ply(without), "property scale_2 is missing, 2 in all")
+    refused(plain_ply({"packed_position": ("uint", "<u4")}), "is compressed, but has no element chunk")
+    refused(plain_ply({**plain, "opacity": ("uchar", "u1")}), "property opacity is a whole number type")
+    refused(plain_ply({**plain, "opacity": ("half", "<f2")}), "'property half opacity' has no type")
+    refused(plain_ply(after=["property float x"]), "property x appears twice")
+    refused(plain_ply(after=["property list uchar int i"]), "element vertex has a list property, i")
     face = ["element face 2", "property list uchar int vertex_indices"]
-    refused(make.ply(after=face), "element face has a list property, vertex_indices")
-    refused(make.ply(after=["element vertex 2", "property float x"]), "header has 2 vertex elements")
+    refused(plain_ply(after=face), "element face has a list property, vertex_indices")
+    refused(plain_ply(after=["element vertex 2", "property float x"]), "header has 2 vertex elements")
 
 
 @pytest.mark.parametrize(
     "indices", [range(3), range(8), range(46), range(1, 10), [0, 1, 2, 3, 4, 5, 6, 7, 9]]
 )
-def test_f_rest_counts(refused, make, indices):
-    names = [*make.names, *(f"f_rest_{i}" for i in indices)]
+def test_f_rest_counts(refused, indices):
+    names = [*NAMES, *(f"f_rest_{i}" for i in indices)]
     refused(
-        make.ply(dict.fromkeys(names, ("float", "<f4"))),
+        plain_ply(dict.fromkeys(names, ("float", "<f4"))),
         f"has {len(indices)} f_rest properties; expected",
     )
 
@@ -221,9 +223,9 @@ def test_two_header_lines(refused, good):
         ({"time_origin_s": float("inf")}, "time_origin_s is inf"),
     ],
 )
-def test_a_splat_that_could_not_be_read_back_cannot_be_made(make, change, part):
+def test_a_splat_that_could_not_be_read_back_cannot_be_made(change, part):
     with pytest.raises(SplatFileError, match=part):
-        replace(make.splat(), **change)
+        replace(random_splat(), **change)
 
 
 def test_an_empty_splat_cannot_be_made():
@@ -233,22 +235,22 @@ def test_an_empty_splat_cannot_be_made():
         )
 
 
-def test_deviations_of_some_modes_only_are_refused(make, tmp_path):
+def test_deviations_of_some_modes_only_are_refused(tmp_path):
     path = tmp_path / "a.ply"
-    write_splat(path, make.splat(m=2, deviation=True))
+    write_splat(path, random_splat(m=2, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"mode_1_sd", b"mode_9_sd"))
     with pytest.raises(
         SplatFileError, match=r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"
     ):
         read_splat(path)
-    write_splat(path, make.splat(m=1, deviation=True))
+    write_splat(path, random_splat(m=1, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"float mode_0_sd", b"int32 mode_0_sd"))
     with pytest.raises(SplatFileError, match="property mode_0_sd is a whole number type"):
         read_splat(path)
 
 
-def test_deviations_have_a_shape_and_are_not_negative(make):
-    splat = make.splat(n=3, m=2, deviation=True)
+def test_deviations_have_a_shape_and_are_not_negative():
+    splat = random_splat(n=3, m=2, deviation=True)
     with pytest.raises(SplatFileError, match=r"deviation has shape \(1, 3\), expected \(2, 3\)"):
         replace(splat, deviation=splat.deviation[:1])
     with pytest.raises(SplatFileError, match="deviation reaches down to -1"):

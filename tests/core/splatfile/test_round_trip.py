@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData
 
+from tests.core.splatfile.conftest import assert_same, random_splat
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
@@ -29,17 +30,17 @@ def cases():
 @given(
     case=cases(), scale=st.none() | st.floats(1e-6, 1e6), origin=st.floats(-1e9, 1e9), deviation=st.booleans()
 )
-def test_a_file_read_back_is_the_file_written(path, make_module, case, scale, origin, deviation):
+def test_a_file_read_back_is_the_file_written(path, case, scale, origin, deviation):
     seed, n, k, m = case
-    splat = make_module.splat(seed, n, k, m, unit_scale_m=scale, deviation=deviation)
+    splat = random_splat(seed, n, k, m, unit_scale_m=scale, deviation=deviation)
     splat = replace(splat, time_origin_s=origin)
     write_splat(path, splat)
-    make_module.same(read_splat(path), splat)
+    assert_same(read_splat(path), splat)
 
 
-def test_deviations_are_further_properties_which_a_reader_without_them_skips(make, tmp_path):
+def test_deviations_are_further_properties_which_a_reader_without_them_skips(tmp_path):
     """They come after all that version 1 had, so a file with them is version 1 as well."""
-    splat = make.splat(n=3, m=2, deviation=True)
+    splat = random_splat(n=3, m=2, deviation=True)
     write_splat(tmp_path / "with.ply", splat)
     write_splat(tmp_path / "without.ply", replace(splat, deviation=None))
     with_them, without = (PlyData.read(str(tmp_path / f"{n}.ply"))["vertex"] for n in ("with", "without"))
@@ -50,28 +51,15 @@ def test_deviations_are_further_properties_which_a_reader_without_them_skips(mak
     assert read_splat(tmp_path / "without.ply").deviation is None
 
 
-def test_another_reader_sees_the_3dgs_layout(make, tmp_path):
-    splat = make.splat(n=7, k=16, m=2)
+def test_another_reader_sees_the_3dgs_layout(tmp_path):
+    splat = random_splat(n=7, k=16, m=2)
     write_splat(tmp_path / "a.ply", splat)
     ply = PlyData.read(str(tmp_path / "a.ply"))
     names = [p.name for p in ply["vertex"].properties]
     rest = [f"f_rest_{i}" for i in range(45)]
     plain = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     plain += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    kinds = [
-        "re_x",
-        "re_y",
-        "re_z",
-        "im_x",
-        "im_y",
-        "im_z",
-        "re_rx",
-        "re_ry",
-        "re_rz",
-        "im_rx",
-        "im_ry",
-        "im_rz",
-    ]
+    kinds = [f"{part}_{turn}{axis}" for turn in ("", "r") for part in ("re", "im") for axis in "xyz"]
     assert names == plain + [f"mode_{k}_{kind}" for k in range(2) for kind in kinds]
     assert not ply.text
     assert ply.byte_order == "<"
@@ -94,8 +82,8 @@ def test_another_reader_sees_the_3dgs_layout(make, tmp_path):
     np.testing.assert_allclose(1 / (1 + np.exp(-v["opacity"].astype(float))), splat.opacities, atol=1e-7)
 
 
-def test_the_header_line_says_what_the_modes_mean(make, tmp_path):
-    splat = make.splat()
+def test_the_header_line_says_what_the_modes_mean(tmp_path):
+    splat = random_splat()
     write_splat(tmp_path / "a.ply", splat)
     (comment,) = PlyData.read(str(tmp_path / "a.ply")).comments
     assert comment.startswith("tg4mm {")
@@ -109,17 +97,17 @@ def test_the_header_line_says_what_the_modes_mean(make, tmp_path):
     }
 
 
-def test_a_static_scene_has_no_modes_and_an_unknown_fps(make, tmp_path):
-    moving = make.splat()
+def test_a_static_scene_has_no_modes_and_an_unknown_fps(tmp_path):
+    moving = random_splat()
     still = SplatFile.static(moving.means, moving.quats, moving.scales, moving.opacities, moving.sh)
     write_splat(tmp_path / "a.ply", still)
-    make.same(read_splat(tmp_path / "a.ply"), still)
+    assert_same(read_splat(tmp_path / "a.ply"), still)
     assert (still.n_modes, still.fps, still.n_timesteps, still.unit_scale_m) == (0, 0.0, 1, None)
 
 
-def test_the_ends_of_opacity_and_scale_survive(make, tmp_path):
+def test_the_ends_of_opacity_and_scale_survive(tmp_path):
     splat = replace(
-        make.splat(n=3),
+        random_splat(n=3),
         opacities=np.array([0, 1, 0.5], np.float32),
         scales=np.array([[0, 1e-30, 1e-12], [1, 1e30, 1e-6], [1, 1, 1]], np.float32),
     )
@@ -127,11 +115,11 @@ def test_the_ends_of_opacity_and_scale_survive(make, tmp_path):
     read = read_splat(tmp_path / "a.ply")
     np.testing.assert_allclose(read.opacities, [2**-24, 1 - 2**-24, 0.5], rtol=1e-6)
     np.testing.assert_allclose(read.scales, [[1e-12, 1e-12, 1e-12], [1, 1e30, 1e-6], [1, 1, 1]], rtol=1e-5)
-    make.same(read, replace(splat, scales=np.maximum(splat.scales, np.float32(1e-12))))
+    assert_same(read, replace(splat, scales=np.maximum(splat.scales, np.float32(1e-12))))
 
 
-def test_float64_and_strided_arrays_are_written_as_float32(make, tmp_path):
-    splat = make.splat()
+def test_float64_and_strided_arrays_are_written_as_float32(tmp_path):
+    splat = random_splat()
     wide = replace(
         splat,
         means=np.asfortranarray(splat.means.astype(np.float64)),
@@ -139,18 +127,18 @@ def test_float64_and_strided_arrays_are_written_as_float32(make, tmp_path):
         displacement=splat.displacement.astype(np.complex128),
     )
     write_splat(tmp_path / "a.ply", wide)
-    make.same(read_splat(tmp_path / "a.ply"), splat)
+    assert_same(read_splat(tmp_path / "a.ply"), splat)
 
 
-def test_a_folder_that_does_not_exist_is_named(make, tmp_path):
+def test_a_folder_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(SplatFileError, match=r"nowhere/a\.ply: cannot be written: No such file"):
-        write_splat(tmp_path / "nowhere" / "a.ply", make.splat())
+        write_splat(tmp_path / "nowhere" / "a.ply", random_splat())
 
 
-def test_a_large_file_reads_in_under_two_seconds(make, tmp_path):
-    splat = make.splat(n=200_000, k=16, m=8)
+def test_a_large_file_reads_in_under_two_seconds(tmp_path):
+    splat = random_splat(n=200_000, k=16, m=8)
     write_splat(tmp_path / "a.ply", splat)
     start = time.process_time()
     read = read_splat(tmp_path / "a.ply")
     assert time.process_time() - start < 2.0
-    make.same(read, splat)
+    assert_same(read, splat)
