@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+
+from tg4mm.capture import load_capture
+from tg4mm.core.errors import CaptureError
 
 ANGLE_X = 0.7
 FPS = 30  # Hz, of the tree
@@ -61,6 +65,16 @@ def edit(path: Path, change) -> None:
     path.write_text(json.dumps(values))
 
 
+def refused(what: Path | Callable[[], object], *parts: str, **options: object) -> None:
+    """Assert that a dataset cannot be loaded (with options), or a call fails, in one line that holds all parts."""
+    with pytest.raises(CaptureError) as caught:
+        what() if callable(what) else load_capture(what, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "mic")
@@ -69,16 +83,3 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     return write_tree(tmp_path / "mic_5Hz_0_005")
-
-
-@pytest.fixture
-def tools():
-    """The writers above, for tests that need other arguments."""
-    return {
-        "folder": write_folder,
-        "tree": write_tree,
-        "edit": edit,
-        "pose": pose,
-        "angle_x": ANGLE_X,
-        "size": SIZE,
-    }

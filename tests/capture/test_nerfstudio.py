@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
 
+from tests.capture.conftest import SIZE, edit, pose, refused, write_folder
 from tg4mm.capture import load_capture, load_images
-from tg4mm.core.errors import CaptureError
 
 
 @pytest.fixture
-def studio(tmp_path: Path, tools) -> Path:
+def studio(tmp_path: Path) -> Path:
     """Three pictures in images/, intrinsics of the file, as ns-process-data writes them."""
-    folder = tools["folder"](tmp_path / "studio", "images", views=3)
+    folder = write_folder(tmp_path / "studio", "images", views=3)
     (folder / "transforms_images.json").unlink()
-    width, height = tools["size"]
+    width, height = SIZE
     lens = {"k1": 0.0, "k2": 0, "p1": 0.0, "p2": 0.0, "camera_model": "OPENCV"}
     values = {"fl_x": 20.0, "fl_y": 21.0, "cx": 6.0, "cy": 4.5, "w": width, "h": height, **lens}
     values["frames"] = [
         {
             "file_path": f"images/r_{i:03d}.png",
-            "transform_matrix": tools["pose"](0.3 + i),
+            "transform_matrix": pose(0.3 + i),
             "colmap_im_id": i,
         }
         for i in range(3)
@@ -33,51 +33,42 @@ def studio(tmp_path: Path, tools) -> Path:
     return folder
 
 
-def refused(folder: Path, *parts: str, split: str = "train") -> None:
-    with pytest.raises(CaptureError) as caught:
-        load_capture(folder, split)
-    message = str(caught.value)
-    assert "\n" not in message
-    for part in parts:
-        assert part in message, message
-
-
-def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, tmp_path, tools) -> None:
+def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, tmp_path) -> None:
     capture = load_capture(studio)
-    twin = load_capture(tools["folder"](tmp_path / "twin", "train", views=3))
+    twin = load_capture(write_folder(tmp_path / "twin", "train", views=3))
     np.testing.assert_array_equal(capture.viewmats, twin.viewmats)
     assert capture.Ks[0].tolist() == [[20, 0, 6], [0, 21, 4.5], [0, 0, 1]]
     assert (capture.n_timesteps, capture.fps, capture.split, capture.points) == (1, 0.0, "train", None)
     assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
 
 
-def test_a_frames_own_intrinsics_win(studio, tools) -> None:
-    tools["edit"](studio / "transforms.json", lambda v: v["frames"][1].update(fl_x=30.0))
+def test_a_frames_own_intrinsics_win(studio) -> None:
+    edit(studio / "transforms.json", lambda v: v["frames"][1].update(fl_x=30.0))
     assert load_capture(studio).Ks[:, 0, 0].tolist() == [20, 30, 20]
 
 
-def test_splits_are_the_files_own_lists(studio, tools) -> None:
+def test_splits_are_the_files_own_lists(studio) -> None:
     lists = {
         "train_filenames": ["images/r_002.png", "images/r_000.png"],
         "test_filenames": ["images/r_001.png"],
     }
-    tools["edit"](studio / "transforms.json", lambda v: v.update(lists))
+    edit(studio / "transforms.json", lambda v: v.update(lists))
     assert [p.name for p in load_capture(studio).paths] == ["r_000.png", "r_002.png"]
     assert [p.name for p in load_capture(studio, "test").paths] == ["r_001.png"]
     refused(studio, "has no val_filenames", "no 'val' split", split="val")
 
 
-def test_points_come_from_the_named_file(studio, tools) -> None:
+def test_points_come_from_the_named_file(studio) -> None:
     data = np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
     data["x"] = range(4)
     PlyData([PlyElement.describe(data, "vertex")]).write(str(studio / "sparse_pc.ply"))
-    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="sparse_pc.ply"))
+    edit(studio / "transforms.json", lambda v: v.update(ply_file_path="sparse_pc.ply"))
     points = load_capture(studio).points
     assert points is not None
     assert points.xyz[:, 0].tolist() == [0, 1, 2, 3]
-    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="gone.ply"))
+    edit(studio / "transforms.json", lambda v: v.update(ply_file_path="gone.ply"))
     refused(studio, "ply_file_path is 'gone.ply', which does not exist")
-    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="../x.ply"))
+    edit(studio / "transforms.json", lambda v: v.update(ply_file_path="../x.ply"))
     refused(studio, "leads outside the dataset's folder")
 
 
@@ -102,8 +93,8 @@ def test_points_come_from_the_named_file(studio, tools) -> None:
         (lambda v: v.update(w=99), ("w is 99; expected 12",)),
     ],
 )
-def test_bad_files_are_refused(studio, tools, change, parts) -> None:
-    tools["edit"](studio / "transforms.json", change)
+def test_bad_files_are_refused(studio, change, parts) -> None:
+    edit(studio / "transforms.json", change)
     refused(studio, *parts)
 
 
@@ -123,9 +114,9 @@ def test_bad_files_are_refused(studio, tools, change, parts) -> None:
 )
 @pytest.mark.parametrize("where", ["file", "frame"])
 def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(
-    studio: Path, tools, field: str, value: object, is_refused: bool, where: str
+    studio: Path, field: str, value: object, is_refused: bool, where: str
 ) -> None:
-    tools["edit"](
+    edit(
         studio / "transforms.json",
         lambda v: (v if where == "file" else v["frames"][1]).update({field: value}),
     )
@@ -135,51 +126,51 @@ def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(
         assert len(load_capture(studio)) == 3
 
 
-def test_two_fields_of_view_are_two_focal_lengths(studio: Path, tools) -> None:
-    width, height = tools["size"]
+def test_two_fields_of_view_are_two_focal_lengths(studio: Path) -> None:
+    width, height = SIZE
     angles = {"camera_angle_x": 2 * np.arctan(width / 40), "camera_angle_y": 2 * np.arctan(height / 42)}
 
-    def edit(values: dict) -> None:
+    def change(values: dict) -> None:
         for key in ("fl_x", "fl_y"):
             del values[key]
         values.update(angles)
 
-    tools["edit"](studio / "transforms.json", edit)
+    edit(studio / "transforms.json", change)
     np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [20, 21, 1])
-    tools["edit"](studio / "transforms.json", lambda v: v.pop("camera_angle_x"))
+    edit(studio / "transforms.json", lambda v: v.pop("camera_angle_x"))
     np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [21, 21, 1])
 
 
 class TestTimes:
     """Frames of one file that have times are of timesteps."""
 
-    def timed(self, studio: Path, tools, times: list[float], **values: float) -> None:
-        def edit(file: dict) -> None:
+    def timed(self, studio: Path, times: list[float], **values: float) -> None:
+        def change(file: dict) -> None:
             file.update(values)
             for frame, time in zip(file["frames"], times, strict=True):
                 frame["time"] = time
 
-        tools["edit"](studio / "transforms.json", edit)
+        edit(studio / "transforms.json", change)
 
     @pytest.mark.parametrize("times", [[0.0, 0.5, 1.0], [4.0, 4.1, 4.2]])
-    def test_the_rate_makes_them_timesteps(self, studio: Path, tools, times: list[float]) -> None:
-        self.timed(studio, tools, times, fps=10.0)
+    def test_the_rate_makes_them_timesteps(self, studio: Path, times: list[float]) -> None:
+        self.timed(studio, times, fps=10.0)
         capture = load_capture(studio)
         assert (capture.n_timesteps, capture.fps) == (3, 10.0)
         assert capture.timesteps.tolist() == [0, 1, 2]
         np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
 
-    def test_a_gap_is_a_timestep_without_pictures(self, studio: Path, tools) -> None:
-        self.timed(studio, tools, [0.0, 0.25, 1.0], fps=30.0)
+    def test_a_gap_is_a_timestep_without_pictures(self, studio: Path) -> None:
+        self.timed(studio, [0.0, 0.25, 1.0], fps=30.0)
         capture = load_capture(studio)
         assert (capture.n_timesteps, capture.timesteps.tolist()) == (5, [0, 1, 4])
-        self.timed(studio, tools, [0.0, 0.25, 0.6], fps=30.0)
+        self.timed(studio, [0.0, 0.25, 0.6], fps=30.0)
         refused(studio, "the times of its frames are not even")
-        self.timed(studio, tools, [0.0, 0.1, 0.1], fps=30.0)
+        self.timed(studio, [0.0, 0.1, 0.1], fps=30.0)
         assert load_capture(studio).timesteps.tolist() == [0, 1, 1]
 
-    def test_without_a_rate_they_are_refused(self, studio: Path, tools) -> None:
-        self.timed(studio, tools, [0.0, 0.5, 1.0])
+    def test_without_a_rate_they_are_refused(self, studio: Path) -> None:
+        self.timed(studio, [0.0, 0.5, 1.0])
         refused(
             studio, "its frames have 3 different times, but no rate is known", '"fps": <frames per second>'
         )
@@ -188,7 +179,7 @@ class TestTimes:
 
 
 @pytest.mark.parametrize("suffix", [".webp", ".tif"])
-def test_a_picture_of_another_kind_is_named_as_one(studio: Path, tools, suffix: str) -> None:
+def test_a_picture_of_another_kind_is_named_as_one(studio: Path, suffix: str) -> None:
     (studio / "images" / f"r{suffix}").touch()
-    tools["edit"](studio / "transforms.json", lambda v: v["frames"][0].update(file_path=f"images/r{suffix}"))
+    edit(studio / "transforms.json", lambda v: v["frames"][0].update(file_path=f"images/r{suffix}"))
     refused(studio, f"r{suffix} is of a kind that is not read; expected one of .png")

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
+from tests.capture.conftest import ANGLE_X, SIZE, edit
 from tg4mm.capture import load_capture, load_images
 
 
@@ -24,28 +25,28 @@ def points_ply(path, colours=True, text=False):
     PlyData([PlyElement.describe(data, "vertex")], text=text).write(str(path))
 
 
-def test_a_single_folder_is_one_timestep_of_unknown_fps_and_scale(folder, tools):
+def test_a_single_folder_is_one_timestep_of_unknown_fps_and_scale(folder):
     capture = load_capture(folder)
     assert (capture.n_timesteps, capture.fps, capture.unit_scale_m) == (1, 0.0, None)
-    assert (capture.width, capture.height) == tools["size"]
+    assert (capture.width, capture.height) == SIZE
     assert (capture.points, capture.scene, capture.root) == (None, {}, folder)
     assert capture.timesteps.tolist() == [0, 0]
     assert capture.times_s.tolist() == [0.0, 0.0]
 
 
-def test_intrinsics_come_from_the_horizontal_field_of_view(folder, tools):
-    width, height = tools["size"]
-    focal = width / 2 / math.tan(tools["angle_x"] / 2)
+def test_intrinsics_come_from_the_horizontal_field_of_view(folder):
+    width, height = SIZE
+    focal = width / 2 / math.tan(ANGLE_X / 2)
     expected = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
     np.testing.assert_allclose(load_capture(folder).Ks, [expected, expected], rtol=1e-14)
 
 
-def test_a_frame_s_own_intrinsics_win_over_the_file_s(folder, tools):
+def test_a_frame_s_own_intrinsics_win_over_the_file_s(folder):
     def change(values):
         values.update(fl_x=20.0, fl_y=21.0, cx=5.5, cy=4.5, w=12, h=8, k1=0.0)
         values["frames"][1].update(fl_x=30.0, cx=6.5)
 
-    tools["edit"](folder / "transforms_train.json", change)
+    edit(folder / "transforms_train.json", change)
     first, second = load_capture(folder).Ks
     assert first.tolist() == [[20, 0, 5.5], [0, 21, 4.5], [0, 0, 1]]
     assert second.tolist() == [[30, 0, 6.5], [0, 21, 4.5], [0, 0, 1]]
@@ -61,10 +62,10 @@ def test_a_tree_gives_every_timestep_in_order(tree):
     assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 110, 111, 120, 121]
 
 
-def test_a_camera_that_stays_is_one_id(tree, tools):
+def test_a_camera_that_stays_is_one_id(tree):
     capture = load_capture(tree)
     assert capture.camera_ids.tolist() == [0, 1, 0, 1, 0, 1]
-    tools["edit"](tree / "002" / "transforms_train.json", lambda v: v.update(camera_angle_x=0.71))
+    edit(tree / "002" / "transforms_train.json", lambda v: v.update(camera_angle_x=0.71))
     assert load_capture(tree).camera_ids.tolist() == [0, 1, 0, 1, 2, 3]
 
 
@@ -83,12 +84,12 @@ def test_only_train_folders_and_fps_are_needed(tree):
     assert len(load_capture(tree)) == 6
 
 
-def test_scene_json_is_kept_and_null_counts_as_unknown(tree, tools):
+def test_scene_json_is_kept_and_null_counts_as_unknown(tree):
     scene = {"fps": 30.0, "n_timesteps": 3, "unit_scale_m": None, "alphas": [5], "note": "kept", "seed": 0}
     (tree / "scene.json").write_text(json.dumps(scene))
     capture = load_capture(tree)
     assert (capture.fps, capture.unit_scale_m, capture.scene) == (30.0, None, scene)
-    tools["edit"](tree / "scene.json", lambda v: v.update(unit_scale_m=0.01))
+    edit(tree / "scene.json", lambda v: v.update(unit_scale_m=0.01))
     assert load_capture(tree).unit_scale_m == 0.01
 
 
@@ -106,36 +107,34 @@ def test_points_without_colours_are_grey(folder):
     assert load_capture(folder).points.rgb.tolist() == [[128, 128, 128]] * 4
 
 
-def test_images_are_in_natural_order_of_their_names(folder, tools):
+def test_images_are_in_natural_order_of_their_names(folder):
     def change(values):
         for frame, name in zip(values["frames"], ("r_10", "r_2"), strict=True):
             os.replace(folder / f"{frame['file_path']}.png", folder / "train" / f"{name}.png")
             frame["file_path"] = f"train/{name}"
 
-    tools["edit"](folder / "transforms_train.json", change)
+    edit(folder / "transforms_train.json", change)
     assert [path.name for path in load_capture(folder).paths] == ["r_2.png", "r_10.png"]
 
 
 @pytest.mark.parametrize(
     ("suffix", "written"), [(".png", True), (".jpg", False), (".jpeg", False), (".JPG", True)]
 )
-def test_suffixes_are_tried_when_the_path_has_none(folder, tools, suffix, written):
+def test_suffixes_are_tried_when_the_path_has_none(folder, suffix, written):
     Image.open(folder / "train/r_000.png").convert("RGB").save(folder / f"a{suffix}", format="PNG")
     name = f"a{suffix}" if written else "a"
-    tools["edit"](folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=name))
+    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=name))
     assert load_capture(folder).paths[0].name == f"a{suffix}"
 
 
-def test_a_dot_in_the_name_is_no_suffix(folder, tools):
+def test_a_dot_in_the_name_is_no_suffix(folder):
     os.replace(folder / "train/r_000.png", folder / "train/amp_0.05.png")
-    tools["edit"](
-        folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path="train/amp_0.05")
-    )
+    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path="train/amp_0.05"))
     assert load_capture(folder).paths[0].name == "amp_0.05.png"
 
 
-def test_a_path_into_another_timestep_stays_inside(tree, tools):
-    tools["edit"](
+def test_a_path_into_another_timestep_stays_inside(tree):
+    edit(
         tree / "001" / "transforms_train.json",
         lambda v: v["frames"][0].update(file_path="../000/train/r_000"),
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.capture.conftest import edit, write_folder
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.timing import check_times, kind_of_cameras
 from tg4mm.core.choices import KINDS
@@ -49,10 +50,10 @@ class TestKind:
         assert of_cameras({0: list(range(20)), 1: list(range(19))}, 20) == "rig"
         assert of_cameras({0: list(range(20)), 1: list(range(10))}, 20) == "tripod"
 
-    def test_scene_json_has_the_last_word(self, tree: Path, tools) -> None:
+    def test_scene_json_has_the_last_word(self, tree: Path) -> None:
         assert load_capture(tree).kind == "rig"
         for kind in KINDS:
-            tools["edit"](tree / "scene.json", lambda v, kind=kind: v.update(kind=kind))
+            edit(tree / "scene.json", lambda v, kind=kind: v.update(kind=kind))
             assert load_capture(tree).kind == kind
 
     def test_a_single_folder_is_photographs(self, folder: Path) -> None:
@@ -68,16 +69,16 @@ class TestTimes:
         retime(tree, dict.fromkeys(range(3)))
         np.testing.assert_allclose(load_capture(tree).times_s, np.array([0, 0, 1, 1, 2, 2]) / 30)
 
-    def test_a_picture_of_the_scene_at_rest_has_none(self, tree: Path, tools) -> None:
-        tools["folder"](tree / "000", "train", views=3)
+    def test_a_picture_of_the_scene_at_rest_has_none(self, tree: Path) -> None:
+        write_folder(tree / "000", "train", views=3)
         path = tree / "000" / "transforms_train.json"
-        tools["edit"](path, lambda v: v["frames"][2].pop("time"))
+        edit(path, lambda v: v["frames"][2].pop("time"))
         times = load_capture(tree).times_s
         assert np.isnan(times).tolist() == [False, False, True, False, False, False, False]
 
-    def test_a_later_picture_needs_one(self, tree: Path, tools) -> None:
+    def test_a_later_picture_needs_one(self, tree: Path) -> None:
         path = tree / "001" / "transforms_train.json"
-        tools["edit"](path, lambda v: v["frames"][1].pop("time"))
+        edit(path, lambda v: v["frames"][1].pop("time"))
         with pytest.raises(CaptureError, match=r"r_001\.png: its frame has no time, though others have"):
             load_capture(tree)
 

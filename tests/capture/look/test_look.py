@@ -152,12 +152,6 @@ def test_what_cannot_be_looked_at_is_said() -> None:
         look_at_pictures(other, "a film")
 
 
-def test_a_file_that_is_no_video_is_said(tmp_path: Path) -> None:
-    (tmp_path / "a.mp4").write_bytes(b"no video")
-    with pytest.raises(CaptureError, match=r"a\.mp4"):
-        look(tmp_path / "a.mp4")
-
-
 def test_a_picture_without_texture_or_light_names_nothing() -> None:
     black = [Picture(np.zeros((64, 64), np.uint8), k / FPS) for k in range(60)]
     found = look_at_pictures(black, "a film")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -139,52 +140,39 @@ def test_places_are_those_of_the_picture_set_upright(scene: Scene) -> None:
     np.testing.assert_allclose(found.points, scene.measure(*ends).points)
 
 
-class TestRefused:
-    def test_a_picture_that_is_not_there(self, scene: Scene) -> None:
-        with pytest.raises(
-            Tg4mmError, match=r"--length names 042, which is no picture; there are 001\.jpg, 002"
-        ):
-            scene.measure((("042", 1.0, 1.0),), (scene.at("001", ENDS[1]),))
+@pytest.mark.parametrize(
+    ("first", "match"),
+    [
+        (lambda s: (("042", 1.0, 1.0),), r"--length names 042, which is no picture; there are 001\.jpg, 002"),
+        (lambda s: (("lost.jpg", 1.0, 1.0),), r"--length: lost\.jpg could not be placed"),
+        (lambda s: (("001", 700.0, 20.0),), "001 is 640×480 pixels, 700, 20 lies outside"),
+        (
+            lambda s: (s.at("001", ENDS[0]), s.at("004", ENDS[0] + [0, 0, 0.4])),
+            "001, 004 do not show one point there: it is missed by",
+        ),
+        (lambda s: (s.at("001", ENDS[0]),) * 2, r"001, 001 see the point from directions 0\.00° apart"),
+        (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are one point"),
+    ],
+)
+def test_ends_that_are_refused(scene: Scene, first: Callable[[Scene], tuple], match: str) -> None:
+    with pytest.raises(Tg4mmError, match=match):
+        scene.measure(first(scene), (scene.at("001", ENDS[1]), scene.at("004", ENDS[1])))
 
-    def test_a_picture_that_was_not_placed(self, scene: Scene) -> None:
-        with pytest.raises(Tg4mmError, match=r"--length: lost\.jpg could not be placed"):
-            scene.measure((("lost.jpg", 1.0, 1.0),), (scene.at("001", ENDS[1]),))
 
-    def test_a_place_outside(self, scene: Scene) -> None:
-        with pytest.raises(Tg4mmError, match="001 is 640×480 pixels, 700, 20 lies outside"):
-            scene.measure((("001", 700.0, 20.0),), (scene.at("001", ENDS[1]),))
+def test_no_points_around() -> None:
+    few = Scene(points=3)
+    with pytest.raises(Tg4mmError, match=r"points are known within 51 pixels of .* at least 6 are needed"):
+        few.measure(*((few.at("002", end),) for end in ENDS))
 
-    def test_no_points_around(self) -> None:
-        few = Scene(points=3)
-        with pytest.raises(
-            Tg4mmError, match=r"points are known within 51 pixels of .* at least 6 are needed"
-        ):
-            few.measure(*((few.at("002", end),) for end in ENDS))
 
-    def test_pictures_that_show_different_points(self, scene: Scene) -> None:
-        name, x, y = scene.at("004", ENDS[0])
-        wrong = (scene.at("001", ENDS[0]), (name, x, y + 90))
-        with pytest.raises(Tg4mmError, match="001, 004 do not show one point there: it is missed by"):
-            scene.measure(wrong, (scene.at("001", ENDS[1]),))
-
-    def test_one_picture_given_twice(self, scene: Scene) -> None:
-        twice = (scene.at("001", ENDS[0]), scene.at("001", ENDS[0]))
-        with pytest.raises(Tg4mmError, match=r"001, 001 see the point from directions 0\.00° apart"):
-            scene.measure(twice, (scene.at("001", ENDS[1]),))
-
-    def test_both_ends_at_one_place(self, scene: Scene) -> None:
-        end = (scene.at("001", ENDS[0]), scene.at("004", ENDS[0]))
-        with pytest.raises(Tg4mmError, match="both ends are one point"):
-            scene.measure(end, end)
-
-    def test_a_length_of_nothing_and_two_lengths(self) -> None:
-        end = (("a", 1.0, 1.0),)
-        with pytest.raises(Tg4mmError, match=r"--length is 0\.0 m, expected a length above 0 m"):
-            checked(SfmConfig(length=Length((end, end), 0.0)))
-        with pytest.raises(Tg4mmError, match=r"--length: a has the place nan, 1\.0, expected pixels"):
-            checked(SfmConfig(length=Length(((("a", float("nan"), 1.0),), end), 1.0)))
-        with pytest.raises(Tg4mmError, match="--unit-scale-m and --length exclude each other"):
-            checked(SfmConfig(length=Length((end, end), 1.0), unit_scale_m=2.0))
+def test_a_length_of_nothing_and_two_lengths() -> None:
+    end = (("a", 1.0, 1.0),)
+    with pytest.raises(Tg4mmError, match=r"--length is 0\.0 m, expected a length above 0 m"):
+        checked(SfmConfig(length=Length((end, end), 0.0)))
+    with pytest.raises(Tg4mmError, match=r"--length: a has the place nan, 1\.0, expected pixels"):
+        checked(SfmConfig(length=Length(((("a", float("nan"), 1.0),), end), 1.0)))
+    with pytest.raises(Tg4mmError, match="--unit-scale-m and --length exclude each other"):
+        checked(SfmConfig(length=Length((end, end), 1.0), unit_scale_m=2.0))
 
 
 class TestFile:

@@ -95,15 +95,6 @@ class TestSurvey:
         assert (mean[:, 30:, 3] == 255).all()
         np.testing.assert_allclose(mean[1, 45], (200, 110, 50, 255), atol=1)
 
-    def test_the_clock_is_the_containers_or_what_was_filmed_at(self, tmp_path: Path) -> None:
-        survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))
-        fps, times_s = survey.clock()
-        assert fps == 30.0
-        np.testing.assert_allclose(times_s, np.arange(12) / 30)
-        fps, times_s = survey.clock(240.0)  # slow motion, played at 30
-        assert fps == 240.0
-        np.testing.assert_allclose(times_s, np.arange(12) / 240)
-
     def test_frames_of_two_sizes_are_refused(self, tmp_path: Path) -> None:
         for i, shape in enumerate([(40, 60), (40, 60), (30, 60)]):
             save(tmp_path / "cam" / f"{i}.png", np.full((*shape, 4), 90 + i, np.uint8))

@@ -44,20 +44,6 @@ def test_the_same_as_colmaps_own_pictures(bent: np.ndarray) -> None:
     assert np.quantile(difference, 0.99) <= 2
 
 
-def test_what_is_straight_comes_out_where_a_pinhole_sees_it(bent: np.ndarray) -> None:
-    lens = lens_of(camera())
-    true = picture(orbit(8)[1], lens.K, lens.size)
-    ours = lens.apply(bent)
-    both = (true[..., 3] == 255) & (ours[..., 3] == 255)
-    assert both.mean() > 0.3
-    error = np.abs(true.astype(int) - ours.astype(int))[both].mean()
-    unbent = picture(orbit(8)[1], intrinsics(*SIZE, FOCAL), SIZE)[: lens.size[1], : lens.size[0]]
-    untouched = np.abs(bent[: lens.size[1], : lens.size[0]].astype(int) - true.astype(int))[both].mean()
-    assert unbent.shape == true.shape
-    assert error < 0.3 * untouched
-    assert np.mean(true[..., 3] != ours[..., 3]) < 0.02
-
-
 def test_colour_does_not_bleed_in_from_the_transparent() -> None:
     """Red on fully transparent green: half-covered pixels stay red."""
     image = np.zeros((120, 160, 4), np.uint8)
