@@ -82,34 +82,3 @@ def test_the_site_builds_strictly(tmp_path: Path) -> None:
     assert "motion.gauss_newton" in settings
     assert "Raises" in (tmp_path / "site/api.html").read_text(encoding="utf-8")
     assert "--keep" in (tmp_path / "site/commands.html").read_text(encoding="utf-8")
-
-
-_NAME = r"[A-Z][^\W\d_]+"
-
-
-def cited(text: str) -> set[tuple[tuple[str, ...], str]]:
-    """Surnames and year of what a text cites as Name & Name 1999, (Name 1999) or Name et al. 1999."""
-    found = re.finditer(
-        rf"({_NAME}(?:, {_NAME})*(?: & {_NAME})?)(?: et al\.)?,? (19\d\d|20[012]\d)\b", " ".join(text.split())
-    )
-    return {(tuple(re.findall(_NAME, match[1])), match[2]) for match in found}
-
-
-def test_citations_are_seen() -> None:
-    text = "(Vaněk, Mandel & Brezina 1996), by\nKay 1993; Zhang et al. 2018, in 2019"
-    assert cited(text) == {(("Vaněk", "Mandel", "Brezina"), "1996"), (("Kay",), "1993"), (("Zhang",), "2018")}
-
-
-def test_what_the_code_cites_is_in_the_list_of_references() -> None:
-    _, _, listed = (ROOT / "docs/method.md").read_text(encoding="utf-8").partition("## References")
-    references = [line for line in listed.splitlines() if line.startswith("- ")]
-    wanted = set().union(
-        *(cited(file.read_text(encoding="utf-8")) for file in (ROOT / "tg4mm").rglob("*.py"))
-    )
-    assert len(wanted) > 20
-    missing = [
-        (names, year)
-        for names, year in wanted
-        if not any(year in line and all(name in line for name in names) for line in references)
-    ]
-    assert not missing

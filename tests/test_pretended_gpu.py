@@ -12,9 +12,9 @@ import torch
 
 from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.adam import assert_same_steps, oblong, watch_paper, watch_space
-from tests.helpers.pretend import NAME, Gpu, There, pretended_gpu, register
+from tests.helpers.pretend import NAME, Gpu, pretended_gpu, register
 from tests.helpers.space_cuda import spherical_harmonics
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, moving_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
@@ -60,12 +60,7 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     """A dataset that moves, and a run with its exact Gaussians and motion."""
     root = tmp_path_factory.mktemp("pretended")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=6, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=2
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
-    run.save_motion(motion, {})
+    run = moving_run(root, n_views=6, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
     return root / "data", run
 
 
@@ -73,18 +68,6 @@ def counted(gpu: Gpu) -> dict[str, int]:
     found = dict(gpu.counts)
     gpu.counts.clear()
     return found
-
-
-def test_it_reckons_as_the_cpu_and_gradients_do(gpu: Gpu) -> None:
-    here = torch.arange(12.0).reshape(3, 4).requires_grad_()
-    there = here.detach().to(NAME).requires_grad_()
-    for x in (here, there):
-        y = torch.ones(4, 2, device=x.device)
-        ((x @ y).square().sum() + x[1].exp().sum()).backward()
-    assert isinstance(there, There)
-    assert isinstance(there.grad, There)
-    assert there.device.type == NAME
-    torch.testing.assert_close(there.grad.cpu(), here.grad)
 
 
 def trained_space(data: Path, path: Path, iterations: int, device: str) -> Gaussians:

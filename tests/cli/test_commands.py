@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset, moving_run
 from tg4mm.cli import main
 from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.run import Run
@@ -21,13 +21,8 @@ N_TIMESTEPS, SIZE = 6, 32
 def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose model is the one its dataset was rendered from: 5 Hz at 15 Hz, two test cameras."""
     root = tmp_path_factory.mktemp("cli")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=3, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), fps=15.0, alphas=(5, 20)
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
-    run.save_motion(motion, {})
-    return run.path
+    scene = {"n_views": 3, "n_timesteps": N_TIMESTEPS, "size": SIZE, "freqs": (5.0,), "fps": 15.0}
+    return moving_run(root, **scene, alphas=(5, 20), n_test=2).path
 
 
 def tree(folder: Path, pattern: str) -> set[str]:

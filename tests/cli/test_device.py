@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tests.helpers.cuda import needs_cuda
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
@@ -26,13 +26,7 @@ from tg4mm.show.render.sequence import RenderRequest, render_sequence
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     root = tmp_path_factory.mktemp("device")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,)
-    )
-    made = Run.create(root / "run", root / "data", "modal", {})
-    made.save_space(gaussians, {})
-    made.save_motion(motion, {})
-    return made
+    return moving_run(root, n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
 
 
 def test_the_cpu_can_always_be_used() -> None:
@@ -53,29 +47,22 @@ def commands(run: Run, out: Path) -> list[list[str]]:
     ]
 
 
+@pytest.mark.parametrize(
+    ("has_gpu", "said"),
+    [
+        (False, "device is cuda, but torch finds no CUDA device here"),
+        (True, 'device cuda needs gsplat: pip install ".[cuda]" in a copy of the repository'),
+    ],
+)
 @pytest.mark.parametrize("index", range(3))
-def test_cuda_without_a_gpu_is_one_line_and_2(
-    index: int, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_cuda_without_a_gpu_or_gsplat_is_one_line_and_2(
+    index: int, has_gpu: bool, said: str, run: Run, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    out = tmp_path / "out"
-    assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
-    assert capsys.readouterr().err == "tg4mm: device is cuda, but torch finds no CUDA device here\n"
-    assert not out.exists()
-
-
-@pytest.mark.parametrize("index", range(3))
-def test_cuda_without_gsplat_is_one_line_and_2(
-    index: int, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: has_gpu)
     monkeypatch.setitem(sys.modules, "gsplat", None)
     out = tmp_path / "out"
     assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
-    assert (
-        capsys.readouterr().err
-        == 'tg4mm: device cuda needs gsplat: pip install ".[cuda]" in a copy of the repository\n'
-    )
+    assert capsys.readouterr().err == f"tg4mm: {said}\n"
     assert not out.exists()
 
 

@@ -10,7 +10,7 @@ import pytest
 from pxr import Usd
 
 from tests.helpers.gltf import parsed
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
 from tg4mm.core.splatfile import SplatFile, positions_at
 from tg4mm.core.splatfile.axes import TURN
@@ -22,13 +22,7 @@ N_TIMESTEPS = 12
 
 
 def made(root: Path, n_timesteps: int = N_TIMESTEPS, freqs: tuple[float, ...] = (5.0,)) -> Run:
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=1, n_timesteps=n_timesteps, size=16, freqs=freqs, n_test=0
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
-    run.save_motion(motion, {})
-    return run
+    return moving_run(root, n_views=1, n_timesteps=n_timesteps, size=16, freqs=freqs)
 
 
 @pytest.fixture(scope="module")

@@ -6,19 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
-from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")
 def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("cli_report")
-    model = make_synthetic_dataset(root / "data", n_views=3, n_timesteps=12, size=32, freqs=(5.0,), n_test=0)
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(model[0], {})
-    run.save_motion(model[1], {})
-    return run.path
+    return moving_run(root, n_views=3, n_timesteps=12, size=32, freqs=(5.0,)).path
 
 
 def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, capsys, monkeypatch):

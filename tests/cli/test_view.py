@@ -14,21 +14,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
-from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")
 def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("cli")
-    gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=3, n_timesteps=6, size=32, freqs=(5.0,), alphas=()
-    )
-    run = Run.create(root / "run", root / "data", "modal", {})
-    run.save_space(gaussians, {})
-    run.save_motion(motion, {})
-    return run.path
+    return moving_run(root, n_views=3, n_timesteps=6, size=32, freqs=(5.0,), n_test=2).path
 
 
 @contextmanager

@@ -80,6 +80,13 @@ def exact_run(root: Path, **settings: Any) -> tuple[Run, ModalMotion]:
     return run, motion
 
 
+def moving_run(root: Path, **settings: Any) -> Run:
+    """`exact_run` with its motion."""
+    run, motion = exact_run(root, **settings)
+    run.save_motion(motion, {})
+    return run
+
+
 def _parts(detail: int) -> list[_Part]:
     n = 14 * detail
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n)))

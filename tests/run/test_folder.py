@@ -153,17 +153,6 @@ class TestCreate:
         assert again.log()["space"]["seconds"] == 2.0
         assert again.settings == SETTINGS
 
-    def test_nested_setting_is_named_as_the_command_line_does(self, tmp_path: Path) -> None:
-        Run.create(
-            tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 2}, "motion": {"bins": []}}
-        )
-        with refused(r"space\.sh = 2, asked is 3"):
-            Run.create(
-                tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 3}, "motion": {"bins": [1]}}
-            )
-        with refused(r"motion\.bins = \[\], asked is \(not set\)"):
-            Run.create(tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 2}})
-
     def test_other_preset_or_dataset_is_refused(self, run: Run, tmp_path: Path) -> None:
         with refused('preset = "modal", asked is "paper"'):
             Run.create(run.path, run.dataset, "paper", SETTINGS)
