@@ -28,16 +28,6 @@ from tests.addon.playing import (  # noqa: E402
 )
 
 
-def test_registers_again_after_unregistering(extension: ModuleType) -> None:
-    assert "tg4mm_splat" in dir(bpy.ops.import_scene)
-    extension.unregister()
-    assert "tg4mm_splat" not in dir(bpy.ops.import_scene)
-    assert not hasattr(bpy.types, "VIEW3D_PT_tg4mm")
-    extension.register()
-    assert "tg4mm_splat" in dir(bpy.ops.import_scene)
-    assert hasattr(bpy.types, "VIEW3D_PT_tg4mm")
-
-
 @pytest.mark.parametrize("alpha", [-1.0, 0.0, 20.0])
 def test_instances_are_where_the_formula_puts_them(
     extension: ModuleType, splat_path: Path, alpha: float
@@ -87,12 +77,6 @@ def test_motion_takes_as_long_as_it_took_at_any_frame_rate(
         np.testing.assert_allclose(places(obj, frame), positions_at(splat, seconds * splat.fps), atol=2e-4)
         now = extension.nodes.clock.timestep(scene, obj, extension.nodes.scene.splat_modifier(obj))
         assert now == pytest.approx(seconds * splat.fps, abs=1e-4)
-
-
-def test_frame_0_is_no_exception(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    drawn_whole(extension, obj)
-    np.testing.assert_allclose(places(obj, 0), positions_at(read_splat(splat_path), -1), atol=1e-4)
 
 
 def test_a_second_import_changes_neither_the_clock_nor_the_first(

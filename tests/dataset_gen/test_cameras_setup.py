@@ -142,6 +142,9 @@ def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
     ("changes", "message"),
     [
         ({"kind": "drone"}, r"--cameras 'drone' is none of orbit, rig, sweep, handheld, clips, flat, given"),
+        ({"clock_offset_s": -1.0}, r"--clock-offsets -1.0 is not in 0 … 10000 seconds"),
+        ({"clock_offset_s": float("nan")}, r"--clock-offsets nan"),
+        ({"kind": "sweep", "clock_offset_s": 0.1}, r"--clock-offsets 0.1: with --cameras sweep no two"),
         ({"views": 0}, r"--views 0 is not a whole number in 1 … 1000"),
         ({"views": True}, r"--views True"),
         ({"test_views": 1001}, r"--test-views 1001"),

@@ -7,7 +7,6 @@ from dataset_gen import png
 from dataset_gen.colour import over_white, straight, to_display
 from dataset_gen.errors import GenerateError
 from dataset_gen.pictures import PictureFormat
-from dataset_gen.sensor import Sensor
 from tg4mm.capture.pictures import ImageStack
 from tg4mm.core.pictures.decode import decode
 
@@ -103,20 +102,6 @@ def test_on_white_opaque_pixels_keep_their_brightness():
     np.testing.assert_allclose(
         to_display(got[0, 2]), to_display(np.float32([0.4] * 3)) * 0.5 + 0.5, rtol=1e-5
     )
-
-
-@pytest.mark.parametrize(
-    ("form", "sensor", "message"),
-    [
-        (PictureFormat("exr"), "scientific", "--images exr cannot be combined"),
-        (PictureFormat("png8"), "phone", "needs --images png8 and --background white"),
-        (PictureFormat("png16", "white"), "phone", "needs --images png8 and --background white"),
-    ],
-)
-def test_formats_that_a_sensor_cannot_have(form, sensor, message):
-    for call in (form.check_sensor, lambda s: form.encode(light(), s, (0,))):
-        with pytest.raises(GenerateError, match=message):
-            call(Sensor.preset(sensor))
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from dataset_gen.render import CUT_OUT, GLASS, OPAQUE, bounces_for  # noqa: E402
 from dataset_gen.scenes import SCENES  # noqa: E402
 from dataset_gen.settings import Quality, motion_file  # noqa: E402
 from dataset_gen.vibration import read_motion, solve  # noqa: E402
+from tests.dataset_gen.sources_blends import principled  # noqa: E402
 
 SIZE = 48
 QUALITY = Quality(SIZE, SIZE, samples=4, seed=0, threads=1)
@@ -234,19 +235,10 @@ def test_what_blender_finds_here_is_listed_or_refused(stage):
     assert devices.use_device(stage.scene, "cpu") == "CPU"
 
 
-def principled(**values):
-    material = bpy.data.materials.new("made")
-    material.use_nodes = True
-    shader = material.node_tree.nodes["Principled BSDF"]
-    for name, value in values.items():
-        shader.inputs[name.replace("_", " ")].default_value = value
-    return material
-
-
 def in_a_group(node):
     group = bpy.data.node_groups.new("group", "ShaderNodeTree")
     group.nodes.new(node)
-    material = principled()
+    material = principled("made")
     material.node_tree.nodes.new("ShaderNodeGroup").node_tree = group
     return material
 
@@ -254,9 +246,9 @@ def in_a_group(node):
 @pytest.mark.parametrize(
     ("make", "expected"),
     [
-        (principled, OPAQUE),
-        (lambda: principled(Transmission_Weight=0.3), GLASS),
-        (lambda: principled(Alpha=0.5), CUT_OUT),
+        (lambda: principled("made"), OPAQUE),
+        (lambda: principled("made", Transmission_Weight=0.3), GLASS),
+        (lambda: principled("made", Alpha=0.5), CUT_OUT),
         (lambda: in_a_group("ShaderNodeBsdfGlass"), GLASS),
         (lambda: in_a_group("ShaderNodeBsdfTransparent"), CUT_OUT),
     ],

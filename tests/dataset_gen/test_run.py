@@ -129,15 +129,6 @@ def test_a_changed_configuration_is_refused(made):
         generate(tiny("--seed", "7"), made.parent)
 
 
-def test_missing_files_are_named(made):
-    job = plan(TINY, made.parent)
-    assert missing_files(job) == []
-    kept = (made / "005/train/r_002.png").read_bytes()
-    (made / "005/train/r_002.png").unlink()
-    assert missing_files(job) == ["005/train/r_002.png"]
-    (made / "005/train/r_002.png").write_bytes(kept)
-
-
 @pytest.mark.slow
 def test_in_parts_the_same_files_come_out(made, tmp_path):
     stream = io.StringIO()

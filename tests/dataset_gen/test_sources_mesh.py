@@ -15,6 +15,7 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,
     link,
     new_scene,
+    principled,
     render_stage,
     tetrahedron,
     view_from,
@@ -46,12 +47,7 @@ def coloured(painted=True, material=False):
         paint.data.foreach_set("color", np.tile(np.float32([0.8, 0.1, 0.05, 1.0]), 12))
         mesh.color_attributes.active_color = paint
     if material:
-        made = bpy.data.materials.new("red")
-        if bpy.app.version < (5, 0, 0):
-            made.use_nodes = True
-        shader = next(n for n in made.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
-        shader.inputs["Base Color"].default_value = (0.8, 0.1, 0.05, 1.0)
-        mesh.materials.append(made)
+        mesh.materials.append(principled("red", Base_Color=(0.8, 0.1, 0.05, 1.0)))
     link("tetra", mesh, matrix=PLACE)
 
 
@@ -138,9 +134,7 @@ def test_a_texture_of_the_file_is_shown_and_a_lost_one_is_named(tmp_path):
     picture.filepath_raw, picture.file_format = str(tmp_path / "wood.png"), "PNG"
     picture.pixels.foreach_set(np.tile(np.float32([0.1, 0.8, 0.1, 1.0]), 64))
     picture.save()
-    made = bpy.data.materials.new("wood")
-    if bpy.app.version < (5, 0, 0):
-        made.use_nodes = True
+    made = principled("wood")
     shader = next(n for n in made.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     texture = made.node_tree.nodes.new("ShaderNodeTexImage")
     texture.image = picture

@@ -122,33 +122,25 @@ def test_strips_animation_blur_and_linked_light_are_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("system", "length_unit", "scale", "own"),
+    ("system", "length_unit", "scale", "shown", "metres"),
     [
-        ("METRIC", "MILLIMETERS", 0.001, ("mm", 1.0)),
-        ("METRIC", "ADAPTIVE", 0.5, ("m", 0.5)),
-        ("IMPERIAL", "INCHES", 0.0254, ("in", 1.0)),
-        ("NONE", "", 1.0, ("scene units", 1.0)),
+        ("METRIC", "MILLIMETERS", 0.001, ("mm", 1.0), 0.001),
+        ("METRIC", "ADAPTIVE", 0.5, ("m", 0.5), 0.5),
+        ("IMPERIAL", "INCHES", 0.0254, ("in", 1.0), 0.0254),
+        ("NONE", "", 1.0, ("scene units", 1.0), None),
     ],
 )
-def test_the_files_own_unit_is_the_one_that_it_shows(tmp_path, system, length_unit, scale, own):
+def test_the_unit_is_the_one_that_the_file_shows_and_metres_are_known_where_it_has_one(
+    tmp_path, system, length_unit, scale, shown, metres
+):
     scene = new_scene()
     link("part", tetrahedron())
     scene.unit_settings.system, scene.unit_settings.scale_length = system, scale
     if length_unit:
         scene.unit_settings.length_unit = length_unit
-    name, factor = open_blend(save(tmp_path)).own_unit
-    assert (name, factor) == (own[0], pytest.approx(own[1]))
-
-
-@pytest.mark.parametrize(
-    ("system", "length", "metres"), [("METRIC", 0.01, 0.01), ("IMPERIAL", 2.0, 2.0), ("NONE", 1.0, None)]
-)
-def test_the_unit_is_known_only_where_the_file_has_a_unit_system(tmp_path, system, length, metres):
-    scene = new_scene()
-    link("part", tetrahedron())
-    scene.unit_settings.system, scene.unit_settings.scale_length = system, length
-    found = open_blend(save(tmp_path)).unit_scale_m
-    assert found == pytest.approx(metres) if metres else found is None
+    found = open_blend(save(tmp_path))
+    assert found.own_unit == (shown[0], pytest.approx(shown[1]))
+    assert found.unit_scale_m == (metres and pytest.approx(metres))
 
 
 def test_materials_that_truth_sees_otherwise_are_named(tmp_path):

@@ -21,7 +21,6 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
 
 TURNED = Matrix.LocRotScale((0.2, -0.3, 0.1), Matrix.Rotation(0.7, 3, "X"), (0.8, 1.2, 0.6))
 POSE = view_from((3.2, 2.8, 2.5), (0.4, 0.2, 0.6))
-FIVE = bpy.app.version >= (5, 0, 0)
 
 
 def noise_of(tree, vector=None):

@@ -56,31 +56,6 @@ def test_displacement_is_the_law_of_the_description(alpha):
         np.testing.assert_allclose(solved.displacement(0, solved.state(t, alpha)), lift, atol=2e-10)
 
 
-def test_decay_is_to_1_over_e():
-    solved = motion(SWAY | {"decay": 0.5, "phase": 90})
-    a, b = (np.abs(solved.displacement(0, solved.state(t))).max() for t in (0, 30))
-    # Half a second to 1/e, and five whole periods.
-    assert b / a == pytest.approx(np.exp(-2.0), rel=1e-6)
-
-
-def test_a_drift_is_a_ramp_per_second():
-    solved = motion(SWAY, DRIFT | {"magnified": True})
-    for alpha in (0.0, 3.0):
-        moved = solved.displacement(0, solved.state(60, alpha)) - solved.displacement(
-            0, solved.state(0, alpha)
-        )
-        np.testing.assert_allclose(moved, np.tile([0, (1 + alpha) * 0.06, 0], (200, 1)), atol=1e-10)
-
-
-def test_alpha_leaves_a_distractor_alone():
-    solved = motion(SWAY, HUM | {"frequency": 11, "magnified": False})
-    alone, hum = motion(SWAY), motion(HUM | {"frequency": 11})
-    for t in (1, 4, 17):
-        both = solved.displacement(0, solved.state(t, 20.0))
-        expected = alone.displacement(0, alone.state(t, 20.0)) + hum.displacement(0, hum.state(t))
-        np.testing.assert_allclose(both, expected, atol=1e-10)
-
-
 # States.
 
 
@@ -198,9 +173,6 @@ def test_a_vertex_group_moves_its_weights():
     solved = motion(mode, bodies=[body("a", groups={"lid": weights}), body("b")])
     np.testing.assert_allclose(np.abs(solved.shapes[0][0, :, 2]), 0.01 * weights / 2, atol=1e-17)
     np.testing.assert_array_equal(solved.shapes[1], 0.0)
-
-
-# The mic's motion is what it was before motions were described in YAML.
 
 
 # Mistakes that show on the bodies.

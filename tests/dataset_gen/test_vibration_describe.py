@@ -270,19 +270,3 @@ def test_another_frequency_or_amplitude_takes_modes_of_the_same_frequency_along(
     assert changed.source == "x.yaml"
     assert [m.amplitude for m in every.with_main(amplitude=0.008).modes[:2]] == [0.008, 0.002]
     assert every.with_main() == every
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"frequency_hz": 0.0}, "--frequency 0.0 is not a positive number"),
-        ({"frequency_hz": float("nan")}, "--frequency nan is not a finite number"),
-        ({"amplitude": -1.0}, "--amplitude -1.0 is not a positive number"),
-        ({"amplitude_px": float("inf")}, "--amplitude-px inf is not a finite number"),
-        ({"amplitude": 1.0, "amplitude_px": 2.0}, "--amplitude 1 and --amplitude-px 2 exclude each other"),
-    ],
-)
-def test_an_unusable_option_is_one_line(change, expected):
-    with pytest.raises(GenerateError) as caught:
-        MotionDescription.from_json({"modes": [SWAY]}).with_main(**change)
-    assert expected in str(caught.value)

@@ -32,6 +32,11 @@ class Reader:
     mutate: Mutation
 
 
+def reading(pattern: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Reads the one file whose name matches."""
+    return lambda root: read(next(root.glob(pattern)))
+
+
 def record(name: str, values: Any, *folders: str) -> Callable[[Path], Path]:
     """Writes a JSON file that is nothing but these values."""
 

@@ -30,7 +30,7 @@ from tests.capture.conftest import write_folder, write_tree
 from tests.capture.sfm.videos import still, write_video
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
-from tests.faults.reader import Reader, T, gaussians, motion, paper_run, record, run_of
+from tests.faults.reader import Reader, T, gaussians, motion, paper_run, reading, record, run_of
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
 from tests.faults.readers_splats import SPLATS
@@ -114,10 +114,6 @@ def _truth(root: Path) -> Path:
     (root / "truth").mkdir()
     np.savez_compressed(root / "truth" / "motion.npz", **arrays)
     return root / "truth" / "motion.npz"
-
-
-def _read_truth(root: Path) -> None:
-    load_truth(root, 30.0, T)
 
 
 def _read_dataset(root: Path) -> None:
@@ -205,27 +201,12 @@ def _picture(suffix: str, deep: bool = False) -> Callable[[Path], Path]:
     return make
 
 
-def _cameras(root: Path) -> Path:
-    return _nerfstudio(root)
-
-
-def _read_cameras(root: Path) -> None:
-    cameras_from_file(root / "transforms.json", (12, 8))
-
-
-# Splat files and runs.
-
-
 def _splat(root: Path) -> Path:
     g, m = gaussians(), motion()
     arrays = [getattr(g, k).numpy() for k in ("means", "quats", "scales", "opacities", "sh")]
     splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, 30.0, T, 0.01)
     write_splat(root / "a.ply", splat)
     return root / "a.ply"
-
-
-def _read_splat(root: Path) -> None:
-    read_splat(root / "a.ply")
 
 
 def _read_run(root: Path) -> None:
@@ -289,25 +270,16 @@ def _motion_file(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_motion(root: Path) -> None:
-    read_motion(next(root.glob("motion.*"))).to_json()
-
-
 def _bodies(root: Path) -> Path:
     bodies_file.save(root / "found.npz", FOUND)
     return root / "found.npz"
 
 
-def _read_bodies(root: Path) -> None:
-    bodies_file.load(root / "found.npz")
-
-
-def _claimed(root: Path) -> Path:
-    return record("scene.json", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}, "set")(root)
+CLAIM = {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}
 
 
 def _claim(root: Path) -> None:
-    work_folder(root / "set").claim({"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}})
+    work_folder(root / "set").claim(CLAIM)
 
 
 def _farm(root: Path) -> None:
@@ -346,10 +318,6 @@ def _length(suffix: str) -> Callable[[Path], Path]:
         return root / f"length{suffix}"
 
     return make
-
-
-def _read_length(root: Path) -> None:
-    checked_length(read_length(next(root.glob("length.*"))))
 
 
 def _read_survey(root: Path) -> None:
@@ -394,24 +362,12 @@ def _photograph(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_photograph(root: Path) -> None:
-    exif_turns(next(root.glob("a.*")))
-
-
-def _read_rendered(root: Path) -> None:
-    read_png(root / "a.png")
-
-
 def _sensors(root: Path) -> Path:
     path = root / "sensors.yaml"
     path.write_text(
         "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
     )
     return path
-
-
-def _read_sensors(root: Path) -> None:
-    read_sensors(root / "sensors.yaml")
 
 
 def _weights(suffix: str) -> Callable[[Path], Path]:
@@ -426,9 +382,8 @@ def _weights(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_weights(root: Path) -> None:
-    _read(next(root.glob("w.*")))
-
+_read_motion = reading("motion.*", lambda file: read_motion(file).to_json())
+_read_length = reading("length.*", lambda file: checked_length(read_length(file)))
 
 READERS: dict[str, Reader] = {
     "scene.json": Reader(_tree, _capture, of_json),
@@ -445,9 +400,11 @@ READERS: dict[str, Reader] = {
     "PNG, 16 bits": Reader(_picture(".png", deep=True), _capture, of_png),
     "JPEG": Reader(_picture(".jpg"), _capture, of_bytes),
     "EXR": Reader(_picture(".exr"), _capture, of_bytes),
-    "cameras file": Reader(_cameras, _read_cameras, of_json),
-    "truth motion.npz": Reader(_truth, _read_truth, of_npz),
-    "splat file": Reader(_splat, _read_splat, of_header),
+    "cameras file": Reader(
+        _nerfstudio, lambda root: cameras_from_file(root / "transforms.json", (12, 8)), of_json
+    ),
+    "truth motion.npz": Reader(_truth, lambda root: load_truth(root, 30.0, T), of_npz),
+    "splat file": Reader(_splat, reading("a.ply", read_splat), of_header),
     "run config.json": Reader(run_of("config.json"), _read_run, of_json),
     "run config.json, resumed": Reader(run_of("config.json"), _resume_run, of_json),
     "run log.json": Reader(run_of("log.json"), _read_run, of_json),
@@ -464,25 +421,25 @@ READERS: dict[str, Reader] = {
         _read_demo,
         of_json,
     ),
-    "LPIPS weights, safetensors": Reader(_weights(".safetensors"), _read_weights, of_tensors),
-    "LPIPS weights, pth": Reader(_weights(".pth"), _read_weights, of_bytes),
+    "LPIPS weights, safetensors": Reader(_weights(".safetensors"), reading("w.*", _read), of_tensors),
+    "LPIPS weights, pth": Reader(_weights(".pth"), reading("w.*", _read), of_bytes),
     "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),
     "motion JSON": Reader(_motion_file(".json"), _read_motion, of_json),
-    "bodies npz": Reader(_bodies, _read_bodies, of_npz),
+    "bodies npz": Reader(_bodies, reading("found.npz", bodies_file.load), of_npz),
     "dataset report: scene.json": Reader(_sized, _read_dataset, of_json),
     "dataset report: transforms": Reader(_sized_transforms, _read_dataset, of_json),
     "dataset report: motion.npz": Reader(_truth, _read_dataset, of_npz),
-    "generate: scene.json": Reader(_claimed, _claim, of_json),
+    "generate: scene.json": Reader(record("scene.json", CLAIM, "set"), _claim, of_json),
     "farm configuration": Reader(record("config.json", FARM), _farm, of_json),
     "sfm length.json": Reader(_length(".json"), _read_length, of_json),
     "sfm length.yaml": Reader(_length(".yaml"), _read_length, of_text),
     "sfm survey": Reader(record("a.json", SURVEY, "survey"), _read_survey, of_json),
     "sfm request.json": Reader(_request, _read_request, of_json),
     "sfm scene.json": Reader(_finished, _read_request, of_json),
-    "sfm photograph, PNG": Reader(_photograph(".png"), _read_photograph, of_png),
-    "sfm photograph, JPEG with EXIF": Reader(_photograph(".jpg"), _read_photograph, of_bytes),
-    "rendered picture": Reader(_photograph(".png"), _read_rendered, of_png),
-    "sensors YAML": Reader(_sensors, _read_sensors, of_text),
+    "sfm photograph, PNG": Reader(_photograph(".png"), reading("a.*", exif_turns), of_png),
+    "sfm photograph, JPEG with EXIF": Reader(_photograph(".jpg"), reading("a.*", exif_turns), of_bytes),
+    "rendered picture": Reader(_photograph(".png"), reading("a.png", read_png), of_png),
+    "sensors YAML": Reader(_sensors, reading("sensors.yaml", read_sensors), of_text),
     "sfm video": Reader(_video, _read_video, of_bytes),
     **SPLATS,
     **DATASETS,

@@ -24,7 +24,7 @@ from dataset_gen.sources.mesh_file import count_not_finite
 from tests.dataset_gen.planes import Plane
 from tests.faults.containers import of_npz, of_png, of_sealed
 from tests.faults.mutate import of_bytes, of_header, of_json
-from tests.faults.reader import Reader, record, sealed
+from tests.faults.reader import Reader, reading, record, sealed
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.mapping import registered, save_model, saved_model
 from tg4mm.core.pages.page import render_page
@@ -102,18 +102,10 @@ def _mesh(kind: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_mesh(root: Path) -> None:
-    count_not_finite(root / "a.ply")
-
-
 def _picture(root: Path) -> Path:
     pixels = np.random.default_rng(0).random((8, 12, 4)).astype(np.float32)
     (root / "a.exr").write_bytes(exr.encode(pixels))
     return root / "a.exr"
-
-
-def _read_picture(root: Path) -> None:
-    read_picture(root / "a.exr")
 
 
 def _pixels(root: Path) -> Path:
@@ -137,10 +129,6 @@ def _blend(packed: bool) -> Callable[[Path], Path]:
         return root / "a.blend"
 
     return make
-
-
-def _read_blend(root: Path) -> None:
-    check(root / "a.blend", (4, 5))
 
 
 def _sparse(name: str) -> Callable[[Path], Path]:
@@ -174,17 +162,21 @@ def _read_sparse(root: Path) -> None:
         [element.image_id for element in point.track.elements]
 
 
+_read_blend = reading("a.blend", lambda file: check(file, (4, 5)))
+
 DATASETS: dict[str, Reader] = {
     "dataset overview: summary.json": Reader(_summary, _read_overview, of_sealed),
     "dataset overview: thumbnail": Reader(
         lambda root: (_summary(root), _thumbnail(root))[1], _read_overview, of_png
     ),
     "dataset report: timing.json": Reader(record("timing.json", TIMING, "report"), _read_timing, of_json),
-    "dataset report: picture, EXR": Reader(_picture, _read_picture, of_bytes),
+    "dataset report: picture, EXR": Reader(_picture, reading("a.exr", read_picture), of_bytes),
     "dataset report: truth, EXR": Reader(_pixels, _read_pixels, of_bytes),
     "generate: timing.json": Reader(record("timing.json", TIMING, "report"), _read_former_timing, of_json),
     "generate: a view's points": Reader(_view_of_points, _read_view_of_points, of_npz),
-    "generate: mesh PLY": Reader(_mesh("binary_little_endian"), _read_mesh, of_header),
+    "generate: mesh PLY": Reader(
+        _mesh("binary_little_endian"), reading("a.ply", count_not_finite), of_header
+    ),
     "generate: .blend header": Reader(_blend(packed=False), _read_blend, of_bytes),
     "generate: .blend header, packed": Reader(_blend(packed=True), _read_blend, of_bytes),
     **{
@@ -192,5 +184,5 @@ DATASETS: dict[str, Reader] = {
         for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
     },
     "sfm sparse/0/digests.json": Reader(_sparse("digests.json"), _read_sparse, of_sealed),
-    "generate: mesh PLY, ASCII": Reader(_mesh("ascii"), _read_mesh, of_header),
+    "generate: mesh PLY, ASCII": Reader(_mesh("ascii"), reading("a.ply", count_not_finite), of_header),
 }

@@ -12,14 +12,9 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.conftest import some_splat  # noqa: E402
-from tests.addon.playing import blocks  # noqa: E402
+from tests.addon.playing import blocks, import_splat  # noqa: E402
 from tests.helpers.splat_files import KINDS, sog_parts, sog_zip, write_as  # noqa: E402
 from tg4mm.core.splatfile import read_splat, write_splat  # noqa: E402
-
-
-def imported(path: Path, **options: object):
-    assert bpy.ops.import_scene.tg4mm_splat(filepath=str(path), **options) == {"FINISHED"}
-    return bpy.context.object
 
 
 def places(obj, n: int) -> np.ndarray:
@@ -35,7 +30,7 @@ def test_every_kind_is_imported_with_z_up(extension: ModuleType, kind: str, tmp_
     pytest.importorskip("zstandard") if kind == "SPZ 4" else None
     pytest.importorskip("gsply") if kind == "compressed PLY" else None
     path = write_as(kind, tmp_path, some_splat(degree=1))
-    obj = imported(path, sequence=False)
+    obj = import_splat(path, sequence=False)
     bpy.context.view_layer.update()
     np.testing.assert_allclose(places(obj, 23), read_splat(path).means, atol=1e-5)
 
@@ -45,9 +40,9 @@ def test_cameras_beside_a_file_whose_format_says_what_is_up_are_not_asked(
 ) -> None:
     (tmp_path / "cameras.json").write_text('[{"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}]')  # −Y up
     path = write_as("SPZ 3", tmp_path, some_splat())
-    obj = imported(path)
+    obj = import_splat(path)
     assert tuple(obj.rotation_euler) == (0, 0, 0)
-    assert imported(write_as("PLY", tmp_path, some_splat())).rotation_euler.x != 0
+    assert import_splat(write_as("PLY", tmp_path, some_splat())).rotation_euler.x != 0
 
 
 def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(
@@ -75,8 +70,8 @@ def test_frequencies_that_were_lost_are_asked_for(extension: ModuleType, tmp_pat
     path = tmp_path / "a.ply"
     write_splat(path, some_splat())
     path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
-    assert not extension.nodes.scene.moves(imported(path))
-    assert extension.nodes.scene.moves(imported(path, frequencies="3, 5, 7.5"))
+    assert not extension.nodes.scene.moves(import_splat(path))
+    assert extension.nodes.scene.moves(import_splat(path, frequencies="3, 5, 7.5"))
     for text, told in (
         ("3, five", "'five' is none; expected numbers in Hz"),
         ("3", "1 frequencies were said"),

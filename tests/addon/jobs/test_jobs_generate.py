@@ -201,13 +201,3 @@ def test_panels_offer_every_field_of_every_kind(extension: ModuleType, settings:
     assert {"gain", "tg4mm.preview_stop"} <= set(shown)
     assert said(shown, "The timeline plays it 0.8 times as fast")
     bpy.ops.tg4mm.preview_stop()
-
-
-def test_messages_are_cut_into_lines(extension: ModuleType) -> None:
-    wrapped = extension.jobs.panels.wrapped
-    text = "Complete: /home/somebody/data/of/mine/cubes_7_5Hz_0_1 and more"
-    lines = wrapped(text, 20)
-    assert max(map(len, lines)) <= 20
-    assert " ".join(lines).replace("/ ", "/") == text
-    assert wrapped("x" * 45, 20) == ["x" * 20, "x" * 20, "x" * 5]
-    assert wrapped("", 20) == [""]

@@ -10,50 +10,6 @@ import pytest
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 
-def ink(canvas, background: float = 0.0) -> np.ndarray:
-    """[H, W] how far each pixel is from the background."""
-    return np.abs(canvas.pixels[..., 0] - background)
-
-
-@pytest.fixture
-def Canvas(extension: ModuleType):
-    return lambda width=60, height=40: extension.panels.plots.Canvas(width, height, (0.0, 0.0, 0.0))
-
-
-WHITE = (1.0, 1.0, 1.0)
-
-
-def test_a_box_covers_its_area(Canvas) -> None:
-    canvas = Canvas()
-    canvas.box(3.25, 5.5, 10.0, 20.0, WHITE)
-    assert ink(canvas).sum() == pytest.approx(6.75 * 14.5, rel=1e-5)
-    assert canvas.pixels[10, 3, 0] == pytest.approx(0.75)
-    canvas.box(-50, -50, -1, -1, WHITE)  # outside
-    assert ink(canvas).sum() == pytest.approx(6.75 * 14.5, rel=1e-5)
-
-
-def test_a_line_covers_its_length_times_its_thickness(Canvas) -> None:
-    for end in ((50.0, 20.0), (10.0, 35.0), (40.0, 35.0)):
-        canvas = Canvas()
-        start = np.array([10.0, 20.0])
-        canvas.line(np.array([start, end]), WHITE, 3.0)
-        area = 3.0 * np.linalg.norm(np.subtract(end, start)) + np.pi * 1.5**2
-        assert ink(canvas).sum() == pytest.approx(area, rel=0.04)
-
-
-def test_words_stand_on_their_baseline(Canvas) -> None:
-    canvas = Canvas(200, 60)
-    canvas.text(20, 40, "EH08", WHITE, 18.0)
-    rows, columns = np.nonzero(ink(canvas) > 0.3)
-    assert rows.max() == pytest.approx(40, abs=2)
-    assert rows.min() == pytest.approx(22, abs=2)
-    assert columns.min() == pytest.approx(20, abs=2)
-    assert columns.max() > 20 + 3 * 18
-    right = Canvas(200, 60)
-    right.text(150, 40, "EH08", WHITE, 18.0, anchor=1.0)
-    assert np.nonzero(ink(right) > 0.3)[1].max() == pytest.approx(150, abs=2)
-
-
 @pytest.mark.parametrize(
     ("low", "high", "most", "expected"),
     [
