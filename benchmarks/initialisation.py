@@ -34,7 +34,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
 from tg4mm.fit.space.config import INITS
 from tg4mm.fit.space.initial import initial_points
-from tg4mm.fit.space.train import resolved
+from tg4mm.fit.space.levels import resolved
 from tg4mm.research.text import table
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space

@@ -23,8 +23,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, density
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import Checkpoint
-from tg4mm.fit.space.levels import levels
-from tg4mm.fit.space.train import resolved
+from tg4mm.fit.space.levels import levels, resolved
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 

@@ -22,7 +22,7 @@ from tg4mm.fit.motion.prior.graph import Graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.split_half import mean_over_neighbours, reliability
+from tg4mm.fit.motion.split_half import local_reliability, reliability
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.compiled import kernel
 from tg4mm.fit.rasterize.kernels.layout import FEAT
@@ -291,13 +291,6 @@ def shared_appearance(
         if not len(going):
             return changes, gains
     mean, a, b = (v[good] for v in (mean, a, b))
-    changes[going] = mean * _local_reliability(mean, a, b, knn)[..., None, None]
+    changes[going] = mean * local_reliability(mean, a, b, knn)[..., None, None]
     gains[going] = gain[good]
     return changes, gains
-
-
-def _local_reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
-    """[R, N] float32, 0 to 1: `reliability` over the nearest Gaussians of each, of components [R, N, K, 3]."""
-    both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (mean, mean)))
-    both, power = np.split(mean_over_neighbours(np.concatenate([both, power], 1), knn).T, 2)
-    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)

@@ -74,3 +74,10 @@ def mean_over_neighbours(values: np.ndarray, knn: np.ndarray) -> np.ndarray:
         some = slice(first, first + _AT_ONCE)
         out[some] = values[knn[some]].mean(1)
     return out
+
+
+def local_reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """[R, N] float32, 0 to 1: `reliability` over the nearest Gaussians of each, of components [R, N, K, 3]."""
+    both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (mean, mean)))
+    both, power = np.split(mean_over_neighbours(np.concatenate([both, power], 1), knn).T, 2)
+    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)

@@ -208,3 +208,15 @@ def _chosen(
 
 def _thinned(count: int, source: str) -> int:
     return min(count, max(FEWEST, round(SHARE[source] * count)))
+
+
+def extent_of(xyz: np.ndarray, views: RestViews) -> float:
+    """How far the points [M, 3] reach from their middle, scene units; at most what the cameras see together.
+
+    Cameras at one place see no distance, and set no limit.
+    """
+    reach = float(np.linalg.norm(xyz - xyz.mean(0), axis=1).max())
+    origins, _ = cameras.optical_axes(views.viewmats)
+    if np.ptp(origins, axis=0).max() <= 1e-6 * max(reach, 1e-6):
+        return reach or 1.0
+    return min(reach, 2 * working_box(views)[1]) or 1.0

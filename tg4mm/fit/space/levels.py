@@ -17,7 +17,7 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.progress import progress
 from tg4mm.fit.space import density
-from tg4mm.fit.space.config import SpaceConfig
+from tg4mm.fit.space.config import SpaceConfig, checked
 from tg4mm.fit.space.targets import RestViews
 
 LONGEST = 600  # pixels of the longer side of the coarsest pictures, unless levels are asked for
@@ -59,6 +59,22 @@ def check_levels(count: int, size: tuple[int, int]) -> None:
             f"setting space.levels is {count}: pictures of {size[0]}×{size[1]} would be {width}×{height} at the "
             f"coarsest, expected at least {SMALLEST} pixels; ask for fewer"
         )
+
+
+def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
+    """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
+    config = checked(config)
+    count = config.levels or automatic(views.size)
+    check_levels(count, views.size)
+    covered = float(views.alpha.sum() / len(views.alpha))
+    iterations = int(np.clip(150 * covered ** (1 / 3), 1_000, 30_000))
+    most = int(np.clip(200 * math.sqrt(covered), 2_000, 500_000))
+    return replace(
+        config,
+        iterations=config.iterations or (iterations if count == 1 else iterations // 2),
+        max_gaussians=config.max_gaussians or most,
+        levels=count,
+    )
 
 
 def levels(config: SpaceConfig, size: tuple[int, int]) -> tuple[Level, ...]:

@@ -4,35 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
-from tg4mm.capture.cameras import optical_axes
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space.checkpoint import Check, Checkpoint, check_checkpoint, pictures_digest
-from tg4mm.fit.space.config import SpaceConfig, checked
+from tg4mm.fit.space.checkpoint import Checkpoint, Kept, Nowhere, check_checkpoint, pictures_digest
+from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.density import along_a_curve, control_density, growth, is_due, is_sorting_due
 from tg4mm.fit.space.fused import FusedAdam, Iteration
-from tg4mm.fit.space.initial import initial_points, working_box
-from tg4mm.fit.space.levels import (
-    Level,
-    automatic,
-    check_levels,
-    level_at,
-    levels,
-    sampled,
-    shrunk,
-    turn_of,
-    work,
-)
+from tg4mm.fit.space.initial import extent_of, initial_points
+from tg4mm.fit.space.levels import Level, level_at, levels, resolved, sampled, shrunk, turn_of, work
 from tg4mm.fit.space.losses import GAIN_EVERY, fitting_gain, photometric_loss, with_gain
 from tg4mm.fit.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.fit.space.targets import RestViews
@@ -42,22 +31,6 @@ CHECKPOINT_EVERY_S = 20.0
 CHEAP_S = 0.4  # where saving one takes longer, they are so many times rarer
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
-
-
-def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
-    """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
-    config = checked(config)
-    count = config.levels or automatic(views.size)
-    check_levels(count, views.size)
-    covered = float(views.alpha.sum() / len(views.alpha))
-    iterations = int(np.clip(150 * covered ** (1 / 3), 1_000, 30_000))
-    most = int(np.clip(200 * math.sqrt(covered), 2_000, 500_000))
-    return replace(
-        config,
-        iterations=config.iterations or (iterations if count == 1 else iterations // 2),
-        max_gaussians=config.max_gaussians or most,
-        levels=count,
-    )
 
 
 @dataclass
@@ -112,18 +85,6 @@ def _restored(checkpoint: Checkpoint, views: RestViews, device: str) -> tuple[_F
     return fit, state["extent"]
 
 
-def _extent(xyz: np.ndarray, views: RestViews) -> float:
-    """How far the points [M, 3] reach from their middle, scene units; at most what the cameras see together.
-
-    Cameras at one place see no distance, and set no limit.
-    """
-    reach = float(np.linalg.norm(xyz - xyz.mean(0), axis=1).max())
-    origins, _ = optical_axes(views.viewmats)
-    if np.ptp(origins, axis=0).max() <= 1e-6 * max(reach, 1e-6):
-        return reach or 1.0
-    return min(reach, 2 * working_box(views)[1]) or 1.0
-
-
 def _stride(extent: float, views: RestViews) -> float:
     return stride(extent, views.rgb.shape[2], views.rgb.shape[1])
 
@@ -134,7 +95,7 @@ def _started(
     generator = torch.Generator().manual_seed(config.seed)
     count = min(config.init_points, config.max_gaussians)
     first = initial_points(views, points, config.init, count, np.random.default_rng(config.seed))
-    extent = _extent(first.xyz, views)
+    extent = extent_of(first.xyz, views)
     parameters = initial_parameters(first, config.sh_degree, generator)
     adam = _optimiser(parameters, _stride(extent, views), device)
     error = torch.zeros(len(first.xyz), device=device)
@@ -239,29 +200,6 @@ class SpaceFit:
     # seconds, peak_memory_mib, n_gaussians, iterations, psnr_train (dB, running mean of the last views), init (where
     # the fit began; absent after a checkpoint), gains [V, 3] where they are learnt, and on CUDA peak_gpu_memory_mib
     figures: dict[str, Any]
-
-
-class Kept(Protocol):
-    """Where an unfinished fit is kept."""
-
-    def load(self, check: Check) -> Checkpoint | None:
-        """What was saved last, None if nothing was; `check` raises RunError where the fit cannot go on from it."""
-
-    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        """Called every `CHECKPOINT_EVERY_S` seconds, more rarely where it takes long.
-
-        source: where the fit began, None after a checkpoint.
-        """
-
-
-class Nowhere:
-    """`Kept` of a fit that begins anew each time."""
-
-    def load(self, check: Check) -> Checkpoint | None:
-        return None
-
-    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        pass
 
 
 def fit_space(
