@@ -14,17 +14,6 @@ from tests.capture.conftest import ANGLE_X, SIZE, edit
 from tg4mm.capture import load_capture, load_images
 
 
-def points_ply(path, colours=True, text=False):
-    fields = [("x", "f4"), ("y", "f4"), ("z", "f4")]
-    if colours:
-        fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    data = np.zeros(4, dtype=fields)
-    data["x"] = [1, 2, 3, 4]
-    if colours:
-        data["green"] = [10, 20, 30, 40]
-    PlyData([PlyElement.describe(data, "vertex")], text=text).write(str(path))
-
-
 def test_a_single_folder_is_one_timestep_of_unknown_fps_and_scale(folder):
     capture = load_capture(folder)
     assert (capture.n_timesteps, capture.fps, capture.unit_scale_m) == (1, 0.0, None)
@@ -93,18 +82,18 @@ def test_scene_json_is_kept_and_null_counts_as_unknown(tree):
     assert load_capture(tree).unit_scale_m == 0.01
 
 
-@pytest.mark.parametrize("text", [False, True])
-def test_points_with_colours(tree, text):
-    points_ply(tree / "points3d.ply", text=text)
+@pytest.mark.parametrize(("colours", "text"), [("rgb", False), ("rgb", True), ("", False)])
+def test_points_with_colours_and_without_which_are_grey(tree, colours, text):
+    names = {"r": "red", "g": "green", "b": "blue"}
+    data = np.zeros(4, [*((axis, "f4") for axis in "xyz"), *((names[c], "u1") for c in colours)])
+    data["x"] = [1, 2, 3, 4]
+    if colours:
+        data["green"] = [10, 20, 30, 40]
+    PlyData([PlyElement.describe(data, "vertex")], text=text).write(str(tree / "points3d.ply"))
     points = load_capture(tree).points
     assert points.xyz.dtype == np.float32
     assert points.xyz.tolist() == [[i, 0, 0] for i in (1, 2, 3, 4)]
-    assert points.rgb.tolist() == [[0, g, 0] for g in (10, 20, 30, 40)]
-
-
-def test_points_without_colours_are_grey(folder):
-    points_ply(folder / "points3d.ply", colours=False)
-    assert load_capture(folder).points.rgb.tolist() == [[128, 128, 128]] * 4
+    assert points.rgb.tolist() == [[0, g, 0] if colours else [128] * 3 for g in (10, 20, 30, 40)]
 
 
 def test_images_are_in_natural_order_of_their_names(folder):
@@ -118,19 +107,14 @@ def test_images_are_in_natural_order_of_their_names(folder):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "written"), [(".png", True), (".jpg", False), (".jpeg", False), (".JPG", True)]
+    ("file", "written"),
+    [("a.png", "a.png"), ("a.jpg", "a"), ("a.jpeg", "a"), ("a.JPG", "a.JPG"), ("a_0.05.png", "a_0.05")],
 )
-def test_suffixes_are_tried_when_the_path_has_none(folder, suffix, written):
-    Image.open(folder / "train/r_000.png").convert("RGB").save(folder / f"a{suffix}", format="PNG")
-    name = f"a{suffix}" if written else "a"
-    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=name))
-    assert load_capture(folder).paths[0].name == f"a{suffix}"
-
-
-def test_a_dot_in_the_name_is_no_suffix(folder):
-    os.replace(folder / "train/r_000.png", folder / "train/amp_0.05.png")
-    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path="train/amp_0.05"))
-    assert load_capture(folder).paths[0].name == "amp_0.05.png"
+def test_suffixes_are_tried_when_the_path_has_none(folder, file, written):
+    """A dot in the name is none."""
+    Image.open(folder / "train/r_000.png").convert("RGB").save(folder / file, format="PNG")
+    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=written))
+    assert load_capture(folder).paths[0].name == file
 
 
 def test_a_path_into_another_timestep_stays_inside(tree):

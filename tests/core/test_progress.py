@@ -22,26 +22,26 @@ class Clock:
         return self.now
 
 
-def lines(start: int, steps: list[tuple[float, int]]) -> list[str]:
-    """What is printed for a job of 100 units; steps are (seconds since the one before, done)."""
+def lines(*steps: tuple[float, int], total: int = 100, brief: bool = False, **figures: float) -> list[str]:
+    """What is printed for a job of so many units; steps are (seconds since the one before, done)."""
     stream, clock = io.StringIO(), Clock()
-    job = PlainProgress("space", 100, "it", start, stream, clock)
+    job = PlainProgress("space", total, "it", 0, stream, clock, brief=brief)
     for seconds, done in steps:
         clock.now += seconds
-        job.update(done, psnr=28.34567)
+        job.update(done, **figures)
     job.finish()
     return stream.getvalue().splitlines()
 
 
 def test_line_holds_counts_elapsed_time_left_and_figures() -> None:
-    assert lines(0, [(10.0, 20)]) == [
+    assert lines((10.0, 20), psnr=28.34567) == [
         "space: 20/100 it, 0:10 elapsed, 0:40 left, psnr 28.35",
         "space: 20/100 it, took 0:10, psnr 28.35",
     ]
 
 
 def test_a_line_after_two_seconds_then_one_in_five_and_one_at_the_end() -> None:
-    printed = lines(0, [(1.0, i) for i in range(1, 12)])
+    printed = lines(*((1.0, i) for i in range(1, 12)))
     assert [line.split(" it")[0] for line in printed] == ["space: 2/100", "space: 7/100", "space: 11/100"]
 
 
@@ -66,22 +66,12 @@ def test_what_all_units_leave_to_be_done_has_no_time_left() -> None:
 
 @pytest.mark.parametrize(("seconds", "said"), [(1.0, 0), (3.0, 2)])
 def test_of_a_brief_job_nothing_is_said(seconds: float, said: int) -> None:
-    stream, clock = io.StringIO(), Clock()
-    job = PlainProgress("pictures", 4, "pictures", 0, stream, clock, brief=True)
-    clock.now += seconds
-    job.update(2)
-    job.finish()
-    assert stream.getvalue().count("\n") == said
+    assert len(lines((seconds, 2), total=4, brief=True)) == said
 
 
 def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> None:
     """Kernels are compiled for a minute within the first of 1000 units, of which ten take a second."""
-    stream, clock = io.StringIO(), Clock()
-    job = PlainProgress("space", 1000, "it", 0, stream, clock)
-    for seconds, done in ((60.0, 1), (10.0, 101), (10.0, 201)):
-        clock.now += seconds
-        job.update(done)
-    printed = stream.getvalue().splitlines()
+    printed = lines((60.0, 1), (10.0, 101), (10.0, 201), total=1000)
     assert "1:00 elapsed, time left unknown" in printed[0]
     assert "1:10 elapsed, 1:30 left" in printed[1]
     assert "1:20 elapsed, 1:20 left" in printed[2]

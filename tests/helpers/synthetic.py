@@ -101,12 +101,8 @@ def _parts(detail: int) -> list[_Part]:
     post_colours = stripes * [0.80, 0.25, 0.18] + (1 - stripes) * [0.97, 0.93, 0.88]
     sway = height[:, None] ** 2 * np.array([0.0, 1.0, 0.0])
 
-    ball, ball_faces = _tube(
-        18 * detail,
-        14 * detail,
-        lambda v: 0.3 * np.sin(math.pi * v),
-        lambda v: 0.35 - 0.3 * np.cos(math.pi * v),
-    )
+    across, up = lambda v: 0.3 * np.sin(math.pi * v), lambda v: 0.35 - 0.3 * np.cos(math.pi * v)
+    ball, ball_faces = _tube(18 * detail, 14 * detail, across, up)
     wedge = (np.floor(np.arctan2(ball[:, 1], ball[:, 0]) / math.pi * 4) % 2)[:, None]
     ball_colours = wedge * [0.16, 0.42, 0.70] + (1 - wedge) * [0.95, 0.80, 0.30]
     slide = np.ones((len(ball), 1)) * np.array([0.8, 0.0, 0.6])
@@ -140,13 +136,8 @@ def _gaussians(parts: list[_Part], detail: int) -> Gaussians:
     scales = np.concatenate([np.full((len(p.vertices), 3), spread[p.name] / detail) for p in parts])
     scales[: len(parts[0].vertices), 2] = 0.01  # the floor is flat
     quats = np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1))
-    arrays = [
-        means,
-        quats,
-        scales,
-        np.full(len(means), 0.92),
-        ((colours - 0.5) / 0.28209479177387814)[:, None],
-    ]
+    sh = ((colours - 0.5) / 0.28209479177387814)[:, None]
+    arrays = [means, quats, scales, np.full(len(means), 0.92), sh]
     return Gaussians(*(torch.as_tensor(a, dtype=torch.float32) for a in arrays))
 
 
@@ -179,11 +170,8 @@ def _viewmats(n: int, offset: float) -> list[np.ndarray]:
     for i in range(n):
         azimuth = 2 * math.pi * (i + offset) / max(n, 1)
         elevation = math.radians(20 + 30 * ((i * 0.618 + offset) % 1))
-        arm = [
-            math.cos(azimuth) * math.cos(elevation),
-            math.sin(azimuth) * math.cos(elevation),
-            math.sin(elevation),
-        ]
+        flat = math.cos(elevation)
+        arm = [math.cos(azimuth) * flat, math.sin(azimuth) * flat, math.sin(elevation)]
         position = CENTRE + RADIUS * np.array(arm)
         z = (CENTRE - position) / RADIUS
         x = np.cross(z, [0, 0, 1.0])
@@ -205,18 +193,8 @@ def _write_split(
     K = torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])
     g = gaussians
     views = torch.as_tensor(np.stack(viewmats), dtype=torch.float32)
-    rgb, alpha, _ = rasterization(
-        g.means,
-        g.quats,
-        g.scales,
-        g.opacities,
-        g.sh,
-        views,
-        K.expand(len(views), 3, 3),
-        size,
-        size,
-        sh_degree=0,
-    )
+    splats, cameras = (g.means, g.quats, g.scales, g.opacities, g.sh), (views, K.expand(len(views), 3, 3))
+    rgb, alpha, _ = rasterization(*splats, *cameras, size, size, sh_degree=0)
     straight = torch.cat([rgb / alpha.clamp_min(1e-6), alpha], -1).clamp(0, 1)
     pictures = (straight.numpy() * 255 + 0.5).astype(np.uint8)
     (folder / split).mkdir(parents=True, exist_ok=True)

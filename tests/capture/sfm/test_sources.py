@@ -137,18 +137,17 @@ def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
 
 
-class TestSuggestion:
-    def test_training_on_them_says_the_command_in_one_line(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        videos(tmp_path / "my films", "cam.mp4")
-        fill(tmp_path / "photos", 4)
-        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
-            assert main(["train", str(path), "--out", str(tmp_path / "run")]) == 2
-            error = capsys.readouterr().err
-            command = suggested_command(path)
-            assert error == f"tg4mm: {path}: is no dataset yet; make one with: {command}\n"
-            assert not (tmp_path / "run").exists()
+def test_training_on_them_says_the_command_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    videos(tmp_path / "my films", "cam.mp4")
+    fill(tmp_path / "photos", 4)
+    for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
+        assert main(["train", str(path), "--out", str(tmp_path / "run")]) == 2
+        error = capsys.readouterr().err
+        command = suggested_command(path)
+        assert error == f"tg4mm: {path}: is no dataset yet; make one with: {command}\n"
+        assert not (tmp_path / "run").exists()
 
 
 def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
