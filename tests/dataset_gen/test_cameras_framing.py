@@ -90,7 +90,7 @@ def test_test_cameras_stand_back_for_what_they_alone_see():
     assert cameras_at(framed, 0)["train"] == cameras_at(setup, 0)["train"]
     assert all(half_widths(camera, 3.0 * cube) <= 0.96 for camera in cameras_at(framed, 0)["test"])
     assert CameraSetup.from_json(framed.to_json()) == framed
-    assert "test_clearance" not in setup.to_json()  # so that sets of before are still known as the same
+    assert "test_clearance" not in setup.to_json()
 
 
 def test_moving_points_are_where_the_motion_takes_them():

@@ -38,7 +38,7 @@ class Surface:
         """Corners [F, 3], barycentric weights [F, 3] and distances [F] of the nearest points of all triangles near [3].
 
         In float64. The tree only proposes triangles: its own nearest points are float32, and off by up to 1e-3 on
-        slivers (the ship's spars), which once was taken for errors of the ground truth.
+        slivers (the ship's spars).
         """
         faces = [face for _, _, face, _ in self.tree.find_nearest_range(Vector(point), REACH)]
         corners = self.triangles[faces]

@@ -2,8 +2,8 @@
 
 Started by `blender --python answering.py -- FOLDER`. A question is FOLDER/ask.json, {"id", "name", "with"}; the
 answer is FOLDER/answer.json, {"id", "value"} or {"id", "error"}. The names are those of the functions marked
-`@answer`: a question can do no more than they do. They read; only `view` and the like set up a view, which a
-person does with a mouse that has three buttons. What a test is about is done with the mouse.
+`@answer`. They read; only those in SETTING set up a scene or a view, which a person does with a mouse that has three
+buttons. What a test is about is done with the mouse.
 """
 
 from __future__ import annotations
@@ -21,19 +21,7 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-SETTING = {
-    "put",
-    "to_frame",
-    "true_colours",
-    "deselect",
-    "clear",
-    "shading",
-    "view",
-    "prepare_render",
-    "cube",
-    "set",
-    "make_active",
-}
+SETTING = {"run", "put", "clear", "shading", "view", "prepare_render", "cube"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -43,8 +31,15 @@ def answer(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @answer
-def version() -> list[int]:
-    return list(bpy.app.version)
+def value(of: str) -> Any:
+    """What an expression of `bpy` is."""
+    return eval(of)
+
+
+@answer
+def run(statement: str) -> None:
+    """Do what a statement of `bpy` does, and redraw."""
+    exec(statement)
 
 
 @answer
@@ -85,17 +80,6 @@ def frame() -> dict[str, Any]:
         "fps": scene.render.fps / scene.render.fps_base,
         "playing": playing,
     }
-
-
-@answer
-def active_object() -> str | None:
-    obj = bpy.context.view_layer.objects.active
-    return None if obj is None else obj.name
-
-
-@answer
-def objects() -> list[str]:
-    return [obj.name for obj in bpy.data.objects]
 
 
 @answer
@@ -143,16 +127,6 @@ def chosen_file() -> str:
 
 
 @answer
-def clipboard() -> str:
-    return bpy.context.window_manager.clipboard
-
-
-@answer
-def set_clipboard(text: str) -> None:
-    bpy.context.window_manager.clipboard = text
-
-
-@answer
 def shading(kind: str) -> None:
     """SOLID, MATERIAL or RENDERED, in every 3D view."""
     for area in _window().screen.areas:
@@ -171,11 +145,6 @@ def view(look_from: list[float], at: list[float], distance: float) -> None:
 
 
 @answer
-def to_frame(number: int) -> None:
-    bpy.context.scene.frame_set(number)
-
-
-@answer
 def probe(at: list[float]) -> None:
     """Probe the Gaussian nearest to a place, for a picture."""
     bpy.context.scene.cursor.location = at
@@ -190,27 +159,6 @@ def put(to: str, value: Any) -> None:
     item = next(i for i in items if i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == to)
     getattr(modifier.properties.inputs, item.identifier).value = value
     modifier.id_data.update_tag()
-
-
-@answer
-def true_colours() -> None:
-    bpy.ops.tg4mm.true_colours()
-
-
-@answer
-def selected() -> list[str]:
-    return [obj.name for obj in bpy.context.selected_objects]
-
-
-@answer
-def deselect() -> None:
-    for obj in bpy.context.view_layer.objects:
-        obj.select_set(False)
-
-
-@answer
-def make_active(called: str) -> None:
-    bpy.context.view_layer.objects.active = bpy.data.objects[called]
 
 
 @answer

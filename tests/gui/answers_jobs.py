@@ -32,11 +32,6 @@ def prepare_render(engine: str, size: list[int], frames: list[int], to: str) -> 
 
 
 @answer
-def rendering() -> bool:
-    return bpy.app.is_job_running("RENDER")
-
-
-@answer
 def save_rendered(file: str) -> bool:
     """Write the picture that was rendered last; False where there is none."""
     result = bpy.data.images.get("Render Result")
@@ -75,11 +70,6 @@ def put_settings(of: str, **values: Any) -> None:
 
 
 @answer
-def setting(of: str, which: str) -> Any:
-    return getattr(getattr(bpy.context.scene, of), which)
-
-
-@answer
 def highest() -> float:
     """Largest z of the active object's evaluated vertices."""
     obj = bpy.context.view_layer.objects.active
@@ -87,11 +77,6 @@ def highest() -> float:
     flat = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", flat)
     return float(flat[2::3].max())
-
-
-@answer
-def modifiers() -> list[str]:
-    return [modifier.name for modifier in bpy.context.view_layer.objects.active.modifiers]
 
 
 @answer
@@ -105,9 +90,3 @@ def job(kind: str) -> dict[str, Any] | None:
     progress = found.progress
     return {"state": found.state.value, "message": found.message, "done": progress.done, "total": progress.total,
             "results": found.results}  # fmt: skip
-
-
-@answer
-def name_core(python: str) -> None:
-    """Name the core's Python in the extension's preferences."""
-    bpy.context.preferences.addons["bl_ext.user_default.tg4mm"].preferences.core_python = python

@@ -40,14 +40,14 @@ def main() -> None:
         sidebar.import_by_menu(blender, options.splat.name)
         sidebar.open_tab(blender)
         # What follows is set, not clicked: the panels stay as the extension opens them.
-        blender.ask("true_colours")
+        blender.run("bpy.ops.tg4mm.true_colours()")
         _aim(blender, splat)
         if splat.n_modes:
             blender.ask("put", to="Band Low", value=options.low)
             blender.ask("put", to="Band High", value=options.high)
         blender.ask("put", to="Draw As", value=options.draw)
         blender.ask("shading", kind="MATERIAL")
-        blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
+        blender.run(f"bpy.context.scene.frame_set({1 + _largest(splat, options.alpha, band)})")
         shots.append(_take(blender, blender.folder / "rest.png"))
         blender.ask("put", to="Magnification", value=options.alpha)
         if splat.n_modes:
@@ -94,7 +94,7 @@ def _aim(blender: Session, splat: SplatFile) -> None:
     # The sidebar covers the right of the view, so what is looked at stands left of its middle.
     at = (low + high) / 2 + 0.09 * distance * right / np.linalg.norm(right)
     blender.ask("view", look_from=LOOK_FROM, at=at.tolist(), distance=distance)
-    blender.ask("deselect")
+    blender.run("[o.select_set(False) for o in bpy.context.view_layer.objects]")
 
 
 def _probe(blender: Session, splat: SplatFile) -> None:

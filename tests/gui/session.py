@@ -29,6 +29,7 @@ ROOT = Path(os.environ.get("TG4MM_BLENDER_ROOT", "/var/tmp/tg4mm/blender-5.2"))
 SIZE = (1280, 1000)  # high enough for the sidebar's longest panel
 START_LIMIT, ANSWER_LIMIT = 240.0, 120.0  # s; software OpenGL compiles shaders for a while
 PAUSE = 0.08  # s between what the hand does, so that Blender sees it one after another
+ACTIVE, OBJECTS = "bpy.context.view_layer.objects.active", "bpy.data.objects.keys()"  # asked for often
 MISSING_ROOT = f"no Blender in {ROOT}; run tests/gui/setup.sh as root"
 
 
@@ -226,6 +227,14 @@ class Session:
             raise SessionError(f"{name}: {reply['error']}")
         return reply["value"]
 
+    def value(self, of: str, limit: float = ANSWER_LIMIT) -> Any:
+        """What an expression of `bpy` is in there."""
+        return self.ask("value", limit, of=of)
+
+    def run(self, statement: str) -> None:
+        """Do what a statement of `bpy` does in there, and redraw."""
+        self.ask("run", statement=statement)
+
     def places(self) -> np.ndarray:
         """float32 [N, 3]: where the instances of the active object are drawn, in its own axes."""
         self.ask("places", file="places.npy")
@@ -262,7 +271,7 @@ class Session:
     def _wait_for_window(self) -> None:
         self.wait(lambda: self._status() == "started", "the virtual screen", START_LIMIT)
         self._display = ":" + (self.folder / "display").read_text(encoding="utf-8").strip()
-        self.ask("version", limit=START_LIMIT)  # answered once the window is there
+        self.value("bpy.app.version", START_LIMIT)  # answered once the window is there
         # Without a window manager nobody gives it the keyboard.
         self._xdotool("search", "--sync", "--onlyvisible", "--class", "Blender", "windowfocus")
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from .looking import Header, headers
-from .session import Box, Session, SessionError
+from .session import ACTIVE, OBJECTS, Box, Session, SessionError
 
 TAB = "TG4MM"
 TAB_STEP, ROW_STEP = 24, 18  # pixels; less than a tab and a row are high
@@ -124,9 +124,9 @@ def _click_header(blender: Session, header: Header) -> None:
 
 def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:
     """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
-    blender.ask("set_clipboard", text="")
+    blender.value("setattr(bpy.context.window_manager, 'clipboard', '')")  # without a redraw
     blender.key_at(x, y, "ctrl+c" if operator else "ctrl+shift+alt+c")
-    return str(blender.ask("clipboard"))
+    return str(blender.value("bpy.context.window_manager.clipboard"))
 
 
 def press(blender: Session, operator: str, at: float = 0.55) -> None:
@@ -144,7 +144,7 @@ def drag_setting(blender: Session, of: str, which: str, pixels: int) -> float:
     """Drag a setting of the scene's `tg4mm_generate` or `tg4mm_train` sideways; returns the value then."""
     name = f"{of}.{which}"
     place = find(blender, name)
-    return _drag(blender, place, pixels, lambda: float(blender.ask("setting", of=of, which=which)), name)
+    return _drag(blender, place, pixels, lambda: float(blender.value(f"bpy.context.scene.{name}")), name)
 
 
 def _drag(
@@ -182,7 +182,7 @@ def choose(blender: Session, name: str, item: str) -> None:
 
 def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
     """File > Import > TG4MM Splats, the file's path in the file browser; returns the new object's name."""
-    before = set(blender.ask("objects"))
+    before = set(blender.value(OBJECTS))
     blender.click(42, 14)
     time.sleep(0.5)
     blender.key("space")  # the menu's search
@@ -201,8 +201,8 @@ def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
         blender.click(box.left + box.width - 60, box.top + box.height // 2 - 2)
         if _soon(lambda: blender.ask("chosen_file") == "", 2.0):
             break
-    blender.wait(lambda: len(blender.ask("objects")) > len(before), f"an object of {file}", wait)
-    return str(blender.ask("active_object"))
+    blender.wait(lambda: len(blender.value(OBJECTS)) > len(before), f"an object of {file}", wait)
+    return str(blender.value(f"{ACTIVE}.name"))
 
 
 def _soon(condition: Callable[[], bool], limit: float) -> bool:

@@ -18,7 +18,7 @@ from tg4mm.core.splatfile import SplatFile, positions_at
 
 from . import looking, sidebar
 from .conftest import SPLAT, drum
-from .session import Session, missing
+from .session import ACTIVE, OBJECTS, Session, missing
 
 pytestmark = [
     pytest.mark.slow,
@@ -59,7 +59,7 @@ def expected(blender: Session, splat: SplatFile) -> np.ndarray:
 
 
 def test_the_window_opens_and_the_extension_raises_nothing(blender: Session, pictures: Path) -> None:
-    assert blender.ask("version")[:2] == [5, 2]
+    assert blender.value("bpy.app.version[:2]") == [5, 2]
     assert not looking.is_blank(blender.picture(pictures / "01_start.png"))
     assert blender.complaints() == []
 
@@ -75,7 +75,8 @@ def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pict
 
 
 def test_what_is_imported_is_active_and_has_no_outline(blender: Session) -> None:
-    assert (blender.ask("active_object"), blender.ask("selected")) == (Path(SPLAT).stem, [])
+    assert blender.value(f"{ACTIVE}.name") == Path(SPLAT).stem
+    assert blender.value("list(bpy.context.selected_objects)") == []
 
 
 def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
@@ -193,7 +194,7 @@ def test_material_preview_shows_the_colours_of_the_file(blender: Session, pictur
 
 def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile, pictures: Path) -> None:
     sidebar.press(blender, "bpy.ops.tg4mm.add_probe_sphere()", at=0.83)
-    blender.wait(lambda: "drum probe" in blender.ask("objects"), "a sphere")
+    blender.wait(lambda: "drum probe" in blender.value(OBJECTS), "a sphere")
     sidebar.press(blender, "bpy.ops.tg4mm.probe(source='SPHERE')")
     blender.wait(lambda: blender.ask("probed")["label"] is not None, "a reading")
     found = blender.ask("probed")
@@ -207,7 +208,7 @@ def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile,
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)
     time.sleep(1.0)
     blender.picture(pictures / "14_probe.png")
-    blender.ask("make_active", called="drum")
+    blender.run(f"{ACTIVE} = bpy.data.objects['drum']")
 
 
 @pytest.mark.parametrize("engine", ["CYCLES", "BLENDER_EEVEE"])
@@ -235,23 +236,25 @@ def test_an_animation_renders_frames_that_differ(blender: Session, pictures: Pat
 
 def wait_for_render(blender: Session, done: Callable[[], bool]) -> None:
     """Wait until a render that was begun by a key has ended and left what it should."""
-    blender.wait(lambda: not blender.ask("rendering") and done(), "the render", 300.0, 0.5)
+    blender.wait(
+        lambda: not blender.value("bpy.app.is_job_running('RENDER')") and done(), "the render", 300.0, 0.5
+    )
 
 
 def test_a_file_is_dropped_into_the_view(blender: Session, splat: SplatFile, pictures: Path) -> None:
-    before = blender.ask("objects")
+    before = blender.value(OBJECTS)
     blender.drop(SPLAT, *blender.region("VIEW_3D").middle)
     time.sleep(1.0)
     blender.picture(pictures / "17_drop_menu.png")
     blender.key("t")  # "Import TG4MM Splats"; Blender has an importer of PLY meshes too, and asks
-    blender.wait(lambda: len(blender.ask("objects")) == len(before) + 1, "the dropped file's object", 60.0)
-    assert blender.ask("active_object") == "drum.001"
+    blender.wait(lambda: len(blender.value(OBJECTS)) == len(before) + 1, "the dropped file's object", 60.0)
+    assert blender.value(f"{ACTIVE}.name") == "drum.001"
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
     blender.picture(pictures / "18_dropped.png")
     blender.move(*blender.region("VIEW_3D").middle)
     blender.key("ctrl+z")
-    blender.wait(lambda: blender.ask("objects") == before, "the import to be undone")
-    blender.ask("make_active", called="drum")
+    blender.wait(lambda: blender.value(OBJECTS) == before, "the import to be undone")
+    blender.run(f"{ACTIVE} = bpy.data.objects['drum']")
 
 
 def test_undo_takes_the_last_change_back(blender: Session) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from . import looking, sidebar
 from .conftest import SPLAT
-from .session import Session, missing
+from .session import ACTIVE, Session, missing
 
 pytestmark = [
     pytest.mark.slow,
@@ -60,17 +60,19 @@ def test_the_preview_moves_the_object_as_far_as_gain_says(blender: Session, pict
     )  # fmt: skip
     before = blender.ask("highest")
     sidebar.press(blender, "bpy.ops.tg4mm.preview_start()")
-    blender.wait(lambda: blender.ask("modifiers")[-1:] == ["TG4MM Preview"], "the preview")
-    blender.ask("to_frame", number=2)  # a quarter of a period after the first
+    blender.wait(lambda: blender.value(f"{ACTIVE}.modifiers.keys()")[-1:] == ["TG4MM Preview"], "the preview")
+    blender.run("bpy.context.scene.frame_set(2)")  # a quarter of a period after the first
     assert blender.ask("highest") == pytest.approx(before + 10 * AMPLITUDE, abs=1e-4)
     gain = sidebar.drag_setting(blender, "tg4mm_generate", "gain", 20)
     assert gain > 10.0
     assert blender.ask("highest") == pytest.approx(before + gain * AMPLITUDE, abs=1e-4)
     blender.picture(pictures / "20_preview.png")
     sidebar.press(blender, "bpy.ops.tg4mm.preview_stop()")
-    blender.wait(lambda: "TG4MM Preview" not in blender.ask("modifiers"), "the end of the preview")
+    blender.wait(
+        lambda: "TG4MM Preview" not in blender.value(f"{ACTIVE}.modifiers.keys()"), "the end of the preview"
+    )
     assert blender.ask("highest") == pytest.approx(before, abs=1e-6)
-    blender.ask("to_frame", number=1)
+    blender.run("bpy.context.scene.frame_set(1)")
 
 
 def test_a_dataset_is_begun_and_cancelled(blender: Session, pictures: Path) -> None:
@@ -102,7 +104,7 @@ def test_it_goes_on_to_a_whole_dataset(blender: Session, pictures: Path) -> None
     folder = blender.folder / Path(found["results"][-1]).relative_to(blender.inside)
     assert json.loads((folder / "scene.json").read_text())["fps"] == 24.0
     assert len(list(folder.glob("*/train/*.png"))) == 6 * 3
-    assert blender.ask("setting", of="tg4mm_train", which="dataset") == found["results"][-1]
+    assert blender.value("bpy.context.scene.tg4mm_train.dataset") == found["results"][-1]
     assert not looking.is_blank(blender.picture(pictures / "22_generated.png"))
 
 
@@ -110,7 +112,8 @@ def test_training_shows_progress_and_imports_what_was_trained(blender: Session, 
     core = blender.folder / "python"
     core.write_text(CORE.replace("SPLAT", SPLAT))
     core.chmod(0o755)
-    blender.ask("name_core", python=f"{blender.inside}/python")
+    preferences = "bpy.context.preferences.addons['bl_ext.user_default.tg4mm'].preferences"
+    blender.run(f"{preferences}.core_python = '{blender.inside}/python'")
     sidebar.press(blender, "bpy.ops.tg4mm.train()")
     blender.wait(lambda: job(blender, "train")["done"] > 1, "progress")
     time.sleep(0.5)
