@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
+from safetensors import safe_open
+
 import tg4mm.capture.sfm.reconstruct
 import tg4mm.fit.space.train
 import tg4mm.research.paper.motion
@@ -223,9 +225,16 @@ class Trial:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below but temporary ones and locks."""
+    """Every file below but temporary ones and locks; of safetensors the tensors, whose header has no fixed order."""
     files = [f for f in folder.rglob("*") if f.is_file() and not f.name.endswith(".lock")]
-    return {f.relative_to(folder).as_posix(): f.read_bytes() for f in files if not is_temporary(f)}
+    return {f.relative_to(folder).as_posix(): _content(f) for f in files if not is_temporary(f)}
+
+
+def _content(file: Path) -> bytes:
+    if file.suffix != ".safetensors":
+        return file.read_bytes()
+    with safe_open(file, framework="numpy") as held:
+        return b"".join(name.encode() + held.get_tensor(name).tobytes() for name in sorted(held.keys()))
 
 
 def main() -> int:
