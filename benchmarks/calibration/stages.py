@@ -64,6 +64,7 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
                 v.damping_deviation,
                 v.begins_s or 0.0,
             ),
+            lower_bound=v.pixels is not None and v.pixels.is_bound,
         )
         for v in (*result.vibrations, *result.beside)
     ]

@@ -20,6 +20,7 @@ from tg4mm.show.regions import region_picture
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.line import line_near, mode_deviations, phasors_at, why_no_damping
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
+from tg4mm.show.result.model import with_deviation
 
 FPS, N = 30.0, 120
 T = np.arange(N) / FPS
@@ -137,6 +138,13 @@ def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger() -> None:
     said = "how much more than 0.12 px things move at 5.2 Hz at (40, 24): smaller than the codec lets through"
     assert said in looked_notes(lost)
     assert said not in looked_notes(seen)
+    K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
+    capture = SimpleNamespace(viewmats=VIEWMAT[None], Ks=K[None])
+    shown = [
+        with_deviation(looked_vibrations(f, capture, fps=30.0, duration_s=6.0)[0].pixels)
+        for f in (seen, lost)
+    ]
+    assert shown == ["0.1200 ± 0.0040", "> 0.1200 ± 0.0040"]
 
 
 def test_what_moves_by_itself_and_the_light_are_said() -> None:

@@ -52,7 +52,7 @@ def _row(line: LookLine) -> list[str]:
         damping = f"{with_deviation(Length(100 * line.damping, percent))} %"
     return [
         with_deviation(Length(line.hz, line.hz_deviation)),
-        with_deviation(Length(line.amplitude_px, line.amplitude_deviation_px)),
+        with_deviation(Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))),
         damping,
         f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})",
         line.change,

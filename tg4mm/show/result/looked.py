@@ -43,7 +43,7 @@ def _vibration(line: LookLine, capture: Capture, band: tuple[float, float]) -> V
     viewmat, K = capture.viewmats[0].astype(float), capture.Ks[0].astype(float)
     sight = np.array([*(np.array(line.centre_px) - K[:2, 2]) / K[[0, 1], [0, 1]], 1.0])
     place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
-    pixels = Length(line.amplitude_px, line.amplitude_deviation_px)
+    pixels = Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))
     return Vibration(
         hz=line.hz,
         deviation_hz=line.hz_deviation,

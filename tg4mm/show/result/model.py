@@ -18,10 +18,12 @@ class Length:
 
     value: float
     deviation: float | None = None
+    is_bound: bool = False  # a video's compression took more than the deviation says: shown as > value
 
     def times(self, factor: float) -> Length:
         """In another unit."""
-        return Length(self.value * factor, None if self.deviation is None else self.deviation * factor)
+        deviation = None if self.deviation is None else self.deviation * factor
+        return Length(self.value * factor, deviation, self.is_bound)
 
 
 @dataclass(frozen=True)
@@ -184,8 +186,8 @@ def _row(name: str, text: str) -> str:
 
 
 def with_deviation(length: Length) -> str:
-    """`0.223 ± 0.008`, as `tg4mm.core.digits`."""
-    return value_with_deviation(length.value, length.deviation)
+    """`0.223 ± 0.008`, as `tg4mm.core.digits`; `> 0.223 ± 0.008` of a bound."""
+    return ("> " if length.is_bound else "") + value_with_deviation(length.value, length.deviation)
 
 
 def unit_of(unit_scale_m: float | None) -> tuple[str, float]:
