@@ -26,6 +26,18 @@ _SET_KEYS = ("options", "parts")
 _DEFAULTS: dict[str, Any] = {"parts": 4, "threads": 1, "mem_mb": 4000, "minutes": 240, "options": ""}
 
 
+MODULE = "dataset_gen"
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Argument lists; the first element is the program."""
+
+    prepare: tuple[str, ...]
+    parts: tuple[tuple[str, ...], ...]  # in any order, at once, on any machine that sees the folder
+    finish: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class FarmSet:
     """One dataset of a farm."""
@@ -104,34 +116,6 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
     return FarmSet(name, request.sets[0].folder, parts, made)
 
 
-def main() -> int:
-    """Reads a configuration as JSON on standard input. Returns 0, or 2 with one line on bad input."""
-    try:
-        config = parse_json(sys.stdin.read())
-        found = {one.folder: one.to_json() for one in farm_sets(config)}
-    except (Tg4mmError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    json.dump(found, sys.stdout)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
-
-
-MODULE = "dataset_gen"
-
-
-@dataclass(frozen=True)
-class Commands:
-    """Argument lists; the first element is the program."""
-
-    prepare: tuple[str, ...]
-    parts: tuple[tuple[str, ...], ...]  # in any order, at once, on any machine that sees the folder
-    finish: tuple[str, ...]
-
-
 def commands(python: str, arguments: Sequence[str], out: str, parts: int, processes: int = 0) -> Commands:
     """Commands of the set that `python -m dataset_gen ARGUMENTS --out OUT` makes in one go, in `parts` parts.
 
@@ -148,3 +132,19 @@ def commands(python: str, arguments: Sequence[str], out: str, parts: int, proces
         parts=tuple((*base, "--part", f"{i}/{parts}", *work) for i in range(1, parts + 1)),
         finish=(*base, "--finish"),
     )
+
+
+def main() -> int:
+    """Reads a configuration as JSON on standard input. Returns 0, or 2 with one line on bad input."""
+    try:
+        config = parse_json(sys.stdin.read())
+        found = {one.folder: one.to_json() for one in farm_sets(config)}
+    except (Tg4mmError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    json.dump(found, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
