@@ -71,6 +71,7 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
         (["--sensor", "a=box:1"], "box"),
         (["--set", "space.iteration=5"], "space.iterations"),
         (["--band", "3", "5", "--band", "7", "9"], "one video magnifies one band"),
+        (["--alpha", "inf"], "--alpha inf: must be a finite number"),
     ],
 )
 def test_bad_input_leaves_nothing(video, tmp_path, capsys, options, message):
@@ -79,3 +80,24 @@ def test_bad_input_leaves_nothing(video, tmp_path, capsys, options, message):
     assert message in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_what_the_dataset_tells_is_asked_before_training_and_another_rate_trains_again(
+    video, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    for options, message in (
+        (["--sensor", "a=pixel:cam_9,10,10"], "cam_9"),
+        (["--band", "3", "12"], "reaches past half the frame rate"),
+    ):
+        assert main(["process", str(video), "--out", str(out), *options]) == 2
+        assert message in capsys.readouterr().err
+        assert not (out / "run").exists()
+    assert main(["process", str(video), "--out", str(out), "--quick"]) == 0
+    assert main(["process", str(video), "--out", str(out), "--quick", "--fps", "40"]) == 0
+    assert (out / "run_1").is_dir()
+    sensors = json.loads((out / "measured" / "measure.json").read_text(encoding="utf-8"))["sensors"]
+    assert min(abs(s["peaks"][0]["frequency_hz"] - 2 * HZ) for s in sensors if s["peaks"]) < 0.1
+    capsys.readouterr()
+    assert main(["process", str(video), "--out", str(out), "--quick", "--fps", "40", "--band", "1", "2"]) == 2
+    assert "no motion was found there" in capsys.readouterr().err

@@ -59,8 +59,8 @@ def look(
         raise Tg4mmError(f"--from {start:g}{'' if until is None else f' --until {until:g}'}: holds nothing")
     if video.is_dir() and (start or until is not None):
         raise Tg4mmError("--from and --until are of videos; leave out files of the folder")
-    from tg4mm.capture.look import Window
     from tg4mm.capture.look import look as looked
+    from tg4mm.capture.sfm.clip import Window
     from tg4mm.show.look import Words, write_json_file, write_page, write_picture
 
     if out is not None and out.exists() and not out.is_dir():

@@ -33,7 +33,8 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Ste
     """Do what is left of `steps` in a folder that was claimed with `record`, whose entry `done` holds what is done.
 
     A step is done again where what it was asked for has changed, where its result is gone, and where a step that it
-    reads was done again. A folder made for another request is kept as NAME_1, NAME_2 …, and said; a file is replaced.
+    reads was done again. A folder made of other input or with other options is kept as NAME_1, NAME_2 …, and said; a
+    file is replaced.
     """
     found = (folder.read() or {}).get("done")
     done: dict[str, dict[str, Any]] = (
@@ -85,4 +86,4 @@ def _set_aside(path: Path, say: Say) -> None:
     while (kept := path.with_name(f"{path.name}_{number}")).exists():
         number += 1
     path.rename(kept)
-    say(f"{path} was made for another request: kept as {kept.name}")
+    say(f"{path} was made of other input or with other options: kept as {kept.name}")

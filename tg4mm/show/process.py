@@ -16,19 +16,21 @@ from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.steps import Say, Step, run_steps
 from tg4mm.core.work_folder import WorkFolder
+from tg4mm.fit.motion.observations import frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, measure, prepare
-from tg4mm.show.measure.locate import check_sensors
+from tg4mm.show.measure.locate import check_pixel, check_sensors
 from tg4mm.show.measure.write import work_folder as measured_folder
 from tg4mm.show.measure.write import write_measurement
 from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.report.write import ReportOptions, write_report
 from tg4mm.show.result.read import result_of
+from tg4mm.show.result.requested import refuse_empty
 from tg4mm.show.web.write import export_html
 
 RECORD = "process.json"
@@ -60,6 +62,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     """
     options = options or ProcessOptions()
     checked(options.sfm)
+    RenderRequest(Magnification(everywhere=options.alpha or 0.0)).checked()
     pictures = files_of(find_sources(source, timed=options.sfm.fps is not None))
     record = {"format": "tg4mm-process", "version": 1, "source": str(source.resolve())}
     folder = WorkFolder(out, RECORD, free=("done",))
@@ -80,6 +83,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         reconstruct(source, dataset, options.sfm, options.threads)
 
     def fit() -> None:
+        _check_asked(dataset, options)
         train(dataset, run, "modal", options.device, _for_kind(dataset, trained))
 
     def reported() -> Path:
@@ -91,7 +95,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
              folder=dataset),
         Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
         Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
-             {"settings": trained, "device": options.device}, ["dataset"], run),
+             {"settings": trained, "device": options.device, "fps": options.sfm.fps}, ["dataset"], run),
         Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
              {"sensors": sensors, "quick": options.quick}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
@@ -104,6 +108,17 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
              {}, ["scale", "run"]),
     ]  # fmt: skip
     return steps if options.quick else [*steps, *pages]
+
+
+def _check_asked(dataset: Path, options: ProcessOptions) -> None:
+    """What the dataset tells of a band and of sensors' cameras, before minutes of training."""
+    capture = load_capture(dataset)
+    if options.band is not None:
+        check_band(options.band, capture.fps)
+    cameras = [frame.name for frame in frames_of(capture)[1]] if capture.n_timesteps > 1 else []
+    for sensor in options.sensors:
+        if sensor.region == "pixel":
+            check_pixel(sensor, cameras, (capture.width, capture.height))
 
 
 def _for_kind(dataset: Path, settings: Mapping[str, str]) -> dict[str, str]:
@@ -127,15 +142,22 @@ def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
 def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
     run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
-    result = result_of(run)
+    still, result = run.load_motion() is None, result_of(run)
     band = options.band or result.band
     video.unlink(missing_ok=True)
     folder.mkdir(exist_ok=True)
-    if band is None:
-        say(f"no {video}: no vibration was found; --band LO HI magnifies one all the same")
+    if still or band is None:
+        why = (
+            "the scene is still"
+            if still
+            else "no vibration was found; --band LO HI magnifies a band all the same"
+        )
+        say(f"no {video}: {why}")
         return
     alpha = result.alpha if options.alpha is None else options.alpha
     request = RenderRequest(Magnification.of(alpha, band)).checked()
+    if options.band is not None:
+        refuse_empty(run, request.magnified)
     if (camera := _standing(run)) is not None:
         render_sequence(run, [camera], request, folder, device=options.device)
     else:

@@ -49,7 +49,7 @@ def test_a_hand_without_a_line_at_the_frequency_says_that_the_rest_stands_still(
     found = reading(viewmats(1e-4, 0.0, seed))
     assert found.rigid is None
     assert found.doubt < 0.01
-    assert found.is_told
+    assert found.is_determined
     assert found.moving_share == pytest.approx(0.4)
 
 
@@ -57,7 +57,7 @@ def test_a_hand_without_a_line_at_the_frequency_says_that_the_rest_stands_still(
 def test_a_line_in_the_path_says_that_what_was_found_to_move_stands_still(seed: int) -> None:
     found = reading(viewmats(1e-4, -1.0, seed))
     assert found.doubt < 0.01
-    assert found.is_told
+    assert found.is_determined
     assert found.moving_share == pytest.approx(0.6)
     np.testing.assert_allclose(found.rigid[MOVES, :3], FIELD[MOVES], atol=1e-9)
     away = SHIFT + np.cross(TURN, MEANS[~MOVES])
@@ -68,7 +68,7 @@ def test_a_line_in_the_path_says_that_what_was_found_to_move_stands_still(seed: 
 def test_a_hand_that_shakes_more_than_the_scene_leaves_the_share_of_what_moves() -> None:
     found = [reading(viewmats(0.15, 0.0, seed)) for seed in range(12)]
     assert np.median([r.doubt for r in found]) == pytest.approx(0.4, abs=0.1)
-    assert sum(r.is_told for r in found) < 4
+    assert sum(r.is_determined for r in found) < 4
 
 
 def test_a_line_that_neither_reading_explains_is_not_told() -> None:
@@ -76,14 +76,14 @@ def test_a_line_that_neither_reading_explains_is_not_told() -> None:
     poses = viewmats(1e-4, 0.0)
     poses[:, 1, 3] += 0.02 * np.cos(2 * np.pi * HZ * TIMES)
     found = reading(poses)
-    assert not found.is_told
+    assert not found.is_determined
     assert np.sqrt(np.median(found.squares)) == pytest.approx(0.02, rel=0.1)
 
 
 def test_where_no_frequencies_are_around_one_the_share_is_left() -> None:
     found = reading(viewmats(1e-4, 0.0), HZ, (1.0, 1.8, 2.4, 4.2, 4.8, 5.4))
     assert found.doubt == pytest.approx(0.4)
-    assert not found.is_told
+    assert not found.is_determined
 
 
 def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them() -> None:

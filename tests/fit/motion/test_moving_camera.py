@@ -59,11 +59,11 @@ def test_views_in_temporary_files_give_the_same_motion(monkeypatch: pytest.Monke
 @pytest.mark.slow
 def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     real = CameraPath.reading
-    monkeypatch.setattr(CameraPath, "reading", lambda *own: replace(real(*own), is_told=False))
+    monkeypatch.setattr(CameraPath, "reading", lambda *own: replace(real(*own), is_determined=False))
     gaussians, motion = scene(FREQUENCY)
     fit = fit_motion(gaussians, walk(gaussians, motion, 90), MotionConfig(appearance=False))
     assert len(fit.motion.freqs_hz) == 0
-    assert fit.untold_ground_hz[0] == pytest.approx(FREQUENCY, abs=0.05)
+    assert fit.undetermined_hz[0] == pytest.approx(FREQUENCY, abs=0.05)
     assert fit.figures["frequencies_hz"][0] == pytest.approx(FREQUENCY, abs=0.05)
     assert not any("two halves" in note for note in fit.notes)
     assert any("nor the camera's path tells its motion" in note for note in fit.notes)

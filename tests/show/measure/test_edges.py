@@ -88,7 +88,7 @@ def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path: Pat
     """Along the edge the pictures show nothing; the scene at rest claims to see it."""
     found, amplitude = measured(tmp_path, texture=0.0, wrong=0.015)
     series = found["edge"].series
-    deviation = series.model_share * np.linalg.norm(amplitude[series.is_told])
+    deviation = series.model_share * np.linalg.norm(amplitude[series.is_resolved])
     assert amplitude[1] == pytest.approx(0.15, abs=0.03)
     assert abs(amplitude[0]) < 0.08  # half of the truth at most …
     assert 0.5 * abs(amplitude[0] - 0.15) < deviation[0]  # … which is within two deviations

@@ -8,7 +8,7 @@ for line in look("pump.mp4").vibrations:
 from tg4mm.capture.look.look import look, look_at_pictures
 from tg4mm.capture.look.model import Found, Look, LookLine, Mover, Tone
 from tg4mm.capture.look.reading import Picture
-from tg4mm.capture.look.recording import Window, video_pictures
+from tg4mm.capture.look.recording import video_pictures
 
 __all__ = [
     "Found",
@@ -17,7 +17,6 @@ __all__ = [
     "Mover",
     "Picture",
     "Tone",
-    "Window",
     "look",
     "look_at_pictures",
     "video_pictures",

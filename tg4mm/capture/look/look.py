@@ -16,10 +16,11 @@ from tg4mm.capture.look.movers import movers_of
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
-from tg4mm.capture.look.recording import WHOLE, Window, read_recording
+from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
+from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.lines import Line as CoreLine
 from tg4mm.core.lines import find_lines, fit_lines
 

@@ -57,6 +57,10 @@ class Tone:
     amplitude: float  # relative, of light; pixels, of the whole picture
 
 
+# cameras that read rows one after another take 8 to 25 ms; less may be a phase of the scene's own
+LEAST_READOUT_S = 0.004
+
+
 @dataclass(frozen=True)
 class Smallest:
     """The amplitude from which a steady vibration of something that large is found; compression may take more."""
@@ -88,6 +92,12 @@ class Found:
     def vibrations(self) -> tuple[LookLine, ...]:
         """The lines without a mark."""
         return tuple(line for line in self.lines if not line.mark)
+
+    @property
+    def readout_s(self) -> float | None:
+        """Seconds over which a picture's rows seem to be read, by the strongest line that tells; None: at once."""
+        told = (line.readout_s or 0.0 for line in self.vibrations)
+        return next((seconds for seconds in told if abs(seconds) >= LEAST_READOUT_S), None)
 
     def mask(self) -> np.ndarray:
         """[H, W] bool: the pixels of what moves by itself."""

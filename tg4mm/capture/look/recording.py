@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,7 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
-from tg4mm.capture.sfm.clip import NAMES, VIDEO_SUFFIXES, frame_rate, is_regular, regular_times
+from tg4mm.capture.sfm.clip import (
+    NAMES,
+    VIDEO_SUFFIXES,
+    WHOLE,
+    Window,
+    frame_rate,
+    is_regular,
+    regular_times,
+)
 from tg4mm.capture.sfm.frozen import find_repeats
 from tg4mm.capture.sfm.video import VideoInfo, grey_frames, video_info
 from tg4mm.capture.transforms import natural
@@ -23,17 +30,6 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _WATCHED = 30_000  # pixels, about, by which frames are compared with the one before
 _SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
-
-
-@dataclass(frozen=True)
-class Window:
-    """The part of a video that is looked at, seconds from its first frame."""
-
-    start_s: float = 0.0
-    stop_s: float = math.inf
-
-
-WHOLE = Window()
 
 
 def read_recording(

@@ -168,6 +168,6 @@ class MotionFit:
     config: MotionConfig = field(default_factory=MotionConfig)  # it was asked for with
 
     @property
-    def untold_ground_hz(self) -> tuple[float, ...]:
+    def undetermined_hz(self) -> tuple[float, ...]:
         """Frequencies at which a moving camera shows motion, but not which part stands still."""
-        return tuple(self.figures.get("untold_ground_hz", ()))
+        return tuple(self.figures.get("undetermined_hz", ()))

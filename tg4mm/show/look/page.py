@@ -78,7 +78,12 @@ def _stats(words: Words) -> list[Stat]:
         first = found.vibrations[0]
         out = [
             Stat("strongest", f"{first.hz:.4g}", "Hz", f"± {first.hz_deviation:.2g}"),
-            Stat("its amplitude", f"{first.amplitude_px:.3g}", "px", f"± {first.amplitude_deviation_px:.2g}"),
+            Stat(
+                "its amplitude",
+                f"{'> ' if first.lost else ''}{first.amplitude_px:.3g}",
+                "px",
+                f"± {first.amplitude_deviation_px:.2g}",
+            ),
         ]
     out.append(Stat("record", f"{found.duration_s:.3g}", "s", f"at {found.rate:.4g} Hz"))
     if found.smallest:

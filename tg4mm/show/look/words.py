@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look import Look, LookLine, Mover, Window
+from tg4mm.capture.look import Look, LookLine, Mover
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
-from tg4mm.capture.look.recording import WHOLE
+from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.digits import value_with_deviation
 from tg4mm.core.files import write_json
 
 HEADER = ("frequency, Hz", "amplitude, px", "direction", "around pixel", "change", "remark")
 _MOST_MOVERS = 5  # said one by one
 _MOVES_PX = 1.0  # of the whole picture: where the shift of a cell is no longer exact
-_LEAST_READOUT_S = 0.004  # cameras that read rows one after another take 8 to 25 ms
 _TEXTURE = 0.25  # of the cells that must have texture
 _CHANGES = {
     "steady": "steady",
@@ -42,7 +41,7 @@ class Words:
 
     @property
     def head(self) -> str:
-        """Of the recording."""
+        """The recording: how many pictures, their size and rate."""
         f = self.found
         return (
             f"{self.source}: {len(f.times_s)} pictures of {f.size[0]}×{f.size[1]} at {f.rate:.4g} Hz, "
@@ -57,13 +56,11 @@ class Words:
             return "no vibration stands out of the noise"
         first = lines[0]
         many = f"{len(lines)} vibrations; the strongest" if len(lines) > 1 else "one vibration"
-        amplitude = value_with_deviation(first.amplitude_px, first.amplitude_deviation_px)
-        return (
-            f"{many}: {value_with_deviation(first.hz, first.hz_deviation)} Hz, {amplitude} px at {_at(first)}"
-        )
+        hz = value_with_deviation(first.hz, first.hz_deviation)
+        return f"{many}: {hz} Hz, {_amplitude(first)} px at {_at(first)}"
 
     def rows(self) -> list[list[str]]:
-        """Of the table, under HEADER."""
+        """The table's rows, under HEADER."""
         return [_row(line) for line in self.found.lines]
 
     def besides(self) -> list[tuple[str, str]]:
@@ -121,11 +118,10 @@ class Words:
             )
         if (share := float(f.usable.mean())) < _TEXTURE:
             out.append(f"what moves where there is no texture: {share:.0%} of the picture can be used")
-        readouts = [line.readout_s for line in f.vibrations if abs(line.readout_s or 0.0) >= _LEAST_READOUT_S]
-        if readouts:
+        if f.readout_s is not None:
             out.append(
                 f"phases at different heights: they rise with the row as if a picture were read over "
-                f"{1e3 * float(readouts[0] or 0):.1f} ms"
+                f"{1e3 * f.readout_s:.1f} ms"
             )
         return out
 
@@ -173,15 +169,19 @@ def _row(line: LookLine) -> list[str]:
     if line.damping is not None:
         percent = None if line.damping_deviation is None else 100 * line.damping_deviation
         change += f", damping {value_with_deviation(100 * line.damping, percent)} %"
-    amplitude = value_with_deviation(line.amplitude_px, line.amplitude_deviation_px)
     return [
         value_with_deviation(line.hz, line.hz_deviation),
-        f"> {amplitude}" if line.lost else amplitude,
+        _amplitude(line),
         f"{right:+.2f} right {-down:+.2f} up".replace("-", "−"),
         _at(line),
         change,
         line.mark or line.lost,
     ]
+
+
+def _amplitude(line: LookLine) -> str:
+    """`0.12 ± 0.01`; `> 0.12 ± 0.01` where compression took more than the ± says."""
+    return ("> " if line.lost else "") + value_with_deviation(line.amplitude_px, line.amplitude_deviation_px)
 
 
 def _at(line: LookLine) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from tg4mm.show.measure.fourier import (
     floor_factor,
     frequency_grid,
-    is_told,
+    is_resolved,
     rayleigh,
     sinusoid_columns,
     transformed,
@@ -162,7 +162,7 @@ def _rows(series: Series, phasor: np.ndarray, gain: float) -> Rows:
     some = np.flatnonzero(series.is_observed)
     if not len(some):
         return Rows(np.zeros((0, 3)), np.zeros(0, complex))
-    error = np.hypot(series.halves_share, series.false_share) * np.linalg.norm(phasor[series.is_told])
+    error = np.hypot(series.halves_share, series.false_share) * np.linalg.norm(phasor[series.is_resolved])
     covariance = gain * _noise(series) + np.diag(error[some] ** 2)
     root = np.linalg.cholesky(np.linalg.inv(covariance + _TINY * np.trace(covariance) * np.eye(len(some)))).T
     return Rows(root @ series.axes[some], root @ phasor[some])
@@ -177,7 +177,7 @@ def _peaks(
     shared: float,
 ) -> tuple[Peak, ...]:
     """Of a sensor's phasors [K, 3] and their variances; `shared` as in `together`."""
-    told = is_told(level)
+    told = is_resolved(level)
     size = np.linalg.norm(phasors[:, told], axis=1)
     rms = float(np.sqrt((size**2).sum() / 2))
     share = min(shared / rms, 1.0) if rms > 0 else 0.0
@@ -250,7 +250,7 @@ def _of_clip(
     out = []
     for peak in peaks:
         k = int(np.abs(hz - peak.frequency_hz).argmin())
-        error = series.model_share * np.linalg.norm(phasors[k][series.is_told])
+        error = series.model_share * np.linalg.norm(phasors[k][series.is_resolved])
         deviation = np.hypot(np.sqrt(gain[k]) * series.noise[0], error)
         out.append(Peak(peak.frequency_hz, peak.frequency_deviation_hz, phasors[k], deviation, level))
     return tuple(out)

@@ -67,7 +67,7 @@ def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None
 
 def _line_of(series: Series, hz: float) -> Line | None:
     """At a frequency that was found in other records too."""
-    told = series.is_told
+    told = series.is_resolved
     if len(series.times_s) < FEWEST or not series.displacement[:, told].any():
         return None
     return fit_lines(series.displacement[:, told], series.times_s, [hz], series.noise[0, told]).lines[0]

@@ -49,7 +49,7 @@ def floor_factor(n_samples: int) -> float:
     return float(np.sqrt(-2 * np.log(CHANCE / (3 * max(n_samples // 2, 1)))))
 
 
-def is_told(level: np.ndarray) -> np.ndarray:
+def is_resolved(level: np.ndarray) -> np.ndarray:
     """[3] bool of a floor [3]: seen, and not ten times less sure than the best direction, as one camera's sight is."""
     finite = np.where(np.isfinite(level), level, np.inf)
     return np.isfinite(level) & (finite <= _TOLD * finite.min())

@@ -37,7 +37,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append(
             "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
         )
-    if hz := scene.fit.untold_ground_hz:
+    if hz := scene.fit.undetermined_hz:
         named = ", ".join(f"{f:.4g}" for f in hz)
         out.append(
             f"which of two parts that move against each other at {named} Hz stands still: every ± is at least as large "
@@ -61,7 +61,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
                     f"the largest motions come out {100 * share:.0f} % too small"
                 )
         for series in result.all_series:
-            is_hidden = (series.false_share > _HIDDEN) & series.is_told
+            is_hidden = (series.false_share > _HIDDEN) & series.is_resolved
             if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
                 where = f" in {series.clock}" if series.clock else ""
                 out.append(

@@ -37,7 +37,7 @@ def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float,
     if len(own.rows) != len(series.times_s):
         return None
     rows = pixel_rows(result.body.centre[None], own.viewmat, own.K, scene.observations.size)[0][0]
-    moved = np.where(series.is_told, series.displacement, 0) @ series.axes @ rows.T
+    moved = np.where(series.is_resolved, series.displacement, 0) @ series.axes @ rows.T
     size = np.linalg.norm(moved, axis=1)
     if not size.max(initial=0) > _LOOKED_AT_PX:
         return None

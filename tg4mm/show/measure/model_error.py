@@ -25,10 +25,10 @@ _MOST = 1.0  # of the motion
 
 def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     """The series with `model_share` and with it in `deviation`: σ_f² = noise² + (share · |u_f|)²."""
-    size = np.linalg.norm(np.where(series.is_told, series.displacement, 0), axis=1)
+    size = np.linalg.norm(np.where(series.is_resolved, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
     base = min(shared_error(scene, body) / rms, _MOST) if rms > 0 else 0.0
-    base = _MOST if scene.fit.untold_ground_hz else base
+    base = _MOST if scene.fit.undetermined_hz else base
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.sqrt(np.where(series.is_observed, series.unit_variance, 0) / least)
     share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))

@@ -35,7 +35,7 @@ class Orbit:
 
 def orbit_of(peak: Peak) -> Orbit:
     """The phasor turned so that its real and imaginary part are perpendicular; in the directions that are told."""
-    m = np.where(peak.is_told, peak.phasor, 0)
+    m = np.where(peak.is_resolved, peak.phasor, 0)
     phase = 0.5 * float(np.angle((m**2).sum()))
     turned = m * np.exp(-1j * phase)
     major, minor = turned.real, turned.imag
@@ -46,11 +46,11 @@ def orbit_of(peak: Peak) -> Orbit:
 
 def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
     """Of the half axis, scene units: the axes' deviations along it."""
-    deviation = np.where(peak.is_told, peak.deviation, 0)
+    deviation = np.where(peak.is_resolved, peak.deviation, 0)
     return float(np.sqrt(((orbit.direction * deviation) ** 2).sum()))
 
 
 def main_is_above(peak: Peak, orbit: Orbit) -> bool:
     """Whether a peak is a line, or above the floor on some axis, and its main axis above twice its own deviation."""
-    is_told = peak.line is not None or bool(peak.is_above.any())
-    return is_told and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)
+    is_resolved = peak.line is not None or bool(peak.is_above.any())
+    return is_resolved and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)

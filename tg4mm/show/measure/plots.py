@@ -13,7 +13,7 @@ from tg4mm.capture.look import Found
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
 from tg4mm.core.progress import progress
-from tg4mm.show.measure.fourier import is_told
+from tg4mm.show.measure.fourier import is_resolved
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import file_name
@@ -77,7 +77,7 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
 
 def _told(series: Series) -> list[int]:
     """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
-    return np.flatnonzero(series.is_told).tolist()
+    return np.flatnonzero(series.is_resolved).tolist()
 
 
 def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
@@ -110,7 +110,7 @@ def _factors(factor: float) -> tuple[Any, Any]:
 def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Amplitude over frequency, noise floor dashed, peaks named."""
     found = result.spectrum
-    told = np.flatnonzero(is_told(found.typical_floor)).tolist()
+    told = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
     for k in told:
         axes.semilogy(
             found.freqs_hz,

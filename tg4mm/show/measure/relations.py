@@ -80,16 +80,16 @@ def _at(result: SensorResult, reference: SensorResult) -> list[tuple[np.ndarray,
         own = [
             min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - q.frequency_hz)) for q in peaks
         ]
-        told = [(np.where(p.is_told, p.phasor, 0), np.where(p.is_told, p.deviation, 0)) for p in own]
+        told = [(np.where(p.is_resolved, p.phasor, 0), np.where(p.is_resolved, p.deviation, 0)) for p in own]
         return [(phasor, error, bool((np.abs(phasor) > level).any())) for phasor, error in told]
     lines = [p.line for p in peaks if p.line is not None]
     series, out = result.series, []
     if not lines:
         return []
-    found = fit_lines(series.displacement[:, series.is_told], series.times_s, lines)
+    found = fit_lines(series.displacement[:, series.is_resolved], series.times_s, lines)
     for line in found.lines:
         phasor, error = np.zeros(len(level), complex), np.zeros(len(level))
-        phasor[series.is_told], error[series.is_told] = line.phasor, line.amplitude_deviation
+        phasor[series.is_resolved], error[series.is_resolved] = line.phasor, line.amplitude_deviation
         out.append((phasor, error, bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())))
     return out
 
@@ -115,6 +115,6 @@ def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _along_main(series: Series) -> np.ndarray:
-    values = np.where(series.is_told, series.displacement, 0)
+    values = np.where(series.is_resolved, series.displacement, 0)
     main = np.linalg.eigh(values.T @ values)[1][:, -1]
     return np.asarray(values @ main)

@@ -55,7 +55,7 @@ class Series:
         return np.asarray(np.isfinite(self.noise).all(0))
 
     @property
-    def is_told(self) -> np.ndarray:
+    def is_resolved(self) -> np.ndarray:
         """[A] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
         variance = np.where(self.is_observed, self.unit_variance, np.inf)
         return np.asarray(variance <= TOLD**2 * variance.min()) & self.is_observed

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.core.lines import Line, Lines, find_lines
-from tg4mm.show.measure.fourier import floor_factor, frequency_grid, is_told, rayleigh, transformed
+from tg4mm.show.measure.fourier import floor_factor, frequency_grid, is_resolved, rayleigh, transformed
 from tg4mm.show.measure.harmonics import Harmonic, Sideband, harmonics_of
 
 
@@ -40,9 +40,9 @@ class Peak:
         return np.abs(self.phasor)
 
     @property
-    def is_told(self) -> np.ndarray:
+    def is_resolved(self) -> np.ndarray:
         """[A] bool: axes that are seen, and not ten times less sure than the best one, as one camera's sight is."""
-        return is_told(self.floor)
+        return is_resolved(self.floor)
 
     @property
     def is_above(self) -> np.ndarray:
@@ -113,7 +113,7 @@ def _peak(
     phasor[is_seen], deviation[is_seen] = line.phasor, line.amplitude_deviation
     level = floor[int(np.abs(grid - line.hz).argmin())]
     if model_share is not None:
-        deviation = np.hypot(deviation, model_share * np.linalg.norm(phasor[is_told(level)]))
+        deviation = np.hypot(deviation, model_share * np.linalg.norm(phasor[is_resolved(level)]))
     return Peak(line.hz, line.hz_deviation, phasor, deviation, level, line)
 
 
@@ -133,7 +133,7 @@ def with_harmonics(peaks: Sequence[Peak], times_s: np.ndarray) -> tuple[Peak, ..
 
 def size_of(peak: Peak) -> float:
     """Amplitude along the axes that are told, scene units."""
-    return float(np.linalg.norm(peak.amplitude[peak.is_told]))
+    return float(np.linalg.norm(peak.amplitude[peak.is_resolved]))
 
 
 def strength_of(peak: Peak) -> float:

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
 
 _MOST = 4  # things that move by themselves, said one by one
-_LEAST_READOUT_S = (
-    0.004  # cameras that read rows one after another take 8 to 25 ms; less is a phase of the scene's
-)
 _WHY_NO_DAMPING = {
     "steady": "it stays as strong as it is during the record",
     "grows": "it grows during the record",
@@ -76,12 +73,10 @@ def looked_notes(found: Found) -> list[str]:
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
-    readouts = [line.readout_s or 0.0 for line in found.vibrations]
-    readouts = [readout for readout in readouts if abs(readout) >= _LEAST_READOUT_S]
-    if readouts:
+    if found.readout_s is not None:
         out.append(
             f"phases at different heights to better than the readout: they rise with the row as if a picture were read "
-            f"over {1e3 * readouts[0]:.1f} ms"
+            f"over {1e3 * found.readout_s:.1f} ms"
         )
     return out
 

@@ -38,7 +38,7 @@ class Reading:
     squares: (
         np.ndarray
     )  # [N] of the error, units of the fields: by the doubt, and by the line that the path still has
-    is_told: bool  # whether what moves moves by more than twice its error
+    is_determined: bool  # whether what moves moves by more than twice its error
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ class MovingCamera(Steady):
         readings = model._readings(folds.mean(0))
         if not readings:
             return model, folds
-        folds, is_told = folds.copy(), np.array([r.is_told for r in readings])
+        folds, is_determined = folds.copy(), np.array([r.is_determined for r in readings])
         for k, reading in enumerate(readings):
             if reading.rigid is not None:
                 folds[:, 2 * k] -= reading.rigid.real
@@ -158,12 +158,12 @@ class MovingCamera(Steady):
             "other_reading": [round(r.doubt, 4) for r in readings],
         }
         notes = [*model.notes]
-        if not is_told.all():
-            figures["untold_ground_hz"] = [round(float(f), 4) for f in model.hz[~is_told]]
-            notes.append(_not_told(model.hz[~is_told]))
-        ambiguity = sum((r.squares for r in readings if r.is_told), np.zeros(len(model.gaussians)))
+        if not is_determined.all():
+            figures["undetermined_hz"] = [round(float(f), 4) for f in model.hz[~is_determined]]
+            notes.append(_not_told(model.hz[~is_determined]))
+        ambiguity = sum((r.squares for r in readings if r.is_determined), np.zeros(len(model.gaussians)))
         model = replace(model, ambiguity=ambiguity, figures=model.figures | figures, notes=notes)
-        return model._with(is_told), folds[:, np.repeat(is_told, 2)]
+        return model._with(is_determined), folds[:, np.repeat(is_determined, 2)]
 
     def ground_squares(self) -> np.ndarray | None:
         return self.ambiguity
