@@ -46,8 +46,9 @@ class Capture:
     clocks: str = (
         ""  # of several fixed cameras: synchronous or independent; inferred from the times if not given
     )
-    # [C] float64, seconds on the clock of the image's own camera; NaN for a picture of the scene at rest without a
-    # time. t / fps if not given.
+    readout_s: float = 0.0  # from a picture's first row to its last (rolling shutter); 0: all rows at once
+    # [C] float64, seconds on the clock of the image's own camera, of its middle row; NaN for a picture of the scene at
+    # rest without a time. t / fps if not given.
     times_s: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -68,6 +69,11 @@ class Capture:
     def __len__(self) -> int:
         """C, the number of images."""
         return len(self.paths)
+
+    @property
+    def rows_s(self) -> float:
+        """The readout that is taken into account: rows of a moving camera count as read at once."""
+        return 0.0 if self.kind.moving else self.readout_s
 
     def selected(self, rows: np.ndarray) -> Capture:
         """Only the images `rows`, whole numbers; camera_ids are those of this capture."""

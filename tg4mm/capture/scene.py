@@ -14,12 +14,13 @@ from tg4mm.capture.timing import CLOCKS
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, read_record
-from tg4mm.core.values import Maybe, check_form
+from tg4mm.core.values import Maybe, Number, check_form
 
 FORMAT_VERSION = 1
 KINDS_OF_PICTURES = "IPB"  # coded by themselves, predicted forward, predicted from both sides
 LONGEST_CODEC_PERIOD = 8  # frames; of a longer one, as between key frames, every frequency is near a multiple
 _FASTEST = 1e9  # Hz
+_SLOWEST_READOUT_S = 1.0  # where no rate is known
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
 _COUNTS = ("width", "height", "n_train", "n_test", "codec_period")
 _FORM = {
@@ -40,6 +41,7 @@ class Scene:
     unit_scale_m: float | None = None  # metres per scene unit
     kind: Kind | None = None  # None: it does not say
     clocks: str = ""  # one of CLOCKS; "" if it does not say
+    readout_s: float = 0.0  # from a picture's first row to its last; 0: all rows at once
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -97,14 +99,27 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
         return Scene()
     record = read_record(path)
     _check_types(record)
+    fps = record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0
     return Scene(
-        fps=record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0,
+        fps=fps,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
         kind=Kind(kind) if (kind := _one_of(record, "kind", KINDS)) else None,
         clocks=_one_of(record, "clocks", CLOCKS),
+        readout_s=_readout(record, fps),
         values=record.values,
     )
+
+
+def _readout(record: Record, fps: float) -> float:
+    if not record.has("readout_s"):
+        return 0.0
+    rule = Number(0, 1 / fps if fps else _SLOWEST_READOUT_S)
+    if not rule.fits(record.values["readout_s"]):
+        raise record.error(
+            "readout_s", f"{rule}: seconds from a picture's first row to its last, at most one frame"
+        )
+    return float(record.values["readout_s"])
 
 
 def _one_of(record: Record, key: str, values: Sequence[str]) -> str:

@@ -156,6 +156,7 @@ def assemble(
         scene=scene.values,
         kind=scene.kind,  # type: ignore[arg-type]  # None: the cameras tell it
         clocks=scene.clocks,
+        readout_s=scene.readout_s,
         times_s=times_s,
     )
 

@@ -17,6 +17,7 @@ from tg4mm.cli.sfm import (
     KindOption,
     LengthFileOption,
     LengthOption,
+    ReadoutOption,
     ScaleOption,
     SynchronousOption,
     ThreadsOption,
@@ -32,6 +33,7 @@ def process(
     out: Annotated[Path, typer.Option(help="Folder for everything; an unfinished one is resumed.")],
     kind: KindOption = None,
     fps: FpsOption = None,
+    readout: ReadoutOption = None,
     start: FromOption = 0.0,
     until: UntilOption = None,
     unit_scale_m: ScaleOption = None,
@@ -86,6 +88,7 @@ def process(
     config = SfmConfig(
         kind=None if kind is None else kind.value,
         fps=fps,
+        readout_s=None if readout is None else readout / 1e3,
         start_s=start,
         stop_s=until,
         unit_scale_m=unit_scale_m,

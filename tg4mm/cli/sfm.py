@@ -49,6 +49,14 @@ FpsOption = Annotated[
     float | None,
     typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]"),
 ]
+ReadoutOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MS",
+        help="Rolling shutter of fixed cameras: milliseconds from a picture's first row to its last, 8 to 25 of most "
+        "phones. [default: all rows are taken to be read at once]",
+    ),
+]
 FromOption = Annotated[
     float, typer.Option("--from", metavar="SECONDS", help="Where to begin in every recording.")
 ]
@@ -97,6 +105,7 @@ def sfm(
     out: Annotated[Path, typer.Option(help="Dataset folder; an unfinished one is resumed.")],
     kind: KindOption = None,
     fps: FpsOption = None,
+    readout: ReadoutOption = None,
     start: FromOption = 0.0,
     until: UntilOption = None,
     camera_model: Annotated[
@@ -155,6 +164,7 @@ def sfm(
         matching=matching.value,
         frames=frames,
         fps=fps,
+        readout_s=None if readout is None else readout / 1e3,
         start_s=start,
         stop_s=until,
         unit_scale_m=unit_scale_m,

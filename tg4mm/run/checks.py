@@ -68,6 +68,16 @@ def check_times(path: Path, dataset: Path, of_run: tuple[float, int], of_dataset
         )
 
 
+def check_readout(path: Path, dataset: Path, figures: Mapping[str, Any], readout_s: float) -> None:
+    """Raises RunError where the dataset's rows are read over another time than those of the run's motion stage."""
+    of_run = figures.get("readout_s", 0.0)
+    if of_run != readout_s:
+        raise RunError(
+            f"{path} was trained with a readout of {1e3 * of_run:g} ms, but {dataset} says {1e3 * readout_s:g} ms: "
+            "train again into another folder"
+        )
+
+
 def gaussians_of(file: Path, tensors: Mapping[str, Tensor]) -> Gaussians:
     """Gaussians of GAUSSIANS: one or more, with scales of at least 0 and opacities in 0..1."""
     try:

@@ -75,6 +75,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
 def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[Step]:
     dataset, run, settings = out / "dataset", out / "run", asdict(options.sfm)
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
+    clock = {"fps": options.sfm.fps, "readout_s": options.sfm.readout_s}
     trained = {**(QUICK if options.quick else {}), **options.settings}
     magnified = {"alpha": options.alpha, "band": options.band}
     sensors = [[s.name, repr(s)] for s in options.sensors]
@@ -95,7 +96,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
              folder=dataset),
         Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
         Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
-             {"settings": trained, "device": options.device, "fps": options.sfm.fps}, ["dataset"], run),
+             {"settings": trained, "device": options.device, **clock}, ["dataset"], run),
         Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
              {"sensors": sensors, "quick": options.quick}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),

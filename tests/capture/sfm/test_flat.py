@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from fractions import Fraction
 from pathlib import Path
 
@@ -68,14 +69,50 @@ def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
 
 
 def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, tmp_path: Path) -> None:
-    import shutil
-
     out = tmp_path / "bridge"
     shutil.copytree(dataset, out)
     reconstruct(video, out, SfmConfig(fps=240.0))
     capture = load_capture(out)
     assert capture.fps == 240.0
     np.testing.assert_allclose(capture.times_s, np.arange(T) / 240)
+
+
+def test_the_readout_of_rows_is_written_without_the_dataset_made_again(
+    video: Path, dataset: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "bridge"
+    shutil.copytree(dataset, out)
+    before = (out / "000" / "train" / "bridge.png").stat().st_mtime_ns
+    assert load_capture(out).readout_s == 0
+    assert main(["sfm", str(video), "--out", str(out), "--readout", "12.5"]) == 0
+    assert load_capture(out).readout_s == 0.0125
+    assert main(["sfm", str(video), "--out", str(out)]) == 0
+    assert "readout_s" not in json.loads((out / "scene.json").read_text())
+    assert (out / "000" / "train" / "bridge.png").stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--readout", "40"], "--readout is 40, expected at most the 33.37 ms of a frame of bridge.mp4"),
+        (["--readout", "-5"], "--readout is -5.0, expected"),
+        (["--readout", "nan"], "--readout is nan, expected"),
+        (["--readout", "12", "--kind", "handheld"], "--readout is for fixed cameras, but"),
+    ],
+)
+def test_a_readout_that_cannot_be_is_refused(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    assert main(["sfm", str(video), "--out", str(tmp_path / "out"), *options]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_rows_of_a_turned_video_have_no_readout(tmp_path: Path) -> None:
+    turned = write_video(tmp_path / "phone.mp4", still(T), 30, rotation=90)
+    with pytest.raises(
+        Tg4mmError, match=r"rows are read from top to bottom, but those of phone\.mp4 are turned"
+    ):
+        reconstruct(turned, tmp_path / "out", SfmConfig(readout_s=0.0125))
 
 
 def test_what_makes_no_sense_is_refused(video: Path, tmp_path: Path) -> None:

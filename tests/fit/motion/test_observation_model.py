@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.fit.motion.scenes import inner, problem, two_cameras, weights_of
-from tg4mm.fit.motion.observation_model import ObservationModel, delayed, project
+from tg4mm.fit.motion.observation_model import ObservationModel, delayed, later, project
 from tg4mm.fit.motion.observations import PosedFrames
 
 TIMES = np.arange(80) / 20
@@ -64,3 +64,12 @@ def test_a_delay_of_whole_frames_moves_the_samples() -> None:
     series = np.random.default_rng(1).normal(size=(2, 80))
     np.testing.assert_allclose(delayed(series, 0), series, atol=1e-12)
     np.testing.assert_allclose(delayed(series, 1)[:, 20:-20], series[:, 21:-19], atol=1e-12)
+
+
+def test_of_uneven_times_functions_are_interpolated_between_them() -> None:
+    times = TIMES + np.where(np.arange(80) % 7 == 3, 0.02, 0.0)
+    functions = np.stack([np.cos(2 * np.pi * 2.0 * times), np.ones(80)])
+    found = later(times, functions, 0.013)[:, 2:-2]
+    np.testing.assert_allclose(found[0], np.cos(2 * np.pi * 2.0 * (times + 0.013))[2:-2], atol=0.01)
+    np.testing.assert_allclose(found[1], 1, atol=1e-9)
+    assert later(times, functions[:0], 0.013).shape == (0, 80)

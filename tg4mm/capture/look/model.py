@@ -96,8 +96,8 @@ class Found:
     @property
     def readout_s(self) -> float | None:
         """Seconds over which a picture's rows seem to be read, by the strongest line that tells; None: at once."""
-        told = (line.readout_s or 0.0 for line in self.vibrations)
-        return next((seconds for seconds in told if abs(seconds) >= LEAST_READOUT_S), None)
+        found = next((line.readout_s for line in self.vibrations if line.readout_s is not None), 0.0)
+        return found if abs(found) >= LEAST_READOUT_S else None
 
     def mask(self) -> np.ndarray:
         """[H, W] bool: the pixels of what moves by itself."""

@@ -44,6 +44,7 @@ class SfmConfig:
         None  # sharp ones that a moving camera's poses are first found from; None: one of a window
     )
     fps: float | None = None  # what was filmed at, Hz; None: as the videos say
+    readout_s: float | None = None  # from a picture's first row to its last; None: all rows at once
     start_s: float = 0.0  # of every recording, seconds since its first frame
     stop_s: float | None = None
     unit_scale_m: float | None = None  # metres per scene unit
@@ -72,6 +73,7 @@ def checked(config: SfmConfig) -> SfmConfig:
         "matching": (config.matching, Choice(*MATCHING)),
         "frames": (config.frames, Maybe(Number(FEWEST, whole=True))),
         "fps": (config.fps, Maybe(POSITIVE)),
+        "readout": (None if config.readout_s is None else 1e3 * config.readout_s, Maybe(NOT_NEGATIVE)),
         "from": (config.start_s, NOT_NEGATIVE),
         "until": (config.stop_s, Maybe(seconds)),
         "unit-scale-m": (config.unit_scale_m, Maybe(POSITIVE)),
@@ -94,7 +96,7 @@ def checked(config: SfmConfig) -> SfmConfig:
 
 NAME = "request.json"
 # Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
-SCENE_ONLY = ("unit_scale_m", "baseline", "length", "fps")
+SCENE_ONLY = ("unit_scale_m", "baseline", "length", "fps", "readout_s")
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ class Work:
         if not path.is_file():
             return None
         report = read_scene(self.out, needs_fps=False).values.get("sfm") or {}
-        return report if report.get("asked") == self.scene_only else None
+        return report if _given(report.get("asked")) == _given(self.scene_only) else None
 
 
 def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
@@ -149,6 +151,11 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
     )
     remove_leftovers(out)
     return Work(out, work, asked["settings"])
+
+
+def _given(asked: Any) -> dict[str, Any]:
+    """Without what is None, as where an earlier version did not know it."""
+    return {key: value for key, value in _dict(asked).items() if value is not None}
 
 
 def _dict(value: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.defects import is_fixed
 from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources
 from tg4mm.capture.sfm.survey import Survey
+from tg4mm.capture.sfm.video import turns_of
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 
@@ -84,6 +85,26 @@ def check_fits(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmC
         raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind}")
     if config.synchronous:
         _check_as_long(surveys)
+    if config.readout_s:
+        _check_readout(images, kind, surveys, config)
+
+
+def _check_readout(images: Path, kind: Kind, surveys: Sequence[Survey], config: SfmConfig) -> None:
+    if not kind.fixed:
+        raise Tg4mmError(f"--readout is for fixed cameras, but {images} is taken for {kind}")
+    assert config.readout_s is not None
+    for survey in surveys:
+        frame_s = 1 / float(survey.clock(config.fps)[0])
+        if config.readout_s > frame_s:
+            raise Tg4mmError(
+                f"--readout is {1e3 * config.readout_s:g}, expected at most the {1e3 * frame_s:.4g} ms of a frame of "
+                f"{survey.path.name}"
+            )
+        if survey.path.is_file() and turns_of(survey.path):
+            raise Tg4mmError(
+                f"--readout is for pictures whose rows are read from top to bottom, but those of {survey.path.name} "
+                "are turned when they are shown"
+            )
 
 
 def _check_as_long(surveys: Sequence[Survey]) -> None:

@@ -107,6 +107,8 @@ def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads
 def _scene(job: _Job) -> dict[str, Any]:
     name = job.work.out.resolve().name
     scene: dict[str, Any] = {"scene": name, "kind": job.kind.value, "background": "as photographed"}
+    if job.config.readout_s:
+        scene["readout_s"] = job.config.readout_s
     periods = {survey.codec_period for survey in job.surveys}
     if len(periods) == 1 and None not in periods:
         scene["codec_period"] = periods.pop()

@@ -141,6 +141,13 @@ def _upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
 
 
+def turns_of(path: Path) -> int:
+    """By how many quarter turns pictures are turned upright, as the container asks."""
+    with _opened(path) as container:
+        frame = next(container.decode(video=0), None)
+    return 0 if frame is None else TURNS.get(round(frame.rotation), 0)
+
+
 def _luma(frame: Any) -> np.ndarray:
     """[H, W] uint8: the first plane of planar 8-bit formats, else converted."""
     if not (frame.format.name.startswith(PLANAR) and frame.format.components[0].bits == 8):

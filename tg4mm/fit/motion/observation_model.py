@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection
-from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.fit.motion.observations import PosedFrames, is_even
 
 _TAPS = 32  # frames that an interpolated function of time takes part from; fewer miss what is near half the frame rate
 _BETA = 4.0  # of their Kaiser window
@@ -82,10 +83,22 @@ def project(
     if not frames.readout_s:
         flat = functions.astype(np.float32) @ strip.reshape(len(strip), -1)
         return flat.reshape(len(functions), *strip.shape[1:])
-    step = float(np.ptp(frames.times_s)) / (len(frames.times_s) - 1)
-    delays = frames.readout_s / step * ((np.arange(rows.start, rows.stop) + 0.5) / height - 0.5)
-    each = (delayed(functions, d).astype(np.float32) for d in delays)
+    delays = frames.readout_s * ((np.arange(rows.start, rows.stop) + 0.5) / height - 0.5)
+    each = (later(frames.times_s, functions, d).astype(np.float32) for d in delays)
     return np.stack([np.tensordot(f, strip[:, k], 1) for k, f in enumerate(each)], axis=1)
+
+
+def later(times_s: np.ndarray, functions: np.ndarray, seconds: float) -> np.ndarray:
+    """[R, F]: functions [R, F] of times [F], so many seconds later.
+
+    Of times that are not even by a cubic spline, which is good up to a third of the frame rate.
+    """
+    if not seconds or not len(functions):
+        return functions
+    step = float(np.ptp(times_s)) / (len(times_s) - 1)
+    if is_even(times_s):
+        return delayed(functions, seconds / step)
+    return np.asarray(CubicSpline(times_s, functions, axis=1)(times_s + seconds))
 
 
 def delayed(functions: np.ndarray, frames: float) -> np.ndarray:

@@ -97,6 +97,11 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
             f"{', '.join(short)}: left out: fewer than half as many pictures over time as other cameras have",
             stacklevel=2,
         )
+    if clock == "moving" and capture.readout_s:
+        warnings.warn(
+            f"{capture.root}: rows of a moving camera's pictures are taken to be read at once: readout_s is left out",
+            stacklevel=2,
+        )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
     of_time = capture.fps, capture.n_timesteps
     period = codec_period(capture.root)
@@ -173,6 +178,7 @@ def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
         capture.Ks[first].astype(np.float32),
         rows,
         capture.times_s[rows],
+        capture.rows_s,
     )
 
 
@@ -181,11 +187,16 @@ def _are_synchronous(frames: list[PosedFrames]) -> bool:
     times = frames[0].times_s
     if any(len(f.times_s) != len(times) for f in frames):
         return False
-    if len(times) < 3:
+    return is_even(*(f.times_s for f in frames))
+
+
+def is_even(times_s: np.ndarray, *others: np.ndarray) -> bool:
+    """Whether times [F], and others like them, are evenly spaced, to a tenth of a frame; two always are."""
+    if len(times_s) < 3:
         return True
-    step = float(np.ptp(times)) / (len(times) - 1)
-    even = times[0] + step * np.arange(len(times))
-    return all(np.abs(f.times_s - even).max() < _CLOCK * step for f in frames)
+    step = float(np.ptp(times_s)) / (len(times_s) - 1)
+    even = times_s[0] + step * np.arange(len(times_s))
+    return all(np.abs(own - even).max() < _CLOCK * step for own in (times_s, *others))
 
 
 SHOWN = 50_000_000  # pixels, which take some seconds

@@ -31,6 +31,12 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
         if (video := video_file(capture.root)) is not None:
             lines = with_losses(kept, video.path, kept.rate, video.from_s, video.repeats)
             kept = replace(kept, lines=lines)
+        if capture.rows_s:  # what is left to explain
+            lines = tuple(
+                line if line.readout_s is None else replace(line, readout_s=line.readout_s - capture.rows_s)
+                for line in kept.lines
+            )
+            kept = replace(kept, lines=lines)
         run.record(_STAGE, to_record(kept))
     return kept
 

@@ -54,7 +54,7 @@ def train_motion(
     observations = observe(capture, images)
     if mask is not None and mask.any():
         observations = replace(observations, pictures=MaskedPictures(observations.pictures, mask))
-    checkpoint = RunCheckpoint(run, began)
+    checkpoint = RunCheckpoint(run, began, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:
         fit = fit_motion(gaussians, observations, config, device, checkpoint)
@@ -65,6 +65,7 @@ def train_motion(
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         **fit.figures,
+        **({"readout_s": capture.rows_s} if capture.rows_s else {}),
         "notes": fit.notes,
     }
     for note in fit.notes:
@@ -82,8 +83,9 @@ def train_motion(
 class RunCheckpoint:
     """`Checkpoint` in the run, and the Gaussians that its steps belong to."""
 
-    def __init__(self, run: Run, began: float) -> None:
+    def __init__(self, run: Run, began: float, readout_s: float = 0.0) -> None:
         self.run, self.began = run, began  # began: what log.json does not hold yet
+        self._readout_s = readout_s
         self.gaussians = run.load_space()
         self._scene = _digest(arrays_of(self.gaussians))
         self._arrays: Arrays = {}
@@ -91,6 +93,8 @@ class RunCheckpoint:
         if stored is None or stored[1].get("version") != _VERSION:
             return
         tensors, state = stored
+        if state.get("readout_s", 0.0) != readout_s:
+            return
         if self._scene not in (state.get("scene"), state.get("expected_scene")):
             return
         if self._scene != state.get("scene"):  # stopped between saving the sharper Gaussians and the motion
@@ -120,7 +124,7 @@ class RunCheckpoint:
 
     def _save(self, **more: str) -> None:
         tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
-        state = {"version": _VERSION, "scene": self._scene, **more}
+        state = {"version": _VERSION, "scene": self._scene, "readout_s": self._readout_s, **more}
         self.run.save_checkpoint(_STAGE, tensors, state)
 
 

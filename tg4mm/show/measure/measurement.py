@@ -168,7 +168,7 @@ def _series(
             viewmat = views[0].frames.viewmat.astype(np.float64)
             axes, labels = sight_axes(viewmat, body.centre), OF_ONE_CAMERA
             e = e.along(axes)
-        series = series_of(e, clock.times_s, axes, labels, body.radius, clock.name, scene.slow)
+        series = series_of(e, clock.times_s + e.delay_s, axes, labels, body.radius, clock.name, scene.slow)
         out.append(with_model_error(series, body, scene))
     return out
 

@@ -22,7 +22,7 @@ from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, nuisances_of
 from tg4mm.fit.motion.nuisance.registration import mean_pictures
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
-from tg4mm.run.checks import check_times
+from tg4mm.run.checks import check_readout, check_times
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.kept import Kept, KeptPass, Wanted
 from tg4mm.show.measure.modal_fields import ModalFields, clock_phases
@@ -69,6 +69,7 @@ def prepare(run: Run, keep: bool = True, is_once: bool = False) -> Prepared:
     fit = run.load_fit()
     times = (fit.motion.fps, fit.motion.n_timesteps), (capture.fps, capture.n_timesteps)
     check_times(run.path, run.dataset, *times)
+    check_readout(run.path, run.dataset, fit.figures, capture.rows_s)
     kept = KeptPass.of(run, keep)
     pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
     return _prepared(fit, run.path, capture, observe(capture, pictures), kept, is_once)

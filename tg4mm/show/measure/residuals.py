@@ -20,6 +20,7 @@ from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import LEAST, chessboard
+from tg4mm.show.measure.rows import bands_of, by_band, to_middle
 from tg4mm.show.measure.sides import HALVES
 
 AT_ONCE = 8  # frames
@@ -63,15 +64,20 @@ def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
 def leftover(
     observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray]]:
-    """A few frames at a time, [f, H, W, 3]: the changes less Σ_r series[r, f] shown[r] ([R, H, W, 3], J x_r)."""
-    rows = view.frames.rows
-    flat = shown.reshape(len(shown), view.mean.size)
+    """A few frames at a time, [f, H, W, 3]: the changes less Σ_r series[b, r, f] shown[r] ([R, H, W, 3], J x_r).
+
+    series [B, R, F]: of `by_band`.
+    """
+    rows, bands = view.frames.rows, bands_of(view.frames, len(view.mean))
     for first in range(0, len(rows), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         raw = observations.pictures.strips(rows[some].tolist())
         left = over_white(raw(slice(None)), observations.pictures.maximum) - view.mean
         if len(shown):
-            left -= (series[:, some].T.astype(np.float32) @ flat).reshape(left.shape)
+            for band, own in zip(bands, series, strict=True):
+                flat = shown[:, band.rows].reshape(len(shown), -1)
+                part = left[:, band.rows]
+                part -= (own[:, some].T.astype(np.float32) @ flat).reshape(part.shape)
         yield some, left
 
 
@@ -110,7 +116,8 @@ def weighed(
     energy = np.zeros(view.mean.shape[:2], np.float32)
     some = sampled(len(view.frames.rows))
     frames = replace(view.frames, rows=view.frames.rows[some], times_s=view.frames.times_s[some])
-    for _, left in leftover(observations, replace(view, frames=frames), shown, series[:, some]):
+    series = by_band(view.frames, len(view.mean), series)[..., some]
+    for _, left in leftover(observations, replace(view, frames=frames), shown, series):
         own = without(view.nuisance, view.mean, left)
         energy += np.einsum("fhwc,fhwc->hw", own, own) / 3
         step(len(left))
@@ -132,13 +139,20 @@ def pull_back(
     out: np.ndarray,
     step: Step,
 ) -> None:
-    """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians."""
-    models = list(view.models())
-    for some, left in leftover(observations, view, shown, series):
+    """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians.
+
+    Where rows are read one after another, what a Gaussian's row says is brought to the time of the frame.
+    """
+    frames, height, models = view.frames, len(view.mean), list(view.models())
+    own = np.zeros_like(out) if frames.readout_s else out
+    for some, left in leftover(observations, view, shown, by_band(frames, height, series)):
         for half, model in models:
-            model.adjoint(left, out[half, some])
+            model.adjoint(left, own[half, some])
         step(len(left))
     view.nuisance.release()
+    if frames.readout_s:
+        to_middle(frames, height, view.view.splats[:, 1], own)
+        out += own
 
 
 def shown_fields(view: ViewJacobian, fields: np.ndarray) -> np.ndarray:

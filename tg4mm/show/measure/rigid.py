@@ -28,6 +28,7 @@ import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import optical_flow
+from tg4mm.fit.motion.observation_model import later
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.show.measure.direct import summed
@@ -72,12 +73,13 @@ class Equations:
     noise: np.ndarray  # [2, F or 1, K, K] B
     sides: np.ndarray  # [2, F, K]
     false: np.ndarray  # [K, K] F, of both halves together; 0 of a moving camera, which has no mean picture
+    delay_s: float = 0.0  # after the frames' times: when the rows that tell of the body are read
 
     def along(self, axes: np.ndarray) -> Equations:
         """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
-        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
+        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T, self.delay_s)
 
 
 def equations_of(
@@ -92,8 +94,9 @@ def equations_of(
 ) -> list[Equations]:
     """The equations of several bodies in one pass over a clock's views.
 
-    sides: what the pictures say of every Gaussian, or the pictures themselves (`direct.py`). fields [R, N, 6], series
-    [R, F]. A moving camera has one view for each frame. `step` is called after each body in each half of each view.
+    sides: what the pictures say of every Gaussian, or the pictures of one view themselves (`direct.py`). fields
+    [R, N, 6], series [R, F]. A moving camera has one view for each frame. `step` is called after each body in each half
+    of each view.
     """
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
@@ -103,9 +106,15 @@ def equations_of(
     known = np.zeros((len(bodies), HALVES, n_frames, unknowns))
     false = np.zeros((len(bodies), unknowns, unknowns))
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
+    delays = np.zeros(len(bodies))
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
         halves = list(view.models())
+        if not isinstance(sides, Sides):
+            shown = shown_fields(view.view, fields)
+            pictures = [np.array(view.view.jvp(e)) for e in motions]
+            said, delays = summed(sides, view, halves, pictures, shown, series)
+            known += said
         for b, e in enumerate(motions):
             changes = None if is_moving else _false_changes(view, trials[b])
             for half, model in halves:
@@ -117,17 +126,14 @@ def equations_of(
                 normals[at] += flat @ trials[b].reshape(unknowns, -1).T
                 noise[at] += flat @ e.reshape(unknowns, -1).T
                 if len(fields):
-                    known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
+                    then = later(view.frames.times_s, series[:, frames], float(delays[b]))
+                    known[b, half, frames] += (flat @ own[b].T @ then).T
                 step()
-        if not isinstance(sides, Sides):
-            shown = shown_fields(view.view, fields)
-            pictures = [np.array(view.view.jvp(e)) for e in motions]
-            known += summed(sides, view, halves, pictures, shown, series)
         view.nuisance.release()
     if isinstance(sides, Sides):
         for b, e in enumerate(motions):
             known[b] += sides.summed(e, np.flatnonzero(bodies[b].weights))
-    return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
+    return [Equations(normals[b], noise[b], known[b], false[b], float(delays[b])) for b in range(len(bodies))]
 
 
 def companions(body: Body, fields: np.ndarray) -> np.ndarray:

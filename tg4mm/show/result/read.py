@@ -19,7 +19,7 @@ from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, frames_of
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.run.checks import check_times
+from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
 from tg4mm.show.result.line import (
@@ -55,6 +55,7 @@ def reading_of(run: Run) -> Reading:
     if motion is not None and capture is not None:
         of_run, of_dataset = (motion.fps, motion.n_timesteps), (capture.fps, capture.n_timesteps)
         check_times(run.path, run.dataset, of_run, of_dataset)
+        check_readout(run.path, run.dataset, run.log().get("motion", {}), capture.rows_s)
     uncertainty = _uncertainty(run) if motion is not None else {}
     return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
 
