@@ -4,7 +4,8 @@ A codec skips what changes too little, so that it is a low-pass over time: of .0
 fifth may be left. What it leaves depends on the texture, the noise, the rate, the amplitude and the encoder. So the
 mean picture, moved in each region by a tone of the measured frequency, direction and amplitude, with noise as strong as
 in the key frames, goes through the encoder that the file names, with the settings that it wrote there, and is measured
-again, two times: the second tone is as large as the first gain says that the motion was.
+again, two times: the second tone is as large as the first gain says that the motion was, and lasts as long as its
+standard error asks for.
 
 Nothing is fitted. Where the file names no encoder that is here, what the pictures themselves show decides: a region
 whose pixels hardly ever repeat and whose noise is as fresh in each frame lost nothing; of any other a mark says so.
@@ -33,9 +34,10 @@ FRESH_PIXELS, FRESH_NOISE = (
     0.1,
 )  # equal pixels and the noise's correlation from frame to frame, at most,
 FRESH = 0.08  # of what lost nothing; the deviation of its gain
-_PIXELS, _FEWEST, _PERIODS = 30e6, 64, 6  # of the test, frames at least, and periods of its slowest tone
+# Frames of the test, its periods of the slowest tone, both at least; the pixels of all its frames, at most.
+_FEWEST, _PERIODS, _PIXELS = 64, 6, 30e6
 # The same where an answer is wanted in seconds, and the pixels beyond which there is none.
-_QUICK_PIXELS, _QUICK_FEWEST, _QUICK_PERIODS, _QUICK_MOST = 4e6, 64, 3, 12e6
+_QUICK_PERIODS, _QUICK_PIXELS, _QUICK_MOST = 3, 4e6, 12e6
 _GAINS = 0.15, 1.1  # that the second tone is corrected by
 _ALIKE = 0.9  # first gains from which a second tone would be as large as the first within the deviation
 
@@ -77,13 +79,11 @@ def codec_losses(
     """
     if not any(tones):
         return [[] for _ in tones]
-    rate = fps or 30.0
-    slowest = min(tone.frequency_hz for own in tones for tone in own)
+    slowest = max(min(tone.frequency_hz for own in tones for tone in own), 1e-3)
     height, width = regions[0].shape
-    most = int(max(_FEWEST, _PERIODS * rate / max(slowest, 1e-3), _PIXELS / (height * width)))
-    if quick:
-        fewest = int(max(_QUICK_FEWEST, _QUICK_PERIODS * rate / max(slowest, 1e-3)))
-        most = max(fewest, int(_QUICK_PIXELS / (height * width)))
+    periods, pixels = (_QUICK_PERIODS, _QUICK_PIXELS) if quick else (_PERIODS, _PIXELS)
+    fewest = int(max(_FEWEST, periods * (fps or 30.0) / slowest))
+    most = max(fewest, int(pixels / (height * width)))
     try:
         made = probe(video, start_s, most)
     except (OSError, ValueError, Tg4mmError, av_module().FFmpegError):
@@ -108,7 +108,7 @@ def codec_losses(
     is_new = ~np.isin(np.arange(len(made.luma)), list(repeats))
     is_new[0] = True
     times = (np.cumsum(is_new) - 1) / float(fps or made.rate)
-    tested = _tested(made, masks, tones, times, seed, without_between)
+    tested = _tested(made, masks, tones, times, seed, without_between, fewest)
     return [own or known for own, known in zip(tested, found, strict=True)] if quick else tested
 
 
@@ -119,21 +119,30 @@ def _tested(
     times: np.ndarray,
     seed: int,
     without_between: bool,
+    frames: int,
 ) -> list[list[Loss]]:
-    """times [F] seconds, of frames that show one picture the same."""
+    """times [F] seconds, of frames that show one picture the same.
+
+    The first encoding has `frames`, the second as many as make its standard error as small as what is beside it.
+    """
     found: list[list[Loss]] = [[] for _ in tones]
     for group in _apart([k for k, own in enumerate(tones) if own], masks):
         own = [[_stored(t, made.turns) for t in tones[k]] for k in group]
-        gains = [np.ones(len(t)) for t in own]
+        gains, length = [np.ones(len(t)) for t in own], min(frames, len(times))
         for again in range(2):
             scaled = [
                 [Tone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS)) for t, g in zip(ts, gs, strict=True)]
                 for ts, gs in zip(own, gains, strict=True)
             ]
-            results = through(made, [masks[k] for k in group], scaled, times, seed + again, without_between)
+            inside, shown = [masks[k] for k in group], times[:length]
+            results = through(made, inside, scaled, shown, seed + again, without_between)
             gains = [np.array([g for g, _ in result]) for result in results]
-            if min(g.min() for g in gains) > _ALIKE:
+            needed = (
+                length * (SCATTER * max(error for result in results for _, error in result) / BESIDE) ** 2
+            )
+            if needed <= length and min(g.min() for g in gains) > _ALIKE:
                 break
+            length = int(np.clip(needed, length, len(times)))
         for k, result in zip(group, results, strict=True):
             found[k] = [_told(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
     return found
