@@ -74,6 +74,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
 
 def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[Step]:
     dataset, run, settings = out / "dataset", out / "run", asdict(options.sfm)
+    name = source.resolve().stem if source.is_file() else source.resolve().name
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
     clock = {"fps": options.sfm.fps, "readout_s": options.sfm.readout_s}
     trained = {**(QUICK if options.quick else {}), **options.settings}
@@ -81,7 +82,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     sensors = [[s.name, repr(s)] for s in options.sensors]
 
     def make() -> None:
-        reconstruct(source, dataset, options.sfm, options.threads)
+        reconstruct(source, dataset, options.sfm, options.threads, name)
 
     def fit() -> None:
         _check_asked(dataset, options)

@@ -131,7 +131,7 @@ def test_the_command_writes_the_page_and_prints_its_name(moving_run, tmp_path, c
     scene = scene_of(text)
     assert scene["layout"]["n_gaussians"] == len(moving_run.load_space())
     assert scene["motion"]["freqs_hz"] == [3.0, 6.0]
-    assert sorted(scene["motion"]["peaks_hz"]) == [3.0, 6.0]
+    assert sorted(round(p["hz"]) for p in scene["motion"]["peaks"]) == [3, 6]
     assert scene["camera"]["width"] == 96
     assert [path.name for path in target.parent.iterdir()] == ["mic.html"]
 

@@ -65,14 +65,18 @@ class _Job:
     kind: Kind
     config: SfmConfig
     threads: int
+    name: str  # of the scene
 
 
-def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: int = -1) -> dict[str, Any]:
+def reconstruct(
+    images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: int = -1, name: str | None = None
+) -> dict[str, Any]:
     """Poses, sparse points and times of what lies in `images`, written to the folder `out` as a dataset.
 
     Goes on where it was stopped. threads: −1 for all cores; with 1 the result repeats bit for bit on one machine, with
-    more only to the last digits. Returns what scene.json says under "sfm". Raises Tg4mmError (CaptureError) on bad
-    input: damaged recordings, too few pictures, no overlap, pictures that could not be placed.
+    more only to the last digits. name: of the scene; None: the folder's. Returns what scene.json says under "sfm".
+    Raises Tg4mmError (CaptureError) on bad input: damaged recordings, too few pictures, no overlap, pictures that could
+    not be placed.
     """
     config = checked(config)
     sources = find_sources(images, timed=config.fps is not None)
@@ -85,10 +89,12 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     if done is not None:
         return done
     with work.owned.held("makes this dataset"):
-        return _made(images, work, sources, config, threads)
+        return _made(images, work, sources, config, threads, name or out.resolve().name)
 
 
-def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int) -> dict[str, Any]:
+def _made(
+    images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int, name: str
+) -> dict[str, Any]:
     surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
     kept = [clip.without(survey.repeats) for clip, survey in zip(sources.clips, surveys, strict=True)]
     sources = replace(sources, clips=type(sources.clips)(kept))
@@ -100,13 +106,12 @@ def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads
     if kind.fixed:
         warn_bumps(surveys)
     check_fits(images, kind, surveys, config)
-    job = _Job(work, sources, surveys, kind, config, threads)
+    job = _Job(work, sources, surveys, kind, config, threads, name)
     return _posed(job) if kind.sees_depth else _flat(job)
 
 
 def _scene(job: _Job) -> dict[str, Any]:
-    name = job.work.out.resolve().name
-    scene: dict[str, Any] = {"scene": name, "kind": job.kind.value, "background": "as photographed"}
+    scene: dict[str, Any] = {"scene": job.name, "kind": job.kind.value, "background": "as photographed"}
     if job.config.readout_s:
         scene["readout_s"] = job.config.readout_s
     periods = {survey.codec_period for survey in job.surveys}

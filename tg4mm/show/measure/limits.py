@@ -53,7 +53,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             if other > _OTHER:
                 out.append(
                     f"{result.name}: {100 * other:.0f} % of what changes its pictures most is no motion of {size:.2g} "
-                    "px but something that passes, or a light: its numbers are none of a vibration"
+                    "px but something that passes, or a light: its numbers may be of that"
                 )
             elif share > max(_LACKING, 2 * deviation):
                 out.append(

@@ -142,7 +142,7 @@ def _displacement(m: Material) -> list[Block]:
     figures = m.metrics.get("displacement")
     if not figures:
         return [Text("The displacement error is not known: it needs the exact motion (truth/motion.npz).")]
-    unit, factor = unit_of(m.train.unit_scale_m)
+    unit, factor = unit_of(m.train)
     header = ["frequency", f"true ({unit})", f"ours ({unit})", "ours / true", "error"]
     header += ["direction off by", "phase off by"]
     rows = [_frequency_row(row, factor) for row in figures["per_frequency"]]

@@ -115,7 +115,7 @@ def _maps(m: Material) -> Block:
             " Uncertainty is one standard deviation of the displacement, as the run says it, as the peak of a "
             "sinusoid and on the scale of the amplitude: where it is as bright, the motion is not to be relied on."
         )
-    unit, factor = unit_of(m.train.unit_scale_m)
+    unit, factor = unit_of(m.train)
     legend = Markup('<div class="pair">{}{}</div>').format(
         svg.colour_bar(top * factor, unit, "peak displacement"), svg.phase_bar()
     )

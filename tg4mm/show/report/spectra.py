@@ -23,7 +23,7 @@ from tg4mm.show.slices import amplitude_spectrum
 def model_spectrum(m: Material) -> Block:
     """The model's modes over frequency, the vibrations found among them, and the noise of a mode."""
     assert m.model.motion is not None
-    unit, factor = unit_of(m.train.unit_scale_m)
+    unit, factor = unit_of(m.train)
     freqs, amplitudes = amplitude_spectrum(m.model.motion, m.model.weights)
     inside = m.view.magnified.inside(freqs) & (freqs > 0)
     noise = None if m.result.noise is None else m.result.noise * factor

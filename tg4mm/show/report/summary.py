@@ -242,7 +242,7 @@ def _row(m: Material, v: Vibration) -> list[str]:
         damping = f"{with_deviation(Length(100 * v.damping, percent))} %"
     place = ", ".join(f"{c:.3g}" for c in v.place)
     if v.place_px is not None:
-        place = f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
+        place = f"{v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
     hz = with_deviation(Length(v.hz, v.deviation_hz))
     return [hz, f"{value} {unit}", pixels, damping, place, f"{v.band[0]:g} to {v.band[1]:g}"]
 

@@ -46,6 +46,7 @@ def _vibration(line: LookLine, capture: Capture, band: tuple[float, float]) -> V
         deviation_hz=line.hz_deviation,
         amplitude=pixels.times(1 / K[0, 0]),
         place=(float(place[0]), float(place[1]), float(place[2])),
+        place_px=line.centre_px,
         pixels=pixels,
         damping=line.damping,
         damping_deviation=line.damping_deviation,

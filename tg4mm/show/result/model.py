@@ -190,9 +190,14 @@ def with_deviation(length: Length) -> str:
     return ("> " if length.is_bound else "") + value_with_deviation(length.value, length.deviation)
 
 
-def unit_of(unit_scale_m: float | None) -> tuple[str, float]:
-    """(unit, factor) that lengths in scene units are shown in: mm where the scale is known."""
-    return ("scene units", 1.0) if unit_scale_m is None else ("mm", unit_scale_m * 1000.0)
+def unit_of(capture: Capture | None) -> tuple[str, float]:
+    """(unit, factor) that lengths are shown in: pixels of a flat capture, mm where the scale is known."""
+    if capture is None:
+        return "scene units", 1.0
+    pixels, scale = capture.scene.get("pixels_per_unit"), capture.unit_scale_m
+    if pixels and not capture.kind.sees_depth:
+        return "px", float(pixels)
+    return ("scene units", 1.0) if scale is None else ("mm", scale * 1000.0)
 
 
 def title_of(train: Capture) -> str:

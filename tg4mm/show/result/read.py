@@ -33,7 +33,7 @@ from tg4mm.show.result.line import (
     why_no_damping,
 )
 from tg4mm.show.result.looked import cannot_tell, looked_vibrations
-from tg4mm.show.result.model import Length, Result, Vibration
+from tg4mm.show.result.model import Band, Length, Result, Vibration
 from tg4mm.show.result.reach import Reach, Seen, reach_of, seen_by
 
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
@@ -162,9 +162,15 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
-    def peaks_hz(self) -> list[float]:
-        """Of everything that stands out, what may be a drift among it, by falling strength."""
-        return [] if self.motion is None else [v.hz for v in self._found(self.motion, self.seen)]
+    def peak_bands(self) -> list[tuple[float, Band]]:
+        """(frequency, band) of every vibration, then of what else stands out, what may be a drift among it."""
+        if self.motion is None:
+            return []
+        known = {v.hz: v.band for v in self.result().vibrations}
+        found = [v.hz for v in self._found(self.motion, self.seen)]
+        hz = [*known, *(f for f in found if all(not low <= f <= high for low, high in known.values()))]
+        bands = suggested_bands(hz, [0.0] * len(hz), self.duration_s, self.motion.fps)
+        return [(f, known.get(f, band)) for f, band in zip(hz, bands, strict=True)]
 
     def _found(self, motion: ModalMotion, seen: Seen) -> list[Peak]:
         """Every peak, drifts among them, by falling strength; none within a stronger one's line."""

@@ -96,7 +96,7 @@ def open_scene(run: Run) -> RunScene:
     except CaptureError as error:
         notes.append(f"No cameras of the capture: {error}")
     cameras = (overview(gaussians.means.numpy()),) if capture is None else capture_cameras(capture)
-    unit, per_unit = _unit(capture)
+    unit, per_unit = unit_of(capture)
     weights = gaussians.opacities.numpy().astype(np.float64)
     if capture is not None:
         weights = blending_weights(gaussians, _few_cameras(capture))
@@ -112,14 +112,6 @@ def open_scene(run: Run) -> RunScene:
         tuple(notes),
         None if capture is None or capture.kind.sees_depth else look_of(run),
     )
-
-
-def _unit(capture: Capture | None) -> tuple[str, float]:
-    """(unit, factor) that lengths are shown in: of a flat capture pixels, else mm where the scale is known."""
-    if capture is None:
-        return unit_of(None)
-    pixels = capture.scene.get("pixels_per_unit")
-    return ("px", float(pixels)) if pixels and not capture.kind.sees_depth else unit_of(capture.unit_scale_m)
 
 
 def _few_cameras(capture: Capture) -> Capture:

@@ -25,7 +25,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.show.maps import image_motion, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras
-from tg4mm.show.result.model import title_of
+from tg4mm.show.result.model import title_of, unit_of
 from tg4mm.show.result.read import reading_of
 from tg4mm.show.web.pack import MotionFields, Packed, motion_fields, pack
 
@@ -125,10 +125,11 @@ def scene_json(
         raise RunError(f"{run.dataset}: the run's dataset is gone; a page opens with one of its cameras")
     capture = load_capture(run.dataset)
     camera, pixels = _first_camera(capture, gaussians, motion)
+    unit, factor = unit_of(capture)
     scene = {
         "format_version": FORMAT_VERSION,
         "title": title_of(capture),
-        "unit_scale_m": capture.unit_scale_m,
+        "length": {"unit": unit, "per_scene_unit": factor},
         "background": [1.0, 1.0, 1.0],
         "layout": packed.layout.as_json(),
         "camera": camera_json(camera),
@@ -175,7 +176,7 @@ def _motion_json(
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
         "amplitude": [_amplitude(m) for m in motion.displacement],
-        "peaks_hz": reading.peaks_hz(),
+        "peaks": [{"hz": hz, "band": list(band)} for hz, band in reading.peak_bands()],
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
         "alpha": alpha,

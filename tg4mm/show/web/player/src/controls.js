@@ -1,6 +1,6 @@
 // The panel: shows a state, and calls `change` with what a reader of the page sets in it.
 import { drawSpectrum } from "./spectrum.js";
-import { SPEEDS, bandOfAllPeaks, bandsOfPeaks, topOf } from "./state.js";
+import { SPEEDS, bandOfAllPeaks, peaksOf, topOf } from "./state.js";
 import { lengthText, short } from "./units.js";
 
 const find = (id) => document.getElementById(id);
@@ -15,13 +15,13 @@ function button(text, onClick, parent) {
   return made;
 }
 
-function facts({ layout, motion, unit_scale_m: scale }) {
+function facts({ layout, motion, length }) {
   const parts = [`${layout.n_gaussians.toLocaleString("en")} Gaussians`];
   if (!motion) return parts[0];
   parts.push(`${short(motion.n_timesteps / motion.fps)} s at ${short(motion.fps, 4)} frames/s`);
-  for (const f of motion.peaks_hz.slice(0, 3)) {
+  for (const { hz: f } of motion.peaks.slice(0, 3)) {
     const k = motion.freqs_hz.reduce((best, g, i, all) => (Math.abs(g - f) < Math.abs(all[best] - f) ? i : best), 0);
-    parts.push(`${short(f)} Hz, up to ${lengthText(motion.amplitude[k], scale)}`);
+    parts.push(`${short(f)} Hz, up to ${lengthText(motion.amplitude[k], length)}`);
   }
   return parts.join(" · ");
 }
@@ -43,8 +43,8 @@ export class Controls {
     for (const input of [alpha, find("alpha-number")])
       input.addEventListener("input", () => input.value !== "" && change({ alpha: Number(input.value) }));
     this.top = topOf(motion);
-    this.colour = drawSpectrum(find("spectrum"), motion, this.top, this.scene.unit_scale_m);
-    this.peaks = bandsOfPeaks(motion);
+    this.colour = drawSpectrum(find("spectrum"), motion, this.top, this.scene.length);
+    this.peaks = peaksOf(motion);
     const chips = find("peaks");
     this.chips = [{ band: null, chip: button("all", () => change({ band: null }), chips) }];
     const together = bandOfAllPeaks(motion);

@@ -19,8 +19,8 @@ function tick(top) {
   return [1, 2, 5, 10].map((m) => m * power).find((step) => top / step <= 6);
 }
 
-/** Draw into `svg`; frequencies run from 0 to `top` Hz, `scale` is metres per unit or null. Returns what colours the bars of a band. */
-export function drawSpectrum(svg, motion, top, scale) {
+/** Draw into `svg`; frequencies run from 0 to `top` Hz, `length` is the unit of lengths. Returns what colours the bars of a band. */
+export function drawSpectrum(svg, motion, top, length) {
   const width = 300;
   svg.setAttribute("viewBox", `0 0 ${width} 74`);
   svg.setAttribute("preserveAspectRatio", "none");
@@ -29,7 +29,7 @@ export function drawSpectrum(svg, motion, top, scale) {
     const level = Math.log10(Math.max(motion.amplitude[k] / strongest, FLOOR)) / -Math.log10(FLOOR) + 1;
     const height = Math.max(1, level * HEIGHT);
     const bar = element("rect", { x: (f / top) * width - 2, y: HEIGHT - height, width: 4, height });
-    bar.append(element("title", {}, `${f.toPrecision(4)} Hz: ${lengthText(motion.amplitude[k], scale)}`));
+    bar.append(element("title", {}, `${f.toPrecision(4)} Hz: ${lengthText(motion.amplitude[k], length)}`));
     return bar;
   });
   svg.replaceChildren(element("line", { x1: 0, x2: width, y1: HEIGHT, y2: HEIGHT }), ...bars);

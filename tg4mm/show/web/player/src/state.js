@@ -2,24 +2,16 @@
 
 const SPEEDS = [1, 1 / 2, 1 / 4, 1 / 8, 1 / 16];
 const SLOW_ENOUGH = 2; // cycles a second at which a motion is easily followed
-const HALF_WIDTH = 1; // Hz, of the band round a peak
 
 /** Highest frequency of the band's sliders, Hz: half the frame rate. */
 export const topOf = (motion) => motion.fps / 2;
 
-/** The band [low, high] in Hz round each peak: 1 Hz to both sides, and at most half way to the next peak. */
-export function bandsOfPeaks(motion) {
-  const sorted = [...motion.peaks_hz].sort((a, b) => a - b);
-  return sorted.map((f, i) => {
-    const others = [sorted[i - 1], sorted[i + 1]].filter((g) => g !== undefined);
-    const half = Math.min(HALF_WIDTH, ...others.map((g) => Math.abs(g - f) / 2));
-    return { hz: f, band: [Math.max(0, f - half), Math.min(topOf(motion), f + half)] };
-  });
-}
+/** {hz, band: [low, high] Hz} of each peak, by frequency. */
+export const peaksOf = (motion) => [...motion.peaks].sort((a, b) => a.hz - b.hz);
 
 /** From the lowest peak's band to the highest one's: not drift below nor noise above. Null without a peak: everything. */
 export function bandOfAllPeaks(motion) {
-  const bands = bandsOfPeaks(motion);
+  const bands = peaksOf(motion);
   return bands.length ? [bands[0].band[0], bands.at(-1).band[1]] : null;
 }
 
@@ -27,7 +19,7 @@ export function bandOfAllPeaks(motion) {
 export function firstState(scene) {
   const { motion } = scene;
   if (!motion) return { time: 0, alpha: 0, band: null, speed: 1, playing: false };
-  const main = motion.peaks_hz[0] ?? 1;
+  const main = motion.peaks[0]?.hz ?? 1;
   const speed = SPEEDS.find((s) => main * s <= SLOW_ENOUGH) ?? SPEEDS.at(-1);
   return { time: 0, alpha: motion.alpha, band: bandOfAllPeaks(motion), speed, playing: true };
 }

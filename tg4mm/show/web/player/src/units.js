@@ -3,9 +3,8 @@
 /** `digits` significant digits, no exponent where a person would write none. */
 export const short = (number, digits = 3) => String(Number(number.toPrecision(digits)));
 
-/** A length in scene units: in mm or µm where the scale, metres per unit, is known. */
-export function lengthText(units, scale) {
-  if (!scale) return `${short(units, 2)} scene units`;
-  const mm = units * scale * 1000;
-  return mm < 0.1 ? `${short(mm * 1000, 2)} µm` : `${short(mm, 2)} mm`;
+/** A length in scene units, shown in another unit (docs/conventions.md): below 0.1 mm in µm. */
+export function lengthText(units, { unit, per_scene_unit: factor }) {
+  const size = units * factor;
+  return unit === "mm" && size < 0.1 ? `${short(size * 1000, 2)} µm` : `${short(size, 2)} ${unit}`;
 }
