@@ -166,7 +166,9 @@ def _motion_json(
     magnified = motion.is_magnified()
     reading = reading_of(run)
     top = float((pixels * magnified).max(initial=0))
-    alpha = reading.result().alpha if top > 0 else 1.0
+    result = reading.result()
+    alpha = result.alpha if top > 0 else 1.0
+    amplitudes = {v.hz: v.amplitude.value for v in result.vibrations}
     light = motion.appearance
     series = {} if light is None else {"light_series": _parts(light.series * packed.light_sizes)}
     return {
@@ -176,13 +178,21 @@ def _motion_json(
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
         "amplitude": [_amplitude(m) for m in motion.displacement],
-        "peaks": [{"hz": hz, "band": list(band)} for hz, band in reading.peak_bands()],
+        "peaks": [
+            {"hz": hz, "band": list(band), "amplitude": amplitudes.get(hz, _nearest(motion, hz))}
+            for hz, band in reading.peak_bands()
+        ],
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
         "alpha": alpha,
         "alpha_max": alpha * 5,
         **series,
     }
+
+
+def _nearest(motion: ModalMotion, hz: float) -> float:
+    """The amplitude of the mode that is nearest to a frequency."""
+    return _amplitude(motion.displacement[int(np.abs(np.asarray(motion.freqs_hz) - hz).argmin())])
 
 
 def _amplitude(phasors: np.ndarray) -> float:

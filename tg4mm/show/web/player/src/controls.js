@@ -19,10 +19,8 @@ function facts({ layout, motion, length }) {
   const parts = [`${layout.n_gaussians.toLocaleString("en")} Gaussians`];
   if (!motion) return parts[0];
   parts.push(`${short(motion.n_timesteps / motion.fps)} s at ${short(motion.fps, 4)} frames/s`);
-  for (const { hz: f } of motion.peaks.slice(0, 3)) {
-    const k = motion.freqs_hz.reduce((best, g, i, all) => (Math.abs(g - f) < Math.abs(all[best] - f) ? i : best), 0);
-    parts.push(`${short(f)} Hz, up to ${lengthText(motion.amplitude[k], length)}`);
-  }
+  for (const { hz, amplitude } of motion.peaks.slice(0, 3))
+    parts.push(`${short(hz)} Hz, up to ${lengthText(amplitude, length)}`);
   return parts.join(" · ");
 }
 
