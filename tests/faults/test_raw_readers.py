@@ -57,7 +57,8 @@ ALLOWED = {
     # Writers alone.
     "dataset_gen/exr.py": "writes EXR",
     "dataset_gen/truth.py": "writes EXR",
-    "tg4mm/show/measure/write.py": "writes CSV",
+    "tg4mm/show/measure/tables.py": "writes CSV",
+    "tg4mm/show/measure/arrays.py": "writes HDF5",
     "tg4mm/core/splatfile/spz.py": "writes gzip",
 }  # fmt: skip
 

@@ -13,7 +13,7 @@ from tg4mm.core.errors import Tg4mmError
 def measure(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
     out: Annotated[
-        Path, typer.Option(help="Folder for measure.json, CSV, UFF, plots and animated pictures.")
+        Path, typer.Option(help="Folder for measure.json, files of --formats, plots and animated pictures.")
     ],
     sensor: Annotated[
         list[str] | None,
@@ -31,6 +31,13 @@ def measure(
         str | None,
         typer.Option(help="The sensor that phases and coherence refer to. [default: the first]"),
     ] = None,
+    formats: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="Files for other programs, by comma: csv, uff (universal file), mat (MATLAB), hdf5, xlsx.",
+        ),
+    ] = "csv,uff,mat,hdf5,xlsx",
     keep: Annotated[
         bool,
         typer.Option(
@@ -55,10 +62,11 @@ def measure(
     from tg4mm.show.measure import parse_sensor, prepare, read_sensors
     from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names
-    from tg4mm.show.measure.write import work_folder, write_measurement
+    from tg4mm.show.measure.write import parse_formats, work_folder, write_measurement
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)
+    wanted = parse_formats(formats)
     if reference is not None and asked and reference not in [s.name for s in asked]:
         raise Tg4mmError(
             f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
@@ -68,4 +76,4 @@ def measure(
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
         found = measured(prepare(opened, keep, is_once=True), asked or None, reference)
-        typer.echo(write_measurement(found, out, animate), nl=False)
+        typer.echo(write_measurement(found, out, animate, wanted), nl=False)

@@ -47,6 +47,8 @@ _CORE = {
     "matplotlib",
     "pyuff",
     "yaml",
+    "h5py",
+    "openpyxl",
 }
 
 app = typer.Typer(

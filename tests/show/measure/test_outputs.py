@@ -12,6 +12,7 @@ from PIL import Image
 
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
+from tg4mm.show.measure import measure, parse_sensor, sep005
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])
 
@@ -142,3 +143,84 @@ def test_a_folder_of_something_else_is_left_alone(run, tmp_path: Path, capsys) -
     assert main(["measure", str(run.path), "--out", str(tmp_path), "--sensor", "all"]) == 2
     assert "holds no measure.json" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
+
+
+def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run, out: Path) -> None:
+    import h5py
+    import openpyxl
+    import pyuff
+    from scipy.io import loadmat
+
+    rows = [
+        r for r in csv.DictReader((out / "series.csv").open()) if (r["sensor"], r["axis"]) == ("ball", "x")
+    ]
+    lines = [
+        r for r in csv.DictReader((out / "peaks.csv").open()) if (r["sensor"], r["axis"]) == ("ball", "x")
+    ]
+    columns = {
+        "displacement": ("displacement_mm", "mm"),
+        "displacement_deviation": ("deviation_mm", "mm"),
+        "velocity": ("velocity_mm_per_s", "mm/s"),
+        "velocity_deviation": ("velocity_deviation_mm_per_s", "mm/s"),
+        "acceleration_deviation": ("acceleration_deviation_mm_per_s2", "mm/s²"),
+    }
+    mat = loadmat(out / "measure.mat", simplify_cells=True)
+    ball = mat["sensors"][0]  # scipy makes a cell array of one the one
+    book = openpyxl.load_workbook(out / "measure.xlsx", read_only=True)
+    head, *below = book["series"].iter_rows(values_only=True)
+    sheet = [dict(zip(head, row, strict=True)) for row in below]
+    own = [r for r in sheet if (r["sensor"], r["axis"]) == ("ball", "x")]
+    with h5py.File(out / "measure.h5") as file:
+        series = file["sensors/1/series/1"]
+        assert (file["sensors/1"].attrs["name"], list(series.attrs["axes"])) == ("ball", ["x", "y", "z"])
+        for name, (column, unit) in columns.items():
+            csv_values = np.array([float(r[column]) for r in rows])
+            assert np.isfinite(csv_values).all()
+            assert series[name].attrs["unit"] == unit
+            assert mat["units"][name.removesuffix("_deviation")] == unit
+            for others in (series[name][:, 0], ball["series"][name][:, 0], [r[column] for r in own]):
+                np.testing.assert_allclose(others, csv_values, rtol=1e-5)
+        found = file["sensors/1/lines"]
+        for name, column in (
+            ("frequency", "frequency_hz"),
+            ("frequency_deviation", "frequency_deviation_hz"),
+        ):
+            np.testing.assert_allclose(found[name], [float(r[column]) for r in lines], rtol=6e-3)
+        assert found["amplitude"][0, 0] == pytest.approx(float(lines[0]["amplitude_mm"]), rel=1e-5)
+        assert np.atleast_2d(ball["lines"]["phase_deviation"])[0, 0] == pytest.approx(
+            float(lines[0]["phase_deviation_rad"]), rel=6e-3
+        )
+    assert book.sheetnames == ["series", "spectrum", "lines", "settings"]
+    settings = {row[0]: row[1:] for row in book["settings"].iter_rows(values_only=True)}
+    assert settings["sampling_rate"] == (pytest.approx(30), "Hz")
+    sets = pyuff.UFF(str(out / "measure.uff")).read_sets()
+    told = {
+        s["id2"]: s["data"] for s in reversed(sets) if s["type"] == 58 and s["rsp_node"] == s["rsp_dir"] == 1
+    }
+    metres = np.array([float(r["deviation_mm"]) for r in rows]) / 1000
+    np.testing.assert_allclose(told["displacement, standard deviation"], metres, rtol=1e-4)
+
+
+def test_sep005_is_what_the_standards_own_check_accepts(run) -> None:
+    standard = pytest.importorskip("sdypy_sep005", reason="the extra `dev` is not installed")
+    found = measure(run, [parse_sensor(BALL_SPHERE)])
+    signals = sep005(found)
+    assert len(signals) == 9
+    for signal in signals:
+        assert standard.Sep005Data.model_validate(signal).fs == pytest.approx(30)
+    first = signals[0]
+    assert (first["name"], first["unit_str"], first["quantity"]) == ("ball/x/displacement", "mm", "d")
+    np.testing.assert_allclose(first["data"], 100 * found["ball"].displacement[:, 0])
+
+
+def test_only_the_formats_asked_for_are_there_and_no_stale_one(run, tmp_path: Path, capsys) -> None:
+    words = ["measure", str(run.path), "--out", str(tmp_path / "out"), "--sensor", "all", "--no-animate"]
+    for formats, files in (("csv,mat", {"measure.mat", "series.csv"}), ("hdf5", {"measure.h5"})):
+        assert main([*words, "--formats", formats]) == 0
+        there = {p.name for p in (tmp_path / "out").iterdir()}
+        assert there - {"measure.json", "plots", "spectra.csv", "peaks.csv"} == files
+        assert ("peaks.csv" in there) == ("csv" in formats)
+    for bad in ("csv,docx", ""):
+        assert main(["measure", str(run.path), "--out", str(tmp_path / "new"), "--formats", bad]) == 2
+        assert "is no format; there are: csv, uff, mat, hdf5, xlsx" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

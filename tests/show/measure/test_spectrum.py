@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.show.measure.derivatives import derivatives_of
+from tg4mm.show.measure.derivatives import derivatives_of, deviations_of
 from tg4mm.show.measure.fourier import CHANCE
 from tg4mm.show.measure.orbit import orbit_of
 from tg4mm.show.measure.spectrum import spectrum_of
@@ -96,6 +96,25 @@ def test_velocity_and_acceleration_of_a_fast_tone() -> None:
 def test_differences_alone_lose_a_part_of_it() -> None:
     values, _ = noisy(sinusoid(8.2), 1e-4, 0)
     assert derivatives_of(TIMES, values, ()).velocity[:, 0].max() < 0.7 * 2 * np.pi * 8.2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_deviations_of_velocity_and_acceleration_are_their_scatter(share: float) -> None:
+    """Over 50 records of a tone and noise; with a share, each record is that much too large or too small."""
+    omega, rng, scores = 2 * np.pi * 8.2, np.random.default_rng(7), [[], []]
+    velocity = omega * np.array([1.0, 0, 0.5]) * -np.sin(omega * TIMES)[:, None]
+    acceleration = omega**2 * np.array([1.0, 0, 0.5]) * -np.cos(omega * TIMES)[:, None]
+    for seed in range(50):
+        values, sigma = noisy(sinusoid(8.2) * (1 + share * rng.normal()), 0.05, seed)
+        peaks = spectrum_of(TIMES, values, sigma, np.full(3, share) if share else None).peaks
+        found = derivatives_of(TIMES, values, peaks)
+        sure = deviations_of(found, TIMES, sigma, np.full(3, share), peaks)
+        scores[0].append((found.velocity - velocity)[2:-2] / sure.velocity[2:-2])
+        scores[1].append((found.acceleration - acceleration)[2:-2] / sure.acceleration[2:-2])
+    for one in scores:
+        inside = np.abs(np.array(one)) < 1
+        assert 0.6 < inside[:, :, 0].mean() < 0.88
+        assert inside.mean() > 0.6  # a share counts along every axis, whatever moves there
 
 
 def test_an_orbit_is_the_ellipse() -> None:

@@ -9,6 +9,7 @@
 docs/measure.md has the equations.
 """
 
+from tg4mm.show.measure.arrays import sep005
 from tg4mm.show.measure.clusters import Clusters
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement, default_sensors, measure, measure_one
@@ -38,4 +39,5 @@ __all__ = [
     "prepare",
     "prepare_fit",
     "read_sensors",
+    "sep005",
 ]

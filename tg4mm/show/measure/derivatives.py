@@ -1,6 +1,9 @@
 """Velocity and acceleration: lines that were found are differentiated exactly, what is left by differences.
 
-Differences alone would lose much of a vibration a few samples long, 17 % of the velocity at six samples a period.
+Differences alone would lose much of a vibration a few samples long, 17 % of the velocity at six samples a period. A
+sample's noise n and a line's error δ make the error D n + (d/dt − D) δ, D the differences; what errs in proportion to
+the motion does so in proportion to its derivative. Motion that is in no line and faster than a quarter of the rate is
+not in the deviations.
 """
 
 from __future__ import annotations
@@ -34,6 +37,55 @@ def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak
     velocity += np.gradient(left, times_s, axis=0)
     acceleration += _second_difference(left, times_s)
     return Derivatives(velocity, acceleration)
+
+
+def deviations_of(
+    found: Derivatives,
+    times_s: np.ndarray,
+    noise: np.ndarray,
+    share: np.ndarray,
+    peaks: Sequence[Peak],
+) -> Derivatives:
+    """Standard deviations of `found`, of samples with noise [T, A] and errors that are a `share` [A] of the motion."""
+    step = float(np.median(np.diff(times_s)))
+    variances = [_difference_variance(noise**2, times_s), _second_variance(noise**2, times_s)]
+    for peak in peaks:
+        omega, size = 2 * np.pi * peak.frequency_hz, peak.envelope(times_s)[:, None] * peak.deviation
+        missed = omega - np.sin(omega * step) / step, omega**2 - (2 * np.sin(omega * step / 2) / step) ** 2
+        for order in (0, 1):
+            variances[order] = variances[order] + (missed[order] * size) ** 2
+    out = []
+    for variance, values in zip(variances, (found.velocity, found.acceleration), strict=True):
+        length = np.linalg.norm(np.where(np.isfinite(variance), values, 0), axis=1)
+        out.append(np.sqrt(variance + (share * length[:, None]) ** 2))
+    return Derivatives(*out)
+
+
+def _difference_variance(variance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """[T, A] of `np.gradient` of independent samples."""
+    out = np.empty_like(variance)
+    before, after = np.diff(times_s)[:-1, None], np.diff(times_s)[1:, None]
+    total, old, mid, new = before + after, variance[:-2], variance[1:-1], variance[2:]
+    out[1:-1] = (before / (after * total)) ** 2 * new + (after / (before * total)) ** 2 * old
+    out[1:-1] += np.where(before == after, 0.0, ((after - before) / (before * after)) ** 2 * mid)
+    out[0] = (variance[0] + variance[1]) / (times_s[1] - times_s[0]) ** 2
+    out[-1] = (variance[-1] + variance[-2]) / (times_s[-1] - times_s[-2]) ** 2
+    return out
+
+
+def _second_variance(variance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    out = np.full_like(variance, np.inf)
+    if len(variance) < 3:
+        return out
+    before, after = np.diff(times_s)[:-1, None], np.diff(times_s)[1:, None]
+    total = before + after
+    out[1:-1] = 4 * (
+        variance[2:] / (after * total) ** 2
+        + variance[1:-1] / (before * after) ** 2
+        + variance[:-2] / (before * total) ** 2
+    )
+    out[0], out[-1] = out[1], out[-2]
+    return out
 
 
 def _second_difference(values: np.ndarray, times_s: np.ndarray) -> np.ndarray:

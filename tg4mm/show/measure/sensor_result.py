@@ -12,7 +12,7 @@ from tg4mm.capture.codec import Loss
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.compression import with_sidebands
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
-from tg4mm.show.measure.derivatives import Derivatives, derivatives_of
+from tg4mm.show.measure.derivatives import Derivatives, derivatives_of, deviations_of
 from tg4mm.show.measure.orbit import Orbit, orbit_of
 from tg4mm.show.measure.relations import Relation
 from tg4mm.show.measure.rigid import Body
@@ -34,6 +34,12 @@ class Record:
     def derivatives(self) -> Derivatives:
         own = self.series
         return derivatives_of(own.times_s, own.displacement, self.peaks)
+
+    @cached_property
+    def derivative_deviations(self) -> Derivatives:
+        """Standard deviations of `derivatives`; inf along a direction that is not observed."""
+        own = self.series
+        return deviations_of(self.derivatives, own.times_s, own.noise, own.model_share, self.peaks)
 
 
 @dataclass(frozen=True)

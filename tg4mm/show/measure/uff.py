@@ -24,11 +24,13 @@ MOST_NODES = 1500
 FIRST_GAUSSIAN = 1001
 _LINE = 240  # entries of a trace line, 250 at most
 _NEIGHBOURS = 3
-_TIME, _SPECTRUM = (
+_TIME, _GENERAL = (
     1,
     0,
-)  # function types of dataset 58: time response; general, since 12 is written by few programs
+)  # function types of dataset 58; a spectrum is general, since 12 is written by few programs
 _DISPLACEMENT = 8  # specific data type
+_WAVEFORM, _SPECTRUM = "displacement", "amplitude spectrum, Hann, zero to peak"
+_DEVIATION = "displacement, standard deviation"
 
 
 def write_uff(measurement: Measurement, path: Path) -> None:
@@ -156,6 +158,11 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
         name = f"{result.name}{clip}{_hidden(series)}"
         for k, values in enumerate(series.world().T * metres):
             out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
+        for k, values in enumerate(_world_deviation(series).T * metres):
+            if np.isfinite(values).all():
+                out.append(
+                    _function(node, k + 1, c, _GENERAL, name, values, of_time, (17, "s"), unit, _DEVIATION)
+                )
     name, hz, amplitudes = result.name, result.spectrum.freqs_hz, result.spectrum.amplitude
     if result.together is None:
         hz = frequency_grid(result.times_s)
@@ -163,8 +170,16 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
         name = f"{name}{_hidden(result.series)}"
     of_hz = {"x": hz, "spacing": 1, "start": 0.0, "step": float(hz[1])}
     for k, amplitude in enumerate(amplitudes.T * metres):
-        out.append(_function(node, k + 1, 0, _SPECTRUM, name, amplitude, of_hz, (18, "Hz"), unit))
+        out.append(_function(node, k + 1, 0, _GENERAL, name, amplitude, of_hz, (18, "Hz"), unit, _SPECTRUM))
     return out
+
+
+def _world_deviation(series: Series) -> np.ndarray:
+    """[T, 3] along the world's axes; not finite where a direction that is not observed takes part."""
+    share = series.axes**2
+    with np.errstate(invalid="ignore"):
+        parts = np.where(share > 1e-12, series.deviation[:, :, None] ** 2 * share, 0.0)
+    return np.asarray(np.sqrt(parts.sum(1)))
 
 
 def _hidden(series: Series) -> str:
@@ -173,12 +188,12 @@ def _hidden(series: Series) -> str:
 
 def _function(
     node: int, direction: int, case: int, kind: int, name: str, data: np.ndarray, x: dict[str, Any],
-    abscissa: tuple[int, str], unit: str,
+    abscissa: tuple[int, str], unit: str, what: str = _WAVEFORM,
 ) -> dict[str, Any]:  # fmt: skip
     import pyuff
 
     return pyuff.prepare_58(
-        binary=0, id1=name[:80], id2="displacement" if kind == _TIME else "amplitude spectrum, Hann, zero to peak",
+        binary=0, id1=name[:80], id2=what,
         id3="tg4mm measure", id4="NONE", id5="NONE", func_type=kind, ver_num=0, load_case_id=case, rsp_ent_name="NONE",
         rsp_node=node, rsp_dir=direction, ref_ent_name="NONE", ref_node=0, ref_dir=0, ord_data_type=4,
         num_pts=len(data), abscissa_spacing=x["spacing"], abscissa_min=x["start"], abscissa_inc=x["step"],

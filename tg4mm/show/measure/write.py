@@ -1,10 +1,8 @@
-"""Everything a measurement leaves in its folder: measure.json, tidy CSV, UFF, plots and animated pictures."""
+"""Everything a measurement leaves in its folder: measure.json, files for other programs, plots, animated pictures."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +10,11 @@ import numpy as np
 
 from tg4mm.capture.codec import reported_deviation
 from tg4mm.capture.look import Found
-from tg4mm.core.files import to_json, write_atomic, write_json
+from tg4mm.core.files import to_json, write_json
+from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.animate import write_animations
+from tg4mm.show.measure.arrays import settings_of, write_hdf5, write_mat
 from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
@@ -22,10 +22,27 @@ from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
 from tg4mm.show.measure.plots import write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.table import format_table
+from tg4mm.show.measure.tables import write_csv_files, write_xlsx
 from tg4mm.show.measure.uff import write_uff
 from tg4mm.show.measure.units import unit_of
 
 MARK = "measure.json"
+FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # file of OUT, what writes it
+    "csv": ("", write_csv_files),
+    "uff": ("measure.uff", write_uff),
+    "mat": ("measure.mat", write_mat),
+    "hdf5": ("measure.h5", write_hdf5),
+    "xlsx": ("measure.xlsx", lambda found, path: write_xlsx(found, path, _settings_rows(found))),
+}
+
+
+def parse_formats(text: str) -> tuple[str, ...]:
+    """Of "csv,mat" or "csv mat". Raises MeasureError for what is none, and for none at all."""
+    names = tuple(dict.fromkeys(text.replace(",", " ").split()))
+    for name in names or ("",):
+        if name not in FORMATS:
+            raise MeasureError(f"--formats {text!r}: {name!r} is no format; there are: {', '.join(FORMATS)}")
+    return names
 
 
 def work_folder(out: Path) -> WorkFolder:
@@ -33,11 +50,22 @@ def work_folder(out: Path) -> WorkFolder:
     return WorkFolder(out, MARK, MeasureError)
 
 
-def write_measurement(found: Measurement, out: Path, animate: bool = True) -> str:
-    """Everything into the folder OUT; returns the table, and where it lies. animate: the shape at every peak, too."""
+def write_measurement(
+    found: Measurement, out: Path, animate: bool = True, formats: Sequence[str] = tuple(FORMATS)
+) -> str:
+    """Everything into the folder OUT; returns the table, and where it lies. animate: the shape at every peak, too.
+
+    formats: names of `FORMATS`; a file that an earlier measurement wrote there in another one is removed.
+    """
     write_json_file(found, out)
-    write_csv_files(found, out)
-    write_uff(found, out / "measure.uff")
+    with progress("files", len(FORMATS), "formats", brief=True) as update:
+        for done, (name, (file, write)) in enumerate(FORMATS.items(), 1):
+            if name in formats:
+                write(found, out / file)
+            else:
+                for old in [file] if file else [f"{t}.csv" for t in ("series", "spectra", "peaks")]:
+                    (out / old).unlink(missing_ok=True)
+            update(done)
     write_plots(found, out)
     lines = [format_table(found)]
     if animate:
@@ -207,88 +235,5 @@ def _plain(values: np.ndarray) -> list[Any]:
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in values]
 
 
-def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
-    """OUT/series.csv, spectra.csv and peaks.csv: tidy, one value of one axis a row, units in the header."""
-    unit = unit_of(measurement)
-    u = unit.column
-    head = "sensor", "clock", "time_s", "axis", f"displacement_{u}", f"deviation_{u}", f"velocity_{u}_per_s"
-    series = _written(out / "series.csv", [*head, f"acceleration_{u}_per_s2"], _series_rows(measurement))
-    spectra = _written(
-        out / "spectra.csv",
-        ["sensor", "axis", "frequency_hz", f"amplitude_{u}", f"floor_{u}"],
-        _spectrum_rows(measurement),
-    )
-    names = [
-        "sensor",
-        "axis",
-        "frequency_hz",
-        "frequency_deviation_hz",
-        f"amplitude_{u}",
-        f"deviation_{u}",
-        "phase_rad",
-    ]
-    peaks = _written(
-        out / "peaks.csv",
-        [*names, f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz", "sideband_of_hz"],
-        _peak_rows(measurement),
-    )
-    return [series, spectra, peaks]
-
-
-def _series_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
-    for result in measurement.sensors:
-        factor = unit_of(measurement, result).factor
-        for record in result.records:
-            series, own = record.series, record.derivatives
-            for t, time in enumerate(series.times_s):
-                for k, label in enumerate(series.labels):
-                    values = (
-                        series.displacement[t, k],
-                        series.deviation[t, k],
-                        own.velocity[t, k],
-                        own.acceleration[t, k],
-                    )
-                    yield (
-                        result.name,
-                        series.clock,
-                        f"{time:.6f}",
-                        label,
-                        *(_number(v, factor) for v in values),
-                    )
-
-
-def _spectrum_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
-    for result in measurement.sensors:
-        factor, spectrum = unit_of(measurement, result).factor, result.spectrum
-        for f, hz in enumerate(spectrum.freqs_hz):
-            for k, label in enumerate(result.labels):
-                values = spectrum.amplitude[f, k], spectrum.floor[f, k]
-                yield result.name, label, f"{hz:.6g}", *(_number(v, factor) for v in values)
-
-
-def _peak_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
-    for result in measurement.sensors:
-        factor = unit_of(measurement, result).factor
-        for peak, damping in zip(result.spectrum.peaks, result.damping, strict=True):
-            hz = f"{peak.frequency_hz:.6g}", f"{peak.frequency_deviation_hz:.3g}"
-            for k, label in enumerate(result.labels):
-                values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
-                phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
-                zeta = "" if damping is None else f"{damping.ratio:.4g}"
-                others = peak.harmonic, peak.sideband
-                of_hz = ["" if other is None else f"{other.of_hz:.6g}" for other in others]
-                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta, *of_hz
-
-
-def _number(value: float, factor: float) -> str:
-    """Six digits; inf where nothing is observed."""
-    return f"{value * factor:.6g}"
-
-
-def _written(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
-    write_atomic(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
-    return path
+def _settings_rows(found: Measurement) -> list[tuple[Any, ...]]:
+    return [(name, *value) for name, value in settings_of(found).items()]
