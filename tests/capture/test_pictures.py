@@ -13,8 +13,7 @@ from PIL import Image
 from dataset_gen.png import encode
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
-from tg4mm.capture import Capture, load_images
-from tg4mm.capture import pictures as module
+from tg4mm.capture import Capture, frames, load_images
 from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
@@ -38,13 +37,13 @@ def capture(tmp_path: Path) -> Capture:
 def decoded(monkeypatch: pytest.MonkeyPatch) -> Counter[Path]:
     """How often each file has been decoded."""
     counts: Counter[Path] = Counter()
-    whole = module.decode
+    whole = frames.decode
 
     def counting(path: Path) -> np.ndarray:
         counts[path] += 1
         return whole(path)
 
-    monkeypatch.setattr(module, "decode", counting)
+    monkeypatch.setattr(frames, "decode", counting)
     return counts
 
 

@@ -234,7 +234,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     model = read_model(inside(root, folder, "the COLMAP model"))
     if not model.images:
         raise CaptureError(f"{folder}: holds no registered image")
-    views = in_order(root, [_view(root, model, image) for image in model.images])
+    views = in_order([_view(root, model, image) for image in model.images])
     return assemble(root, split, views, read_scene(root, needs_fps=False), 1, model.points)
 
 

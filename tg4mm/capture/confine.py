@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+from tg4mm.capture.frames import frame_of
 from tg4mm.core.errors import CaptureError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
@@ -21,13 +23,21 @@ def inside(root: Path, path: Path, where: str) -> Path:
 
 
 def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
-    """The image that `file_path`, relative to `folder`, means; without a suffix .png, .jpg, .jpeg, .exr are tried.
+    """The image, or the frame of a video, that `file_path` means, relative to `folder`.
 
-    Raises CaptureError if it is absolute, leaves `root`, or is not there.
+    Without a suffix .png, .jpg, .jpeg, .exr are tried. Raises CaptureError if it is absolute, leaves `root`, or is not
+    there.
     """
     if PurePosixPath(file_path).is_absolute() or PureWindowsPath(file_path).drive:
         raise CaptureError(f"{where}: file_path {file_path!r} is absolute; expected one relative to {folder}")
     named = folder / file_path
+    frame = frame_of(named)
+    if frame is not None:
+        if not inside(root, frame[0], where).is_file():
+            raise CaptureError(f"{where}: video {frame[0]} does not exist")
+        return root / os.path.normpath(
+            named.relative_to(root)
+        )  # one path for a video, whichever folder names it
     # Without with_suffix: "r_0.05" has no image suffix, and its ".05" must stay.
     has_suffix = named.suffix.lower() in IMAGE_SUFFIXES
     candidates = [named] if has_suffix else [named.with_name(named.name + s) for s in IMAGE_SUFFIXES]

@@ -1,6 +1,6 @@
 """A capture as other trainers read one: nerfstudio's transforms.json with a time per frame, or a COLMAP text model.
 
-Pictures are hard links to the dataset's own, copies where links are not to be had.
+Pictures are hard links to the dataset's own, copies where links are not to be had; frames of a video are written out.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.frames import frame_of, picture
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.readers import load_capture
+from tg4mm.capture.sfm.clip import save_png
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.files import json_digest, link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import progress
@@ -163,8 +165,13 @@ def link_pictures(capture: Capture, folder: Path) -> list[str]:
     names = []
     with progress("pictures", len(capture), "pictures", brief=True) as update:
         for done, path in enumerate(capture.paths, 1):
-            name = path.relative_to(capture.root)
-            if not _is_there(path, folder / name):
+            name, frame = path.relative_to(capture.root), frame_of(path)
+            if frame is not None:
+                name = name.parent / frame[0].stem / f"{frame[1]:06d}.png"
+                if not (folder / name).is_file():
+                    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                    save_png(folder / name, picture(path)[..., :3])
+            elif not _is_there(path, folder / name):
                 link_or_copy(path, folder / name)
             names.append(name.as_posix())
             update(done)

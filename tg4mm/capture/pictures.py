@@ -6,7 +6,7 @@ From disk, what one camera saw is decoded when its turn comes and let go after: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -16,11 +16,12 @@ from typing import Protocol
 
 import numpy as np
 
+from tg4mm.capture.frames import each_picture, picture, picture_header
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
-from tg4mm.core.pictures.decode import THREADS, decode, image_header
-from tg4mm.core.progress import Update, progress
+from tg4mm.core.pictures.decode import THREADS
+from tg4mm.core.progress import progress
 
 WHITE = (1.0, 1.0, 1.0)
 _SHOWN = 50_000_000  # pixels, which take some two seconds: reading more shows how far it is
@@ -88,43 +89,39 @@ def load_images(capture: Capture) -> ImageStack:
         CaptureError: a file is missing, truncated or damaged, or its size has changed.
     """
     c, height, width = len(capture), capture.height, capture.width
-    with ThreadPoolExecutor(THREADS) as pool:
-        bits = max(header.bits for header in pool.map(image_header, capture.paths))
-        try:
-            data = np.empty((c, height, width, 4), np.uint16 if bits == 16 else np.uint8)
-        except MemoryError:
-            need = c * height * width * bits / 2 / 2**30
-            raise CaptureError(
-                f"{capture.root}: {c} pictures of {width}×{height} pixels need {need:.1f} GiB of memory"
-            ) from None
+    bits = _bits(capture)
+    try:
+        data = np.empty((c, height, width, 4), np.uint16 if bits == 16 else np.uint8)
+    except MemoryError:
+        need = c * height * width * bits / 2 / 2**30
+        raise CaptureError(
+            f"{capture.root}: {c} pictures of {width}×{height} pixels need {need:.1f} GiB of memory"
+        ) from None
 
-        def load(i: int) -> None:
-            data[i] = _stored(capture.paths[i], (height, width), bits)
+    def take(i: int, image: np.ndarray) -> None:
+        data[i] = _stored(capture.paths[i], image, (height, width), bits)
 
-        shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
-        with shown as update:
-            _finish(pool, [pool.submit(load, i) for i in range(c)], update)
+    shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
+    with shown as update:
+        for done in each_picture(capture.paths, take):
+            if update:
+                update(done)
     return ImageStack(data)
 
 
-def _stored(path: Path, size: tuple[int, int], bits: int) -> np.ndarray:
-    """[H, W, 4] uint8 or uint16 of a file of that size; 8-bit values are widened where `bits` is 16."""
-    image, (height, width) = decode(path), size
+def _bits(capture: Capture) -> int:
+    """Of each channel: 16 if any file has them."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        return max(header.bits for header in pool.map(picture_header, capture.paths))
+
+
+def _stored(path: Path, image: np.ndarray, size: tuple[int, int], bits: int) -> np.ndarray:
+    """A decoded picture, which must have that size; 8-bit values are widened where `bits` is 16."""
     if image.shape[:2] != size:
-        raise CaptureError(f"{path}: is {image.shape[1]}×{image.shape[0]} pixels, expected {width}×{height}")
+        raise CaptureError(
+            f"{path}: is {image.shape[1]}×{image.shape[0]} pixels, expected {size[1]}×{size[0]}"
+        )
     return image.astype(np.uint16) * 257 if bits == 16 and image.dtype == np.uint8 else image
-
-
-def _finish(pool: ThreadPoolExecutor, futures: Iterable, update: Update | None = None) -> None:
-    """Wait for all; on the first error, and on Ctrl-C, start no further ones."""
-    try:
-        for done, future in enumerate(futures, 1):
-            future.result()
-            if update:
-                update(done)
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
 
 
 # Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
@@ -166,20 +163,17 @@ class FilePictures:
     @cached_property
     def maximum(self) -> int:
         """65535 if any file has 16 bits."""
-        with ThreadPoolExecutor(THREADS) as pool:
-            bits = max(header.bits for header in pool.map(image_header, self.capture.paths))
-        return (1 << bits) - 1
+        return (1 << _bits(self.capture)) - 1
 
     def strips(self, rows: Sequence[int]) -> Strips:
         data = mapped_zeros((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
 
-        def load(k: int) -> None:
-            data[k] = self.stored(rows[k])
+        def take(k: int, image: np.ndarray) -> None:
+            data[k] = self._stored(rows[k], image)
             release(data)
 
-        with ThreadPoolExecutor(THREADS) as pool:
-            for _ in pool.map(load, range(len(rows))):
-                pass
+        for _ in each_picture([self.capture.paths[row] for row in rows], take):
+            pass
 
         def strip(rows: slice) -> np.ndarray:
             out = np.array(data[:, rows])
@@ -198,7 +192,10 @@ class FilePictures:
 
     def stored(self, i: int) -> np.ndarray:
         """[H, W, 4] uint8 or uint16: picture i."""
-        return _stored(self.capture.paths[i], self.size, self.maximum.bit_length())
+        return self._stored(i, picture(self.capture.paths[i]))
+
+    def _stored(self, i: int, image: np.ndarray) -> np.ndarray:
+        return _stored(self.capture.paths[i], image, self.size, self.maximum.bit_length())
 
 
 @dataclass(frozen=True)

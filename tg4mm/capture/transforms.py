@@ -15,12 +15,13 @@ import numpy as np
 
 from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
 from tg4mm.capture.confine import image_path, inside
+from tg4mm.capture.frames import frame_of, picture_header
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.pictures.decode import THREADS, image_header
+from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.records import Record, read_record
 from tg4mm.core.values import shown
 
@@ -74,7 +75,7 @@ def views_of_frames(
             raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
         time_s = frame.number("time") if frame.has("time") else math.nan
         views[image] = View(image, timestep, read_pose(frame), frame, file, time_s)
-    return in_order(folder, views.values())
+    return in_order(views.values())
 
 
 def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
@@ -107,9 +108,11 @@ def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
     return views, replace(scene, fps=fps), max(timesteps) + 1
 
 
-def in_order(folder: Path, views: Iterable[View]) -> list[View]:
-    """Views in natural order of their images' names below `folder`."""
-    return sorted(views, key=lambda view: natural(view.path.relative_to(folder).as_posix()))
+def in_order(views: Iterable[View]) -> list[View]:
+    """Views in natural order of their images' names; by the last part alone where some are frames of a video."""
+    some = list(views)
+    alone = any(frame_of(view.path) for view in some)
+    return sorted(some, key=lambda view: natural(view.path.name if alone else view.path.as_posix()))
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -130,7 +133,7 @@ def assemble(
     points: None takes points3d.ply, if it is there.
     """
     with ThreadPoolExecutor(THREADS) as pool:
-        sizes = [(h.width, h.height) for h in pool.map(image_header, [view.path for view in views])]
+        sizes = [(h.width, h.height) for h in pool.map(picture_header, [view.path for view in views])]
     for view, size in zip(views, sizes, strict=True):
         if size != sizes[0]:
             first = f"{views[0].path} is {sizes[0][0]}×{sizes[0][1]}"

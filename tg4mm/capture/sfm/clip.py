@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.sfm.video import video_frames
+from tg4mm.capture.sfm.video import VIDEO_SUFFIXES, video_frames
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 NAMES = ", ".join(VIDEO_SUFFIXES)
 UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate to count as variable
 

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.frames import index_of
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames, save_png
 from tg4mm.capture.sfm.undistort import Lens
+from tg4mm.capture.sfm.video import HAIR_S
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.files import write_atomic, write_json
+from tg4mm.core.files import link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import Update, progress
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -61,18 +63,24 @@ def write_dataset(
     n_timesteps = max(len(track) for track in tracks)
     folders = [out] if n_timesteps == 1 else [out / f"{t:03d}" for t in range(n_timesteps)]
     splits = _splits(tracks, test_every)
+    frames = {track.name: video_frames_of(out, track) for track in tracks}
     with progress("dataset", sum(len(track) for track in tracks), "pictures") as update:
         done = 0
         for split, members in splits.items():
             for track in members:
-                _write_pictures([folder / split for folder in folders[: len(track)]], track, update, done)
+                if frames[track.name] is None:
+                    _write_pictures([folder / split for folder in folders[: len(track)]], track, update, done)
                 done += len(track)
                 update(done)
     for t, folder in enumerate(folders):
         for split, members in splits.items():
-            frames = [_frame(split, track, t) for track in members if t < len(track)]
-            if frames:
-                write_json(folder / f"transforms_{split}.json", {"frames": frames})
+            seen = [track for track in members if t < len(track)]
+            if seen:
+                folder.mkdir(parents=True, exist_ok=True)
+                up = "." if folder == out else ".."
+                files = [_file(split, track, frames[track.name], t, up) for track in seen]
+                entries = [_frame(track, t, file) for track, file in zip(seen, files, strict=True)]
+                write_json(folder / f"transforms_{split}.json", {"frames": entries})
     if len(points.xyz):
         write_points(out / "points3d.ply", points)
     width, height = tracks[0].lens.size
@@ -134,12 +142,40 @@ def _write_picture(target: Path, lens: Lens, frame: Frame) -> None:
     save_png(target, image, level=3)
 
 
-def _frame(split: str, track: Track, t: int) -> dict[str, Any]:
+def video_of(out: Path, clip: Clip) -> Path:
+    """The clip's video in the dataset, a link where that can be."""
+    own = out / "video" / clip.path.name
+    if not own.exists():
+        link_or_copy(clip.path, own)
+    return own
+
+
+def video_frames_of(out: Path, track: Track) -> list[str] | None:
+    """[T] the track's pictures as frames of its video in the dataset; None where they are files.
+
+    So are those that are undistorted, and those of a container that does not tell of every frame.
+    """
+    if not (track.clip.is_video and track.lens.keeps):
+        return None
+    low, high = track.window.start_s - HAIR_S, track.window.stop_s - HAIR_S
+    inside = (n for n, time in enumerate(index_of(track.clip.path).times) if low <= time < high)
+    numbers = [n for row, n in enumerate(inside) if row not in track.clip.repeats]
+    if len(numbers) != len(track):
+        return None
+    return [f"video/{video_of(out, track.clip).name}#{n}" for n in numbers]
+
+
+def _file(split: str, track: Track, frames: list[str] | None, t: int, up: str) -> str:
+    """Where picture t lies, from its timestep's folder; `up`: from there to the dataset."""
+    return f"./{split}/{track.file(_rows(track)[t])}" if frames is None else f"{up}/{frames[t]}"
+
+
+def _frame(track: Track, t: int, file: str) -> dict[str, Any]:
     """The frame as transforms_<split>.json has it."""
     pose = np.linalg.inv(track.viewmats[t]) @ _OPENGL_FROM_OPENCV
     K, (width, height) = track.lens.K, track.lens.size
     frame = {
-        "file_path": f"./{split}/{track.file(_rows(track)[t])}",
+        "file_path": file,
         "transform_matrix": pose.tolist(),
         "fl_x": K[0, 0],
         "fl_y": K[1, 1],

@@ -19,7 +19,7 @@ from typing import Any
 from tg4mm.capture.sfm import mapping
 from tg4mm.capture.sfm.clip import KEYS, SWEEP_FRAMES, WHOLE, extract_frames, sharp_rows
 from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, Work, checked, open_request
-from tg4mm.capture.sfm.dataset import write_dataset
+from tg4mm.capture.sfm.dataset import video_of, write_dataset
 from tg4mm.capture.sfm.defects import check_usable, motion_of, warn_bumps, warn_clocks
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.flat import write_flat
@@ -50,7 +50,6 @@ from tg4mm.capture.sfm.staging import (
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
-from tg4mm.core.files import link_or_copy
 
 FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
 
@@ -140,11 +139,8 @@ def _video(job: _Job) -> dict[str, Any]:
     clip, survey = job.sources.clips[0], job.surveys[0]
     if not clip.is_video:
         return {}
-    own = job.work.out / "video" / clip.path.name
-    if not own.exists():
-        link_or_copy(clip.path, own)
-    start_s = max(job.config.window.start_s, 0.0)
-    return {"video": {"file": f"video/{clip.path.name}", "from_s": start_s, "repeats": list(survey.repeats)}}
+    own, start_s = video_of(job.work.out, clip), max(job.config.window.start_s, 0.0)
+    return {"video": {"file": f"video/{own.name}", "from_s": start_s, "repeats": list(survey.repeats)}}
 
 
 def _posed(job: _Job) -> dict[str, Any]:

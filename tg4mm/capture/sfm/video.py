@@ -18,6 +18,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
 ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 PLANAR = ("yuv4", "yuvj4", "nv12", "gray")  # pixel formats whose first plane is the luma
 TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
@@ -71,7 +72,7 @@ def av_module() -> Any:
 
 def video_info(path: Path) -> VideoInfo:
     """The container's own figures. Raises CaptureError where it is no video that can be decoded."""
-    with _opened(path) as container:
+    with opened(path) as container:
         stream = container.streams.video[0]
         rates = [stream.average_rate, stream.base_rate, stream.guessed_rate]
         known = tuple(dict.fromkeys(Fraction(rate) for rate in rates if rate))
@@ -87,14 +88,14 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
     """
     for coded, frame in _decoded(path, start_s, stop_s):
         yield VideoFrame(
-            coded.time, coded.is_between, coded.is_alone, _upright(frame, frame.to_ndarray(format="rgb24"))
+            coded.time, coded.is_between, coded.is_alone, upright(frame, frame.to_ndarray(format="rgb24"))
         )
 
 
 def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[GreyFrame]:
     """As `video_frames`, luma alone."""
     for coded, frame in _decoded(path, start_s, stop_s):
-        yield GreyFrame(coded.time, coded.is_between, coded.is_alone, _upright(frame, _luma(frame)))
+        yield GreyFrame(coded.time, coded.is_between, coded.is_alone, upright(frame, _luma(frame)))
 
 
 def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedFrame, Any]]:
@@ -102,7 +103,7 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
     av = av_module()
     first: Fraction | None = None
     time, step = Fraction(0), Fraction(0)
-    with av.logging.Capture(False) as log, _opened(path) as container:
+    with av.logging.Capture(False) as log, opened(path) as container:
         stream = container.streams.video[0]
         stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
         log.clear()
@@ -136,14 +137,15 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
         raise _damaged(path, time, duration)
 
 
-def _upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
+def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
+    """A decoded frame's pixels, turned as its container asks."""
     turns = TURNS.get(round(frame.rotation), 0)
     return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
 
 
 def turns_of(path: Path) -> int:
     """By how many quarter turns pictures are turned upright, as the container asks."""
-    with _opened(path) as container:
+    with opened(path) as container:
         frame = next(container.decode(video=0), None)
     return 0 if frame is None else TURNS.get(round(frame.rotation), 0)
 
@@ -156,8 +158,8 @@ def _luma(frame: Any) -> np.ndarray:
     return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
 
 
-def _opened(path: Path) -> Any:
-    """The container, with a video in it whose decoder is known."""
+def opened(path: Path) -> Any:
+    """The container, open, with a video in it whose decoder is known."""
     av = av_module()
     try:
         with av.logging.Capture(False):

@@ -1,0 +1,118 @@
+"""Pictures that are frames of a video in the dataset, decoded on demand."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.capture.sfm.videos import still, write_video
+from tg4mm.capture import load_capture, load_images
+from tg4mm.capture.convert import write_nerfstudio
+from tg4mm.capture.frames import each_picture, picture
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.dataset import Track, video_frames_of
+from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.capture.sfm.undistort import Lens
+from tg4mm.capture.sfm.video import video_frames
+from tg4mm.core.errors import CaptureError
+
+T = 60
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Key frames at 0, 24, 48 …, B pictures between; stored lying on its side, after #s in its name."""
+    return write_video(tmp_path_factory.mktemp("in") / "a#3.mp4", still(T), rotation=90, between=3)
+
+
+@pytest.fixture(scope="module")
+def dataset(video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "flat"
+    reconstruct(video, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def truth(video: Path) -> list[np.ndarray]:
+    return [frame.rgb for frame in video_frames(video)]
+
+
+def test_in_any_order_they_are_the_frames_upright(video: Path, truth: list[np.ndarray]) -> None:
+    for k in [*np.random.default_rng(0).permutation(T).tolist(), 0, 0, 59, 58]:
+        np.testing.assert_array_equal(picture(Path(f"{video}#{k}"))[..., :3], truth[k])
+
+
+def test_frames_and_files_come_once_each(video: Path, truth: list[np.ndarray], tmp_path: Path) -> None:
+    Image.fromarray(truth[0]).save(tmp_path / "0.png")
+    paths = [Path(f"{video}#7"), tmp_path / "0.png", Path(f"{video}#2"), Path(f"{video}#7")]
+    found: dict[int, np.ndarray] = {}
+    assert list(each_picture(paths, lambda k, image: found.setdefault(k, image))) == [1, 2, 3, 4]
+    for k, number in enumerate((7, 0, 2, 7)):
+        np.testing.assert_array_equal(found[k][..., :3], truth[number])
+
+
+def test_a_dataset_holds_the_video_and_no_pictures(dataset: Path, truth: list[np.ndarray]) -> None:
+    capture = load_capture(dataset)
+    assert not list(dataset.rglob("0*/**/*.png"))
+    np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
+    strip = FilePictures(capture).strips([3, 50, 4])
+    np.testing.assert_array_equal(strip(slice(5, 9))[..., :3], np.stack([truth[k][5:9] for k in (3, 50, 4)]))
+
+
+def test_a_window_and_its_repeats_count_from_the_first_frame(video: Path, tmp_path: Path) -> None:
+    clip = Clip("a", video).without([4, 9])
+    numbers = [k for k in range(15, T) if k not in (19, 24)]
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    track = Track("a", clip, Lens(np.eye(3), (120, 160), None), poses, window=Window(0.5))
+    assert video_frames_of(tmp_path, track) == [f"video/a#3.mp4#{k}" for k in numbers]
+    assert (
+        video_frames_of(tmp_path, replace(track, viewmats=poses[1:])) is None
+    )  # the container tells of others
+
+
+def test_conversion_writes_them_out(dataset: Path, truth: list[np.ndarray], tmp_path: Path) -> None:
+    write_nerfstudio([load_capture(dataset)], tmp_path / "out")
+    capture = load_capture(tmp_path / "out")
+    assert len(capture) == T
+    np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
+
+
+def _point_at(dataset: Path, file_path: str) -> None:
+    file = dataset / "004" / "transforms_train.json"
+    values = json.loads(file.read_text())
+    values["frames"][0]["file_path"] = file_path
+    file.write_text(json.dumps(values))
+
+
+@pytest.mark.parametrize(
+    ("file_path", "said"),
+    [
+        ("../video/a#3.mp4#60", r"the video has 60 frames, 0 to 59"),
+        ("../video/b.mp4#0", r"video .*b\.mp4 does not exist"),
+        ("../../x.mp4#0", r"leads outside the dataset's folder"),
+        ("/x.mp4#0", r"is absolute"),
+        ("../video/a#3.mp4", r"is of a kind that is not read"),
+        ("../scene.json#0", r"does not exist"),
+    ],
+)
+def test_bad_addresses_are_refused(dataset: Path, tmp_path: Path, file_path: str, said: str) -> None:
+    shutil.copytree(dataset, tmp_path / "d")
+    _point_at(tmp_path / "d", file_path)
+    with pytest.raises(CaptureError, match=said):
+        load_capture(tmp_path / "d")
+
+
+def test_a_video_that_was_cut_off_is_refused(dataset: Path, tmp_path: Path) -> None:
+    shutil.copytree(dataset, tmp_path / "d")
+    own = tmp_path / "d" / "video" / "a#3.mp4"
+    whole = own.read_bytes()
+    own.write_bytes(whole[: len(whole) * 2 // 3])
+    with pytest.raises(CaptureError, match=r"a#3\.mp4"):
+        load_images(load_capture(tmp_path / "d"))

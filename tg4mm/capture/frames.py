@@ -1,0 +1,185 @@
+"""Pictures that are frames of a video in the dataset: `video/clip.mp4#37` is its frame 37, from 0, by time.
+
+They are decoded when they are asked for, in the order of the file; asked for in order, each once.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from tg4mm.capture.sfm.video import VIDEO_SUFFIXES, av_module, opened, upright
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
+
+_FRAME = re.compile(
+    rf"(.+(?:{'|'.join(map(re.escape, VIDEO_SUFFIXES))}))#([0-9]{{1,9}})", re.IGNORECASE | re.DOTALL
+)
+_OPEN = 32  # videos that stay open, and their indices
+
+
+@dataclass(frozen=True)
+class Index:
+    """Where a video's frames lie, by time."""
+
+    stamps: tuple[int, ...]  # [T] rising, in units of `tick`
+    keys: tuple[int, ...]  # frames that decoding can begin with
+    tick: Fraction  # seconds
+
+    @property
+    def times(self) -> list[Fraction]:
+        """[T] seconds since the first frame."""
+        return [(stamp - self.stamps[0]) * self.tick for stamp in self.stamps]
+
+
+def frame_of(path: Path) -> tuple[Path, int] | None:
+    """The video and the frame's number; None for a picture of its own."""
+    match = _FRAME.fullmatch(str(path))
+    return (Path(match[1]), int(match[2])) if match else None
+
+
+def index_of(video: Path) -> Index:
+    """Read from the container alone, nothing decoded. Raises CaptureError for what is no video."""
+    state = video.stat()
+    return _index(video, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(_OPEN)
+def _index(video: Path, size: int, changed_ns: int) -> Index:
+    with opened(video) as container:
+        stream = container.streams.video[0]
+        try:
+            packets = [(p.pts, p.is_keyframe) for p in container.demux(stream) if p.pts is not None]
+        except av_module().FFmpegError as error:
+            raise CaptureError(f"{video}: is damaged or cut off; copy it from the camera again") from error
+        tick = Fraction(stream.time_base)
+    if not packets:
+        raise CaptureError(f"{video}: holds no frames")
+    stamps = tuple(sorted({stamp for stamp, _ in packets}))
+    number = {stamp: n for n, stamp in enumerate(stamps)}
+    return Index(stamps, tuple(sorted(number[stamp] for stamp, is_key in packets if is_key)), tick)
+
+
+def picture_header(path: Path) -> ImageHeader:
+    """`image_header` of a picture, or of a frame without decoding it. CaptureError where the video ends before it."""
+    frame = frame_of(path)
+    if frame is None:
+        return image_header(path)
+    video, number = frame
+    count = len(index_of(video).stamps)
+    if number >= count:
+        raise CaptureError(f"{path}: the video has {count} frames, 0 to {count - 1}")
+    with _reader(video) as reader:
+        return reader.header
+
+
+def picture(path: Path) -> np.ndarray:
+    """[H, W, 4] uint8 or uint16: `decode` of a picture, or a frame, upright."""
+    frame = frame_of(path)
+    if frame is None:
+        return decode(path)
+    with _reader(frame[0]) as reader:
+        return reader.read(frame[1])
+
+
+def each_picture(paths: Sequence[Path], use: Callable[[int, np.ndarray], None]) -> Iterator[int]:
+    """Call `use` with every number of `paths` and its picture: files by threads, a video's frames in its order.
+
+    Yields how many are done. On the first error, and on Ctrl-C, no further ones are begun.
+    """
+    frames = [(frame, k) for k, path in enumerate(paths) if (frame := frame_of(path)) is not None]
+    others = [k for k in range(len(paths)) if frame_of(paths[k]) is None] if len(frames) < len(paths) else []
+    done = 0
+    for _, k in sorted(frames):
+        use(k, picture(paths[k]))
+        yield (done := done + 1)
+    with ThreadPoolExecutor(THREADS) as pool:
+        futures = [pool.submit(lambda k: use(k, decode(paths[k])), k) for k in others]
+        try:
+            for future in futures:
+                future.result()
+                yield (done := done + 1)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+class _Reader:
+    """One open video, and how far it has been decoded."""
+
+    def __init__(self, video: Path) -> None:
+        self.video, self.index, self.lock = video, index_of(video), Lock()
+        self.number = {stamp: n for n, stamp in enumerate(self.index.stamps)}
+        self.at, self.last = (
+            -1,
+            np.zeros((0, 0, 4), np.uint8),
+        )  # the frame that was decoded last, and its number
+        self._open()
+
+    def __enter__(self) -> _Reader:
+        self.lock.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.lock.release()
+
+    @property
+    def header(self) -> ImageHeader:
+        pixels = self.last if self.last.size else self.read(0)
+        return ImageHeader(pixels.shape[1], pixels.shape[0], 8)
+
+    def read(self, number: int) -> np.ndarray:
+        """[H, W, 4] uint8."""
+        if self.at == number:
+            return self.last
+        keys = self.index.keys
+        key = keys[max(bisect_right(keys, number) - 1, 0)] if keys else 0
+        try:
+            if not 0 <= self.at < number or key > self.at:
+                self.container.seek(self.index.stamps[key], stream=self.stream)
+                self.frames = self.container.decode(self.stream)
+            if not self._is_reached(number):  # a container whose index is wrong
+                self._open()
+                if not self._is_reached(number):
+                    raise CaptureError(f"{self.video}: frame {number} cannot be decoded")
+        except av_module().FFmpegError as error:
+            self.at = -1
+            raise CaptureError(f"{self.video}: frame {number} cannot be decoded: {error}") from error
+        return self.last
+
+    def _open(self) -> None:
+        self.container = opened(self.video)
+        self.stream = self.container.streams.video[0]
+        self.stream.thread_type = "AUTO"
+        self.frames, self.at = self.container.decode(self.stream), -1
+
+    def _is_reached(self, number: int) -> bool:
+        for frame in self.frames:
+            self.at = self.number.get(frame.pts, -1)
+            if self.at == number:
+                rgb = upright(frame, frame.to_ndarray(format="rgb24"))
+                self.last = np.full((*rgb.shape[:2], 4), 255, np.uint8)
+                self.last[..., :3] = rgb
+            if self.at >= number:
+                return self.at == number
+        return False
+
+
+def _reader(video: Path) -> _Reader:
+    state = video.stat()
+    return _kept_reader(video, state.st_size, state.st_mtime_ns, os.getpid())
+
+
+@lru_cache(_OPEN)
+def _kept_reader(video: Path, size: int, changed_ns: int, process: int) -> _Reader:
+    return _Reader(video)
