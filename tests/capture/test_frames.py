@@ -20,7 +20,7 @@ from tg4mm.capture.sfm.clip import Clip, Window
 from tg4mm.capture.sfm.dataset import Track, video_frames_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.capture.sfm.undistort import Lens
-from tg4mm.capture.sfm.video import video_frames
+from tg4mm.capture.video import video_frames
 from tg4mm.core.errors import CaptureError
 
 T = 60

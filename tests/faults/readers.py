@@ -44,8 +44,8 @@ from tg4mm.capture.sfm.scale import checked_length, read_length
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.staging import exif_turns
 from tg4mm.capture.sfm.survey import survey_clip
-from tg4mm.capture.sfm.video import video_frames, video_info
 from tg4mm.capture.truth_file import load_truth
+from tg4mm.capture.video import video_frames, video_info
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 from tg4mm.core.steps import run_steps

@@ -31,7 +31,7 @@ ALLOWED = {
     "tg4mm/core/pictures/exr.py": "EXR",
     "tg4mm/capture/points.py": "PLY",
     "tg4mm/capture/sfm/staging.py": "EXIF of a photograph that decode.py has checked",
-    "tg4mm/capture/sfm/video.py": "videos",
+    "tg4mm/capture/video.py": "videos",
     "tg4mm/core/splatfile/rows.py": "PLY, as long as its header says",
     "tg4mm/core/splatfile/antimatter.py": ".splat, as long as its records are",
     "tg4mm/core/splatfile/sog.py": "SOG: lossless WebP by Pillow, after the header was checked",

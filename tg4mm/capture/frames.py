@@ -18,7 +18,7 @@ from threading import Lock
 
 import numpy as np
 
-from tg4mm.capture.sfm.video import VIDEO_SUFFIXES, av_module, opened, upright
+from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened, upright
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
 

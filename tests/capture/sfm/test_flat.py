@@ -62,7 +62,7 @@ def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture)
 
 
 def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
-    from tg4mm.capture.sfm.video import video_frames
+    from tg4mm.capture.video import video_frames
 
     images = load_images(capture)
     for image, frame in zip(images.data, video_frames(video), strict=True):

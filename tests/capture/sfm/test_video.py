@@ -10,7 +10,7 @@ import pytest
 
 from tests.capture.sfm.videos import SIZE, cut_off, still, texture, write_video
 from tg4mm.capture.sfm.clip import Clip, Window, clip_frames, frame_rate, regular_times, uneven_steps
-from tg4mm.capture.sfm.video import video_frames, video_info
+from tg4mm.capture.video import video_frames, video_info
 from tg4mm.core.errors import CaptureError
 
 NTSC = Fraction(30000, 1001)

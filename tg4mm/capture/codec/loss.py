@@ -21,7 +21,7 @@ import numpy as np
 
 from tg4mm.capture.codec.probe import Probe, probe
 from tg4mm.capture.codec.trial import Tone, through
-from tg4mm.capture.sfm.video import av_module
+from tg4mm.capture.video import av_module
 from tg4mm.core.errors import Tg4mmError
 
 # The deviation of a gain: times the test's standard error, and beside it (docs/uncertainty.md, films of x264, x265)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.sfm.video import ALONE, BETWEEN, TURNS, av_module
+from tg4mm.capture.video import ALONE, BETWEEN, TURNS, av_module
 
 _PIXELS = ("yuv420p", "yuvj420p")  # 8 bits, what the encoders are given
 # Options that x264 and x265 write into the file, by the names under which they take them.

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from tg4mm.capture.codec.probe import Probe, rate_options
-from tg4mm.capture.sfm.video import BETWEEN, av_module
+from tg4mm.capture.video import BETWEEN, av_module
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels

@@ -20,8 +20,8 @@ from tg4mm.capture.sfm.clip import (
     regular_times,
 )
 from tg4mm.capture.sfm.frozen import find_repeats
-from tg4mm.capture.sfm.video import VideoInfo, grey_frames, video_info
 from tg4mm.capture.transforms import natural
+from tg4mm.capture.video import VideoInfo, grey_frames, video_info
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import Update, progress

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.sfm.video import VIDEO_SUFFIXES, video_frames
+from tg4mm.capture.video import VIDEO_SUFFIXES, video_frames
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.decode import decode

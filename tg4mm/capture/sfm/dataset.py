@@ -15,7 +15,7 @@ from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames, save_png
 from tg4mm.capture.sfm.undistort import Lens
-from tg4mm.capture.sfm.video import HAIR_S
+from tg4mm.capture.video import HAIR_S
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import Update, progress

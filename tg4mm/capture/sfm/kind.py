@@ -11,7 +11,7 @@ from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.defects import is_fixed
 from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources
 from tg4mm.capture.sfm.survey import Survey
-from tg4mm.capture.sfm.video import turns_of
+from tg4mm.capture.video import turns_of
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.sfm.clip import NAMES, Clip
-from tg4mm.capture.sfm.video import VIDEO_SUFFIXES
 from tg4mm.capture.transforms import natural, train_command, whole_dataset
+from tg4mm.capture.video import VIDEO_SUFFIXES
 from tg4mm.core.errors import CaptureError
 
 SWEEP = "sweep"  # name of the folder or video of pictures of the scene at rest

@@ -20,7 +20,7 @@ from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, is_regular, regular_times
 from tg4mm.capture.sfm.frozen import NoveltyMeter, Repeats
 from tg4mm.capture.sfm.steadiness import PartMeter, reduced
-from tg4mm.capture.sfm.video import VideoInfo, video_info
+from tg4mm.capture.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.progress import progress
