@@ -2,13 +2,13 @@
 
 from . import jobs, preferences
 from .io import export_splat, import_splat
-from .panels import colour_range, crop, look, overlay, panel, pictures, view_settings
+from .panels import colour_range, crop, look, overlay, panel, pictures
 from .probe import operators as probe_operators
-from .probe import panel as panel_probe
+from .probe import picking
 
 _MODULES = (
-    *(preferences, view_settings, colour_range, pictures, import_splat, export_splat, look),
-    *(probe_operators, panel, panel_probe, crop, overlay, jobs),
+    *(preferences, overlay, colour_range, pictures, import_splat, export_splat, look),
+    *(probe_operators, panel, picking, crop, jobs),
 )
 
 

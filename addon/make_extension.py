@@ -46,7 +46,6 @@ def wheel_files() -> list[Path]:
 
 
 def _write_wheel(target: Path) -> None:
-    """A wheel of the name, version and tag that its file name says."""
     name, version, *_ = target.stem.split("-")
     info = f"{name}-{version}.dist-info"
     parts = [(file.relative_to(ROOT).as_posix(), file.read_bytes()) for file in wheel_files()]

@@ -39,7 +39,7 @@ LOW_PASS = (
     "tg4mm_low_pass_px2"  # what the file says its scales hold of the training's low-pass; absent if nothing
 )
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
-AXES = "tg4mm_axes"  # what the import took for up, as in io/upright.py; absent: as in the file
+AXES = "tg4mm_axes"  # what the import took for up, as in io/splats.py; absent: as in the file
 TIME_ORIGIN = "tg4mm_time_origin_s"  # of timestep 0 on the recording's clock, s; absent: 0
 MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
 MODE_RMS = "tg4mm_mode_rms"  # amplitude of each mode, rms over the Gaussians by opacity, scene units

@@ -82,7 +82,6 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _do(request: Request, settings: Settings) -> tuple[str, Path]:
-    """What the request asks for, for one set: what to call it, and where it is."""
     if request.save_blend:
         return "saved", run.save_animation(settings, request.save_blend)
     if request.prepare:

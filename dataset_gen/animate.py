@@ -17,10 +17,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .build import Stage
+from .build import DISPLACEMENT, Stage
 from .cameras import Camera
 from .errors import GenerateError
-from .materials import DISPLACEMENT
 from .tree import whole
 from .vibration import Motion, Ramp, Vibration
 from .vibration.motion import Basis
@@ -61,7 +60,6 @@ def save_animation(
 
 
 def _control(scene: bpy.types.Scene) -> bpy.types.Object:
-    """The empty with the slider."""
     control = bpy.data.objects.new(CONTROL, None)
     control.empty_display_size = 0.25
     control["alpha"] = 0.0
@@ -155,7 +153,6 @@ def _picture(scene: bpy.types.Scene, size: int) -> None:
 
 
 def _place(stage: Stage, cameras: Sequence[Mapping[str, Sequence[Camera]]]) -> None:
-    """All cameras of all timesteps as objects; one that moves has keys."""
     tracks: dict[str, dict[int, Camera]] = {}
     for t, splits in enumerate(cameras):
         for split, views in splits.items():
@@ -199,7 +196,6 @@ def _key(data: Any, names: Sequence[str], frame: int) -> None:
 
 
 def _pack_images() -> list[str]:
-    """Puts every picture into the file; returns the names of those whose file is missing."""
     missing = []
     for image in bpy.data.images:
         if image.source in ("FILE", "GENERATED", "TILED") and image.users and not image.packed_files:
@@ -211,7 +207,6 @@ def _pack_images() -> list[str]:
 
 
 def _save(path: Path) -> None:
-    """Under a temporary name first, then renamed."""
     try:
         with whole(path) as temporary:
             bpy.ops.wm.save_as_mainfile(

@@ -10,8 +10,8 @@ from .cameras import KINDS as CAMERA_KINDS
 from .effects import CODECS
 from .errors import GenerateError
 from .pictures import BACKGROUNDS, IMAGES
+from .pictures import PRESETS as SENSORS
 from .scenes import NAMES
-from .sensor import PRESETS as SENSORS
 from .settings import DEVICES, ENGINES, TRUTH
 
 ALL = "all"
@@ -180,7 +180,6 @@ def _real(text: str) -> dict[str, Any]:
 
 
 def _numbers(texts: dict[str, str]) -> dict[str, dict[str, Any]]:
-    """Options of whole or real numbers, as their default is."""
     made = {}
     for name, text in texts.items():
         kind = type(DEFAULTS[name])

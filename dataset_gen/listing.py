@@ -56,7 +56,6 @@ def _about(found: Found) -> list[str]:
 
 
 def _table(bodies: Sequence[Body]) -> list[str]:
-    """Part, number of vertices, lowest and highest corner (scene units), vertex groups."""
     rows = [("part", "vertices", "box from", "to (scene units)", "vertex groups")]
     for body in bodies:
         low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)

@@ -12,9 +12,8 @@ from .arguments import ALL, ALPHAS, CLIPS, DEFAULTS, PRESETS, parser
 from .cameras import SINGLE, CameraSetup
 from .effects import Effects
 from .errors import GenerateError
-from .pictures import PictureFormat
+from .pictures import PictureFormat, Sensor
 from .scenes import NAMES
-from .sensor import Sensor
 from .settings import Settings, Source, motion_file
 from .vibration import read_motion
 
@@ -58,7 +57,6 @@ def request_from(options: argparse.Namespace) -> Request:
 
 
 def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
-    """(name, source) of every set."""
     given = [option for option in ("scene", "blend", "mesh") if getattr(options, option) is not None]
     if len(given) != 1:
         asked = " and ".join(given) or "none of them"

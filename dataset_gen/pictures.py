@@ -1,17 +1,151 @@
-"""From what the renderer gives, linear light, to the bytes of a picture: background, sensor, file format."""
+"""From what the renderer gives, linear light, to the bytes of a picture: background, sensor, file format.
+
+The model of a sensor is that of EMVA 1288 without fixed patterns: electrons ~ Poisson(light) + Normal(0, read
+noise), in linear light, each colour channel and each pixel by itself (no mosaic of colour filters, no blur). Sub-
+pixel motion changes a pixel by far less than a grey level; whether it survives this noise is what such data asks.
+
+Noise depends on its key (seed, split, timestep, view, α …) alone: independent from picture to picture, the
+same whatever order pictures are made in. NumPy may change how it draws Poisson numbers in a new version.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import io
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from . import exr, png
 from .colour import over_white, straight, to_display, to_integers
-from .errors import GenerateError
-from .limits import check_choice
-from .sensor import Key, Sensor, capture
+from .errors import GenerateError, check_choice, check_whole, check_within
+
+Key = tuple[int | str, ...]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor and how it is exposed. Raises GenerateError on construction if a value is out of range.
+
+    Linear light 1.0 (display white) fills `exposure` of the full well: less is a darker scene or a shorter
+    exposure, made as bright again by gain. So white is full_well · exposure electrons, and one grey value is
+    one electron times the gain 1 / (full_well · exposure).
+    """
+
+    name: str = "custom"
+    full_well: float = 10_000.0  # electrons that a pixel holds
+    read_noise: float = 2.5  # electrons, standard deviation
+    exposure: float = 1.0  # in 0 … 1
+    adc_bits: int = 12  # of the converter behind the pixels, which counts up to the full well
+    jpeg_quality: int | None = None  # 1 … 100; None: no JPEG
+
+    def __post_init__(self) -> None:
+        check_within("sensor: full_well", self.full_well, 1, 1e7, "electrons")
+        check_within("sensor: read_noise", self.read_noise, 0, self.full_well, "electrons")
+        check_within("sensor: exposure", self.exposure, 0, 1, "of the full well", above=True)
+        check_whole("sensor: adc_bits", self.adc_bits, 4, 24)
+        if self.jpeg_quality is not None:
+            check_whole("sensor: jpeg_quality", self.jpeg_quality, 1, 100)
+
+    @classmethod
+    def preset(cls, name: str) -> Sensor | None:
+        """A sensor by name; None for "none", the picture as the renderer gives it."""
+        if name == "none":
+            return None
+        if name not in PRESETS:
+            raise GenerateError(f"--sensor {name!r} is none of none, {', '.join(PRESETS)}")
+        return PRESETS[name]
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> Sensor:
+        return cls(**data)
+
+
+# Typical of their kind, not of one product: full well and read noise as data sheets give them.
+PRESETS = {
+    sensor.name: sensor
+    for sensor in (
+        Sensor("machine-vision", full_well=10_500, read_noise=2.4, exposure=0.9, adc_bits=12),
+        Sensor("phone", full_well=6_000, read_noise=1.8, exposure=0.4, adc_bits=10, jpeg_quality=92),
+        Sensor("high-speed", full_well=25_000, read_noise=18.0, exposure=0.3, adc_bits=12),
+        Sensor("scientific", full_well=30_000, read_noise=1.4, exposure=0.9, adc_bits=16),
+    )
+}
+
+
+def expose(sensor: Sensor, linear: np.ndarray, key: Key) -> np.ndarray:
+    """What the sensor reads for linear light [H, W, 3] ≥ 0, as linear light again, float64.
+
+    Clipped at the full well, and at 0, as pictures are whose black level was subtracted: the mean is that of
+    the light except within some standard deviations of either end.
+    """
+    rng = generator(key)
+    white = sensor.full_well * sensor.exposure  # electrons at linear 1.0
+    # A pixel full many times over is full; Poisson numbers of 1e30 do not exist.
+    light = np.clip(np.asarray(linear, np.float64) * white, 0.0, 4.0 * sensor.full_well)
+    electrons = rng.poisson(light) + rng.normal(0.0, sensor.read_noise, light.shape)
+    steps = 2**sensor.adc_bits - 1
+    counts = np.rint(np.clip(electrons / sensor.full_well, 0.0, 1.0) * steps)
+    return counts / steps / sensor.exposure
+
+
+def capture(
+    sensor: Sensor, linear: np.ndarray, alpha: np.ndarray | None, key: Key, bits: int = 8
+) -> np.ndarray:
+    """One picture by a sensor: display-referred sRGB [H, W, 3], or with alpha [H, W, 4], uint8 or uint16.
+
+    Parameters: `linear` [H, W, 3] float, linear light of the surfaces, not multiplied by alpha; `alpha`
+    [H, W] float in 0 … 1, None for an opaque picture: it gets no noise, and where it is 0 the colour stays 0;
+    `key`, whole numbers and words that no other picture has; `bits`, 8 or 16.
+    Raises GenerateError where JPEG, which has neither alpha nor 16 bits, is asked for these.
+    """
+    if linear.ndim != 3 or linear.shape[-1] != 3 or (alpha is not None and alpha.shape != linear.shape[:2]):
+        shape = None if alpha is None else alpha.shape
+        raise ValueError(f"linear has shape {linear.shape}, alpha {shape}; expected (H, W, 3) and (H, W)")
+    if sensor.jpeg_quality is not None and (bits != 8 or alpha is not None):
+        what = "transparent backgrounds" if alpha is not None else f"{bits} bits"
+        raise GenerateError(
+            f"--sensor {sensor.name} compresses with JPEG, which has no {what}: use --background white and "
+            "--images png8, or a sensor without jpeg_quality"
+        )
+    rgb = to_integers(to_display(expose(sensor, linear, key)), bits)
+    if sensor.jpeg_quality is not None:
+        rgb = _jpeg(rgb, sensor.jpeg_quality)
+    if alpha is None:
+        return rgb
+    rgb = np.where(alpha[..., None] > 0, rgb, 0).astype(rgb.dtype)
+    return np.concatenate([rgb, to_integers(alpha, bits)[..., None]], axis=-1)
+
+
+def generator(key: Key) -> np.random.Generator:
+    """The random numbers of a key: a counter-based generator, seeded by a hash of it."""
+    for part in key:
+        if isinstance(part, bool) or not isinstance(part, int | str | np.integer):
+            raise ValueError(f"{part!r} in the key {key!r} is neither a whole number nor a word")
+    text = "\n".join(f"{'s' if isinstance(part, str) else 'i'}{part}" for part in key)
+    digest = hashlib.sha256(text.encode()).digest()
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(int.from_bytes(digest, "little"))))
+
+
+def _jpeg(rgb: np.ndarray, quality: int) -> np.ndarray:
+    """[H, W, 3] uint8 through a baseline JPEG with 4:2:0 colours, as cameras write them."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise GenerateError(
+            "a sensor with jpeg_quality needs the package Pillow, which this Python lacks: install it or use "
+            "a sensor without JPEG"
+        ) from error
+    packed = io.BytesIO()
+    Image.fromarray(rgb).save(packed, "JPEG", quality=quality, subsampling="4:2:0")
+    with Image.open(packed) as image:
+        return np.asarray(image.convert("RGB"))
+
 
 IMAGES = ("png8", "png16", "exr")
 BACKGROUNDS = ("transparent", "white")

@@ -17,7 +17,7 @@ from tg4mm.core import events
 
 from . import processes, tree, truth
 from .cameras import cameras_at
-from .cameras.framing import moving_points
+from .cameras.paths import moving_points
 from .effects import codec
 from .errors import GenerateError, blender_remedy
 from .plan import Shot, shots

@@ -109,8 +109,6 @@ def inspect(source: Source, found: Path) -> None:
 
 
 class _Pool:
-    """Worker processes and what became of them."""
-
     def __init__(self, job: dict[str, Any], update: Callable[[int], None]) -> None:
         self._job, self._update, self._done, self._counting = job, update, 0, threading.Lock()
         self._running: set[subprocess.Popen[str]] = set()

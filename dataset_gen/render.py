@@ -22,9 +22,8 @@ import bpy
 import numpy as np
 
 from . import compat
-from .build import Stage
-from .devices import device_in_use, use_device
-from .materials import DISPLACEMENT, trees
+from .build import DISPLACEMENT, Stage, trees
+from .compat import device_in_use, use_device
 from .settings import Quality
 
 # Rays of the data passes go through the pixel centre: Cycles' first sample does, and there is no other. The narrowest
@@ -62,7 +61,6 @@ def configure(stage: Stage, quality: Quality) -> str:
 
 
 def _output(scene: bpy.types.Scene, quality: Quality) -> None:
-    """Size, film and colour, whatever a user's file says of them."""
     render = scene.render
     render.resolution_percentage = 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
@@ -82,7 +80,6 @@ def _output(scene: bpy.types.Scene, quality: Quality) -> None:
 
 
 def _eevee(scene: bpy.types.Scene) -> None:
-    """Reflections and refractions by tracing rays on the screen."""
     scene.eevee.use_raytracing = True
     for material in transmitting(scene):
         material.use_raytrace_refraction = True

@@ -14,7 +14,8 @@ from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed
 from tg4mm.core.temporary import remove_leftovers
 
-from . import coded, png, points, processes, tree
+from . import png, points, processes, tree
+from .effects import codec
 from .errors import GenerateError
 from .plan import RANGE, UNCODED, Shot, ranges
 from .prepare import Job, claim, placed, plan
@@ -36,7 +37,7 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     stream = stream or sys.stderr
     job = claim(plan(settings, out))
     with tree.work_folder(job.root).held("makes this dataset"):
-        coded.begin(job.root, job.settings)
+        codec.begin(job.root, job.settings)
         path = job.root / TIMING
         former = [_timing(path)] if path.exists() else []
 
@@ -81,7 +82,7 @@ def _total(timings: Sequence[Timing]) -> Timing:
 
 def finish(job: Job, stream: TextIO) -> Path:
     """Videos, the check that nothing is missing, points, and the report. Raises RunFailed if something is."""
-    coded.finish(job.root, job.settings)
+    codec.finish(job.root, job.settings)
     if missing := missing_files(job):
         raise RunFailed(f"{job.root}: {len(missing)} files are missing or damaged, the first is {missing[0]}")
     if points.wanted(job.root, job.settings):
@@ -92,7 +93,7 @@ def finish(job: Job, stream: TextIO) -> Path:
     remove_leftovers(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)
-    coded.clean(job.root, job.settings)
+    codec.clean(job.root, job.settings)
     if not (job.root / "report/index.html").exists():
         try:
             write_report(job.root)
@@ -143,7 +144,6 @@ def missing_files(job: Job) -> list[str]:
 
 
 def _unsound(job: Job) -> list[str]:
-    """The PNG files whose checksums are not those of their bytes."""
     names = [name for name in _distinct(job) if name.endswith(".png")]
     found = []
     with progress("checking files", len(names), "files", brief=True) as update:
@@ -155,13 +155,11 @@ def _unsound(job: Job) -> list[str]:
 
 
 def _distinct(job: Job) -> list[str]:
-    """One name of every file; links share their bytes."""
     seen = {(job.root / name).stat().st_ino: name for name in _files(job)}
     return list(seen.values())
 
 
 def _files(job: Job) -> list[str]:
-    """Every file of the finished set."""
     return [name.removeprefix(f"{UNCODED}/") for shot in job.shots for name in shot.files]
 
 

@@ -10,10 +10,8 @@ from tg4mm.core.values import Number
 
 from .cameras import CameraSetup
 from .effects import Effects
-from .errors import GenerateError
-from .limits import check_choice, check_whole
-from .pictures import PictureFormat
-from .sensor import Sensor
+from .errors import GenerateError, check_choice, check_whole
+from .pictures import PictureFormat, Sensor
 from .vibration import MotionDescription
 
 TRUTH = ("none", "test", "all")

@@ -20,8 +20,8 @@ import numpy as np
 
 from . import build, render, tree, truth
 from .cameras import cameras_at
-from .devices import use_device
-from .effects import Record, warp
+from .compat import use_device
+from .effects import Record, record
 from .errors import GenerateError
 from .painter import Painter
 from .plan import Picture, Shot, shots
@@ -80,7 +80,6 @@ def _inspect(job: dict[str, Any], report: TextIO) -> None:
 
 
 def _device(job: dict[str, Any], report: TextIO) -> None:
-    """Refuses a device that is not there."""
     use_device(bpy.context.scene, job["settings"]["device"])
 
 
@@ -97,7 +96,6 @@ def _animate(job: dict[str, Any], report: TextIO) -> None:
 
 
 def _render_shots(job: dict[str, Any], report: TextIO) -> None:
-    """Renders shots state by state: all pictures of a state, then all its data passes."""
     settings, root = Settings.from_json(job["settings"]), Path(job["root"])
     stage, bodies = load_stage(settings)
     motion = motion_of(settings, bodies)
@@ -123,8 +121,6 @@ Take = Callable[[Picture | None], np.ndarray]
 
 
 class _Photographer:
-    """Takes what a shot asks for, in the current state; a former run's files are kept."""
-
     def __init__(
         self, stage: build.Stage, settings: Settings, quality: Quality, root: Path, painter: Painter
     ) -> None:
@@ -143,7 +139,6 @@ class _Photographer:
         return not shot.truth
 
     def _alike(self, shot: Shot) -> bool:
-        """Whether all pictures of the shot are the same."""
         gain = self._record.gain(shot.split, shot.camera, 0)
         return self._settings.sensor is None and gain is None and not self._shakes(shot)
 
@@ -176,17 +171,16 @@ class _Photographer:
         return lambda picture: linear
 
     def _shaken(self, shot: Shot) -> Take:
-        """One rendering with a margin serves all turns of the camera."""
         camera, size = shot.camera, self._settings.size
         margin = self._record.margin(camera)
-        quality = self._quality.finer(warp.fine_size(size, margin), warp.FINENESS)
-        build.set_view(self._stage, warp.fine_camera(camera, size, margin))
+        quality = self._quality.finer(record.fine_size(size, margin), record.FINENESS)
+        build.set_view(self._stage, record.fine_camera(camera, size, margin))
         render.use_picture(self._stage, quality, shot.seed_offset)
         fine = render.linear_picture(self._stage)
 
         def take(picture: Picture | None) -> np.ndarray:
             turn = np.zeros(3) if picture is None else self._record.turn(camera, picture.timestep)
-            return warp.frame(fine, camera, size, margin, turn)
+            return record.frame(fine, camera, size, margin, turn)
 
         return take
 

@@ -17,7 +17,7 @@ from tg4mm.core.splatfile.spz import write_spz
 from .. import names
 from ..nodes import scene
 from ..reporting import reports
-from . import splats, upright
+from . import splats
 
 MOST_FILES = 10_000  # of a sequence; a frame range of more is a mistake
 _WRITERS: dict[str, Callable[[Path, SplatFile], None]] = {".ply": write_splat, ".spz": write_spz}
@@ -54,9 +54,9 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         description="Which axis of a PLY points up",
         items=[
             ("IMPORTED", "As Imported", "As in the file that the object came from"),
-            (upright.FILE, "Z", "As in Blender"),
-            (upright.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
-            (upright.PLUS_Y, "Y", "As other viewers have it"),
+            (splats.FILE, "Z", "As in Blender"),
+            (splats.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
+            (splats.PLUS_Y, "Y", "As other viewers have it"),
         ],
     )
 
@@ -88,8 +88,8 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         if context.mode != "OBJECT":  # the mesh of an object that is edited is an old one
             bpy.ops.object.mode_set(mode="OBJECT")
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(suffix)
-        axes = obj.get(names.AXES, upright.FILE) if self.axes == "IMPORTED" else self.axes
-        axes = axes if suffix == ".ply" else upright.FILE  # SPZ turns by itself
+        axes = obj.get(names.AXES, splats.FILE) if self.axes == "IMPORTED" else self.axes
+        axes = axes if suffix == ".ply" else splats.FILE  # SPZ turns by itself
         try:
             if self.content == "SEQUENCE":
                 files = self._write_sequence(context, obj, path, axes)

@@ -13,12 +13,12 @@ from tg4mm.core.splatfile.drawable import Options, parsed_frequencies
 from tg4mm.core.splatfile.read import ENDINGS
 
 from .. import compat, names, preferences
-from ..nodes import clock, collection, drawing, images, scene
+from ..nodes import blending, clock, drawing, points, scene
 from ..nodes.blending import true_colours
 from ..nodes.shapes import DRAW_MODES, available
 from ..panels import framing
 from ..reporting import reports
-from . import loading, upright
+from . import loading, splats
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -66,15 +66,15 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         description="Which way is up in the file; the object is turned so that it is up here",
         items=[
             (
-                upright.CAMERAS,
+                splats.CAMERAS,
                 "By Its Cameras",
                 "As SPZ and glTF, cameras.json or transforms.json beside it say, else Z up",
             ),
-            (upright.FILE, "Z", "As Blender: nothing is turned"),
-            (upright.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
-            (upright.PLUS_Y, "Y", "As other viewers and glTF have it"),
+            (splats.FILE, "Z", "As Blender: nothing is turned"),
+            (splats.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
+            (splats.PLUS_Y, "Y", "As other viewers and glTF have it"),
         ],
-        default=upright.CAMERAS,
+        default=splats.CAMERAS,
     )
     frequencies: StringProperty(  # type: ignore[valid-type]
         name="Frequencies",
@@ -100,7 +100,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     def execute(self, context: Any) -> set[str]:
         if context.mode != "OBJECT":  # else the object that is edited stays so, without being the active one
             bpy.ops.object.mode_set(mode="OBJECT")
-        into = collection.receiving(context)
+        into = points.receiving(context)
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
@@ -110,7 +110,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
                 self.sequence,
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
-                Options(parsed_frequencies(self.frequencies), clock.rate(context.scene), images.decode),
+                Options(parsed_frequencies(self.frequencies), clock.rate(context.scene), blending.decode),
             )
         except MemoryError:
             self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")
@@ -130,7 +130,6 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         return {"FINISHED"}
 
     def _set_up(self, context: Any, loaded: loading.Loaded) -> list[str]:
-        """Set what the options ask for in the scene; returns what was changed."""
         told = []
         if self.timeline:
             told.append(scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps))
@@ -141,16 +140,16 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     def _stand_up(self, loaded: loading.Loaded) -> list[str]:
         """Turn the objects so that what is up in their file is up; returns what to tell about it."""
         axes, said = self.axes, ""
-        if axes == upright.CAMERAS and loaded.upright:
+        if axes == splats.CAMERAS and loaded.upright:
             return ["Y up, as the format has it, was turned to Z up"]
-        if axes == upright.CAMERAS:
-            axes, said = upright.told(self._paths()[0]) or (upright.FILE, "")
-        if axes == upright.FILE:
+        if axes == splats.CAMERAS:
+            axes, said = splats.told(self._paths()[0]) or (splats.FILE, "")
+        if axes == splats.FILE:
             return []
         for obj in loaded.objects:
-            obj.rotation_euler.x = upright.TURNS[axes]
+            obj.rotation_euler.x = splats.TURNS[axes]
             obj[names.AXES] = axes
-        return [f"turned, as {said} says {upright.LABELS[axes]}"] if said else []
+        return [f"turned, as {said} says {splats.LABELS[axes]}"] if said else []
 
     def _paths(self) -> list[Path]:
         folder = Path(bpy.path.abspath(self.directory))

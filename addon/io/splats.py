@@ -1,10 +1,11 @@
-"""An imported object as splat files again: what is left of it, in the axes and units that are true in the world."""
+"""Splat objects to and from Gaussians; which way is up."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -13,10 +14,48 @@ import numpy as np
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
 from tg4mm.core.splatfile.axes import transformed
+from tg4mm.core.untrusted import read_json
 
 from .. import compat, names
 from ..nodes import clock, motion, points, scene
-from . import upright
+
+FILE, MINUS_Y, PLUS_Y, CAMERAS = "FILE", "MINUS_Y", "PLUS_Y", "CAMERAS"
+# About x, radians: what turns this up into Blender's.
+TURNS = {FILE: 0.0, MINUS_Y: -math.pi / 2, PLUS_Y: math.pi / 2}
+LABELS = {FILE: "Z up", MINUS_Y: "−Y up", PLUS_Y: "Y up"}
+_UPS = {FILE: (0.0, 0.0, 1.0), MINUS_Y: (0.0, -1.0, 0.0), PLUS_Y: (0.0, 1.0, 0.0)}
+_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
+_SURE = math.cos(math.radians(45))  # nearer than this only one axis is
+
+
+def told(path: Path) -> tuple[str, str] | None:
+    """The axes by the cameras' mean up, and the file that says so; None where none is there or it is undecided."""
+    for file in _beside(path):
+        try:
+            ups = _ups(read_json(file))
+        except (OSError, ValueError, TypeError, KeyError, IndexError):
+            continue  # of another program, by that name
+        mean = ups.sum(axis=0)
+        mean /= float(np.linalg.norm(mean)) or 1.0
+        axes = max(_UPS, key=lambda axes: float(np.dot(mean, _UPS[axes])))
+        return (axes, file.name) if float(np.dot(mean, _UPS[axes])) > _SURE else None
+    return None
+
+
+def _beside(path: Path) -> Iterator[Path]:
+    """Files of cameras in the splat file's folder; of point_cloud/iteration_N, where 3DGS writes, in that above."""
+    folders = [path.parent]
+    if path.parent.name.startswith("iteration_"):
+        folders.append(path.parent.parent.parent)
+    for folder in folders:
+        yield from (file for name in _NAMES if (file := folder / name).is_file())
+
+
+def _ups(cameras: Any) -> np.ndarray:
+    """[C, 3] where up in the pictures is in the world: of 3DGS's cameras.json, y down, or NeRF's transforms, y up."""
+    if isinstance(cameras, list):
+        return -np.array([np.array(c["rotation"], float)[:, 1] for c in cameras]).reshape(-1, 3)
+    return np.array([np.array(f["transform_matrix"], float)[:3, 1] for f in cameras["frames"]]).reshape(-1, 3)
 
 
 def splat_of(obj: Any) -> SplatFile:
@@ -36,10 +75,10 @@ def splat_of(obj: Any) -> SplatFile:
 
 
 def in_axes(splat: SplatFile, axes: str) -> SplatFile:
-    """A scene with Z up, as the world has it, with another axis up (io/upright.py)."""
-    if axes == upright.FILE:
+    """A scene with Z up, as the world has it, with another axis up (io/splats.py)."""
+    if axes == FILE:
         return splat
-    angle = -upright.TURNS[axes]
+    angle = -TURNS[axes]
     c, s = round(math.cos(angle)), round(math.sin(angle))  # quarter turns
     return transformed(splat, np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
 
@@ -122,7 +161,6 @@ def _placed(splat: SplatFile, world: np.ndarray, applied: np.ndarray | None) -> 
 
 
 def _rows(splat: SplatFile, rows: np.ndarray) -> SplatFile:
-    """Some of the Gaussians."""
     first: dict[str, Any] = {
         name: getattr(splat, name)[rows] for name in ("means", "quats", "scales", "opacities", "sh")
     }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from . import background, core_check, operators, panels, preview, settings
+from . import commands, core_check, operators, panels, preview, settings
 
-_MODULES = (settings, preview, background, core_check, operators, panels)
+_MODULES = (settings, preview, commands, core_check, operators, panels)
 
 
 def register() -> None:

@@ -17,7 +17,7 @@ from dataset_gen.errors import GenerateError
 from tg4mm.core.files import write_json
 
 from .. import names, preferences
-from . import background, commands, describe, objects, preview
+from . import commands, kinds, objects, preview
 from .commands import Host
 from .runner import Job, State
 
@@ -79,7 +79,7 @@ def generate(context: Any, go_on: bool) -> Job:
     settings = context.scene.tg4mm_generate
     chosen = objects.moving(settings, context.scene)
     parts = objects.parts(chosen, context.evaluated_depsgraph_get())
-    described = describe.description(settings, parts)
+    described = kinds.description(settings, parts)
     if described.main.frequency_hz >= settings.fps / 2:
         raise GenerateError(
             f"Frequency {described.main.frequency_hz:g} Hz is not below half of the Frame Rate, "
@@ -93,7 +93,7 @@ def generate(context: Any, go_on: bool) -> Job:
         save_copy(folder / _BLEND, context.scene)
     options = _options(settings, context.scene, runs_in)
     steps = commands.generate_steps(runs_in, folder / _BLEND, motion, folder.parent, options)
-    return background.start(background.GENERATE, steps, lambda job: _ended(job, folder))
+    return commands.start(commands.GENERATE, steps, lambda job: _ended(job, folder))
 
 
 def save_copy(path: Path, scene: Any) -> None:

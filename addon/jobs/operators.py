@@ -13,7 +13,7 @@ from dataset_gen.errors import GenerateError
 
 from .. import names
 from ..reporting import reports
-from . import background, commands, generating, objects, preview
+from . import commands, generating, objects, preview
 from .runner import Job, State
 
 
@@ -136,7 +136,7 @@ class TG4MM_OT_generate(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return not background.running(background.GENERATE)
+        return not commands.running(commands.GENERATE)
 
     @reports()
     def execute(self, context: Any) -> set[str]:
@@ -154,7 +154,7 @@ class TG4MM_OT_train(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return not background.running(background.TRAIN)
+        return not commands.running(commands.TRAIN)
 
     @reports()
     def execute(self, context: Any) -> set[str]:
@@ -169,11 +169,11 @@ class TG4MM_OT_cancel_job(bpy.types.Operator):
     bl_label = "Cancel"
 
     kind: EnumProperty(  # type: ignore[valid-type]
-        items=[(kind, kind, "") for kind in (background.GENERATE, background.TRAIN)], options={"HIDDEN"}
+        items=[(kind, kind, "") for kind in (commands.GENERATE, commands.TRAIN)], options={"HIDDEN"}
     )
 
     def execute(self, context: Any) -> set[str]:
-        job = background.get(self.kind)
+        job = commands.get(self.kind)
         if job is None or not job.running:
             return {"CANCELLED"}
         job.cancel()
@@ -194,7 +194,7 @@ def train(context: Any) -> Job:
         raise GenerateError(f"Run {run} lies in the dataset: choose another folder")
     splat = run.parent / f"{run.name}.ply"
     steps = commands.train_steps(python, dataset, run, splat, settings.device, settings.settings.split())
-    return background.start(background.TRAIN, steps, lambda job: _ended(job, splat))
+    return commands.start(commands.TRAIN, steps, lambda job: _ended(job, splat))
 
 
 def run_folder(settings: Any) -> Path:
@@ -214,7 +214,6 @@ def _folder(what: str, text: str) -> Path:
 
 
 def _ended(job: Job, splat: Path) -> None:
-    """Import what was trained, as File > Import does, with an undo step."""
     if job.state is not State.DONE:
         return
     manager = bpy.context.window_manager

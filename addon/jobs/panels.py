@@ -9,7 +9,7 @@ import bpy
 from dataset_gen.cameras import SINGLE
 
 from .. import preferences
-from . import background, generating, kinds, objects, preview
+from . import commands, generating, kinds, objects, preview
 from .runner import Job, State
 
 _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
@@ -38,7 +38,7 @@ class VIEW3D_PT_tg4mm_generate(_Tab, bpy.types.Panel):
         if preferences.get(context).core_python:
             layout.column(heading="Render In").prop(settings, "in_blender")
         layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
-        if _draw_job(layout, background.GENERATE):
+        if _draw_job(layout, commands.GENERATE):
             return
         layout.operator("tg4mm.generate", icon="RENDER_ANIMATION")
         if generating.can_go_on(settings):
@@ -150,13 +150,12 @@ class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
             return
         for name in ("dataset", "run", "device", "settings"):
             layout.prop(settings, name)
-        if not _draw_job(layout, background.TRAIN):
+        if not _draw_job(layout, commands.TRAIN):
             layout.operator("tg4mm.train", icon="OUTLINER_OB_POINTCLOUD")
 
 
 def _draw_job(layout: Any, kind: str) -> bool:
-    """Progress and Cancel of a job that runs, or how the last one ended; True if one runs."""
-    job = background.get(kind)
+    job = commands.get(kind)
     if job is None:
         return False
     if not job.running:

@@ -20,7 +20,7 @@ from dataset_gen.vibration.motion import Basis
 
 from .. import compat
 from ..nodes.graph import Graph
-from . import describe, objects
+from . import kinds, objects
 
 MARK = "tg4mm_preview"  # custom property of our data-blocks
 MODIFIER = "TG4MM Preview"
@@ -62,7 +62,7 @@ def start(context: Any) -> int:
         raise GenerateError("none of the moving objects is a mesh that is visible here and in renders")
     if not bodies:
         raise GenerateError("the scene shows no mesh")
-    motion = describe.motion(settings, describe.description(settings, parts), bodies, scene)
+    motion = kinds.motion(settings, kinds.description(settings, parts), bodies, scene)
     tree = build_tree(MODIFIER, motion, settings.gain, scene.frame_start)
     tree[MARK] = 1
     moved = 0

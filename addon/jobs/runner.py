@@ -1,12 +1,10 @@
-"""Programs in the background: started, listened to without waiting, interrupted; plain Python, no Blender.
-
-A `Job` is a chain of programs, each started when the one before has ended well. Whoever owns it calls `poll` a
-few times a second: nothing here ever waits for the program, except `close`, for two seconds at most.
-"""
+"""Programs in the background: started, listened to without waiting, interrupted; plain Python, no Blender."""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import queue
 import signal
@@ -20,7 +18,95 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from .reading import Line, Progress, read_line
+_MARK = '{"tg4mm": '  # how an event begins
+_LONGEST_EVENT = 20_000  # characters
+_LONGEST = 400  # characters of a line that is shown
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a program is."""
+
+    label: str  # what it does now
+    done: int = 0
+    total: int = 0  # 0: not known yet
+    left_s: float | None = None  # seconds; None: not known
+
+    @property
+    def factor(self) -> float:
+        """0 … 1."""
+        return min(self.done / self.total, 1.0) if self.total > 0 else 0.0
+
+    @property
+    def text(self) -> str:
+        """For a progress bar."""
+        if not self.total:
+            return self.label
+        left = "" if self.left_s is None else f", {_clock(self.left_s)} left"
+        return f"{self.label} {self.done}/{self.total}{left}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a program's output, and what it means; what it does not say is None or empty."""
+
+    text: str
+    progress: Progress | None = None
+    warning: str = ""
+    error: str = ""
+    result: str = ""  # a path
+
+
+def read_line(line: str) -> Line:
+    """What a line says. Never raises: programs may print anything."""
+    event = _event(line)
+    kind, message = event.get("tg4mm"), _shown(event.get("message"))
+    if kind == "progress":
+        done, total = (_count(event.get(key)) for key in ("done", "total"))
+        progress = Progress(_shown(event.get("label")), done, total, _seconds(event.get("left_s")))
+        return Line(progress.text, progress)
+    if kind == "note":
+        return Line(message, Progress(message))
+    if kind == "warning":
+        return Line(message, warning=message)
+    if kind == "error":
+        return Line(message, error=message)
+    if kind == "complete":
+        path = event.get("path")
+        return Line(_shown(path), result=path if isinstance(path, str) else "")
+    return Line(_shown(line))
+
+
+def _event(line: str) -> dict[str, Any]:
+    """The event that a line is; {} for any other line."""
+    text = line.strip()
+    if not text.startswith(_MARK) or len(text) > _LONGEST_EVENT:
+        return {}
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else ""
+    return "".join(c if c.isprintable() else " " for c in text).strip()[:_LONGEST]
+
+
+def _count(value: Any) -> int:
+    return value if type(value) is int and 0 <= value < 10**12 else 0
+
+
+def _seconds(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and 0 <= value < math.inf else None
+
+
+def _clock(seconds: float) -> str:
+    minutes, s = divmod(round(seconds), 60)
+    hours, m = divmod(minutes, 60)
+    return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"
+
 
 PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one
 _LISTEN_S = 1.0  # after a program's end, for output that is still under way
@@ -28,11 +114,9 @@ _KEPT = 40  # warnings
 _MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
 _WINDOWS = sys.platform == "win32"
 # So that a program can be ended together with what it has started.
-_OWN_GROUP: dict[str, Any] = (
-    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
-    if _WINDOWS
-    else {"start_new_session": True}
-)
+_OWN_GROUP: dict[str, Any] = {"start_new_session": True}
+if _WINDOWS:
+    _OWN_GROUP = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 
 
 class State(Enum):
@@ -53,11 +137,10 @@ class Step:
 
 
 class Job:
-    """Programs that run one after another; see the module's text.
+    """Programs that run one after another, each when the one before has ended well.
 
-    Attributes to read: `state`; `progress`, of the program that runs; `message`, one line, what happened last or
-    what went wrong; `results`, the paths the programs named; `warnings`.
-    """
+    Whoever owns it calls `poll` a few times a second: only `close` waits, two seconds at most. To read: `state`;
+    `progress` of the program that runs; `message`, one line, what went wrong; `results`, paths; `warnings`."""
 
     def __init__(self, steps: Sequence[Step], environment: Mapping[str, str] | None = None) -> None:
         """Starts the first program. Raises OSError if that is impossible, ValueError without any."""
@@ -79,7 +162,6 @@ class Job:
 
     @property
     def cancelling(self) -> bool:
-        """Whether it still runs but was told to end."""
         return self.running and self._asked_at is not None
 
     def poll(self) -> bool:
@@ -147,7 +229,7 @@ class Job:
 
 
 class _Program:
-    """One process in a group of its own, and a thread that listens to it."""
+    """A process in a group of its own, and a thread that listens."""
 
     def __init__(self, step: Step, environment: Mapping[str, str]) -> None:
         """Raises OSError if it cannot be started."""

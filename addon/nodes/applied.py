@@ -137,7 +137,6 @@ def _count(graph: Graph, points: Any) -> Any:
 
 
 def _sampled(graph: Graph, four: Any, value: Any) -> list[Any]:
-    """A vector at each of four points."""
     kinds = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
     inputs = {"Geometry": four, "Value": value}
     return [graph.call("GeometryNodeSampleIndex", {**inputs, "Index": i}, **kinds) for i in range(4)]
@@ -168,7 +167,6 @@ def _product(graph: Graph, a: Any, b: Any) -> Any:
 
 
 def _inverse(graph: Graph, matrix: Any) -> Any:
-    """The inverse, and whether there is one."""
     node = graph.node("FunctionNodeInvertMatrix")
     graph.put(matrix, node.inputs[0])
     return node.outputs

@@ -1,13 +1,94 @@
-"""What a scene needs to show its splats as they are: colour management, samples, bounces; and its way back."""
+"""Materials of splats; the scene's settings for blending as trained; pictures from arrays of pixels."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import bpy
+import numpy as np
+
 from .. import compat, names
-from . import scene
-from .materials import TRANSPARENT_BOUNCES
+from . import Materials, scene
+from .graph import Graph, Made
 from .shapes import DRAW_MODES
+
+# For true splats Cycles counts two bounces a Gaussian, and shows black where they end: as many as it allows. Before the
+# least number it ends no path by chance, which would be seen as noise.
+TRANSPARENT_BOUNCES = 1024
+_FACTOR = 2  # the Attribute node's output, "Fac" in 4.5 and "Factor" in 5.2
+
+
+def make_materials(name: str, made: Made) -> Materials:
+    """The three materials; each is kept in `made`."""
+    return Materials(
+        solid=_emission(name, "INSTANCER", made),
+        splat=_splat(f"{name} splat", made),
+        points=_emission(f"{name} points", "GEOMETRY", made),
+    )
+
+
+def _emission(name: str, where: str, made: Made) -> Any:
+    """Emission in the attribute `colour` of the instance (INSTANCER) or of the mesh itself (GEOMETRY)."""
+    material, graph = _new(name, made)
+    _finish(graph, _emit(graph, where))
+    return material
+
+
+def _splat(name: str, made: Made) -> Any:
+    """What a Gaussian looks like: opacity · exp(−d²/2), d how far, in σ, the view ray passes the centre.
+
+    On a ball that ends at 3 σ, d = 3r with r the ray's distance from the origin in object space, where the
+    ball's radius is 1. Back faces are clear, so every ray counts a Gaussian once. No camera is named: it
+    holds in every view.
+    """
+    material, graph = _new(name, made)
+    where = graph.call("ShaderNodeTexCoord", {}, "Object")
+    incoming = graph.call("ShaderNodeNewGeometry", {}, "Incoming")
+    to_object = {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"}
+    ray = graph.call("ShaderNodeVectorTransform", {"Vector": incoming}, **to_object)
+    along = _dot(graph, where, ray)
+    nearest = graph.math("DIVIDE", graph.math("MULTIPLY", along, along), _dot(graph, ray, ray))
+    squared = graph.math("SUBTRACT", _dot(graph, where, where), nearest)
+    fall = graph.math("EXPONENT", graph.math("MULTIPLY", graph.math("MAXIMUM", squared, 0.0), -4.5))
+    attribute = {"attribute_type": "INSTANCER", "attribute_name": names.OPACITY}
+    opacity = graph.call("ShaderNodeAttribute", {}, _FACTOR, **attribute)
+    alpha = graph.math("MULTIPLY", fall, opacity)
+    front = graph.math("SUBTRACT", 1.0, graph.call("ShaderNodeNewGeometry", {}, "Backfacing"))
+    mix = graph.node("ShaderNodeMixShader")
+    graph.put(graph.math("MULTIPLY", alpha, front), mix.inputs[0])
+    graph.put(graph.node("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
+    graph.put(_emit(graph, "INSTANCER"), mix.inputs[2])
+    _finish(graph, mix.outputs[0])
+    material.surface_render_method = "DITHERED"
+    material.use_backface_culling = True
+    return material
+
+
+def _emit(graph: Graph, where: str) -> Any:
+    colour = graph.call("ShaderNodeAttribute", {}, "Color", attribute_type=where, attribute_name=names.COLOUR)
+    return graph.call("ShaderNodeEmission", {"Color": colour})
+
+
+def _dot(graph: Graph, a: Any, b: Any) -> Any:
+    node = graph.node("ShaderNodeVectorMath", operation="DOT_PRODUCT")
+    graph.put(a, node.inputs[0])
+    graph.put(b, node.inputs[1])
+    return node.outputs["Value"]
+
+
+def _new(name: str, made: Made) -> tuple[Any, Graph]:
+    material = made.keep(bpy.data.materials.new(name))
+    compat.use_nodes(material)
+    material.node_tree.nodes.clear()
+    # A light tree over many thousand glowing triangles costs Cycles minutes and lights nothing here.
+    material.cycles.emission_sampling = "NONE"
+    return material, Graph(material.node_tree)
+
+
+def _finish(graph: Graph, surface: Any) -> None:
+    graph.put(surface, graph.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    graph.arrange()
+
 
 BEFORE = "tg4mm_before"  # custom property of a scene: what it had, by path
 SAMPLES = 64  # of Blender's own splats: with 4 Cycles is 6 dB farther off
@@ -65,7 +146,6 @@ def blends_as_trained(of: Any) -> bool:
 
 
 def _needed(of: Any) -> dict[str, Any]:
-    """Path → value of what has to be set. Samples and bounces are never made fewer."""
     exact = {
         "view_settings.view_transform": "Raw" if blends_as_trained(of) else "Standard",
         "view_settings.look": "None",
@@ -86,7 +166,6 @@ def _needed(of: Any) -> dict[str, Any]:
 
 
 def _set(to: Any, wanted: dict[str, Any]) -> str:
-    """Set what is at the paths, remember what was there, and say it."""
     before, told = dict(to.get(BEFORE, {})), []
     for path, value in wanted.items():
         was, (*way, last) = _get(to, path), path.split(".")
@@ -105,7 +184,6 @@ def _set(to: Any, wanted: dict[str, Any]) -> str:
 
 
 def _get(of: Any, path: str) -> Any:
-    """What is at a path; None where there is no such thing: Cycles may be switched off in this Blender."""
     for name in path.split("."):
         of = getattr(of, name, None)
     return of
@@ -116,10 +194,32 @@ def _text(value: Any) -> str:
 
 
 def _splats(of: Any) -> list[Any]:
-    """The splat objects of a scene; not those of an older version, which cannot blend as trained."""
     modifiers = ((obj, scene.splat_modifier(obj)) for obj in of.objects)
     return [
         obj
         for obj, modifier in modifiers
         if modifier is not None and modifier.node_group and compat.has_input(modifier, names.BLEND)
     ]
+
+
+def pixels(data: bytes) -> np.ndarray:
+    """[H, W, channels] float32 in 0..1 of a picture file, as its numbers are, first row at the top."""
+    image = bpy.data.images.new("tg4mm", 1, 1)
+    try:
+        image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
+        image.pack(data=data, data_len=len(data))
+        image.source = "FILE"
+        width, height = image.size
+        found = np.empty((height, width, image.channels), np.float32)
+        image.pixels.foreach_get(found.ravel())
+    finally:
+        bpy.data.images.remove(image)
+    return found[::-1]
+
+
+def decode(data: bytes) -> np.ndarray:
+    """[H, W, 4] uint8: lossless WebP, as SOG has it. Raises ValueError for what Blender cannot read."""
+    found = pixels(data)
+    if not found.any():  # what 4.5 gives for a picture that it fails to read
+        raise ValueError("Blender cannot read it as a picture")
+    return np.rint(found * 255).astype(np.uint8)

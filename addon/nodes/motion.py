@@ -147,7 +147,6 @@ def elapsed(graph: Graph, inputs: Any, fps: float) -> Any:
 
 
 def _inside(graph: Graph, inputs: Any) -> Any:
-    """1 for low ≤ f ≤ high, else 0."""
     above = graph.math("LESS_THAN", inputs[names.LOW], inputs["Above"])
     below = graph.math("GREATER_THAN", inputs[names.HIGH], inputs["Below"])
     return graph.math("MULTIPLY", above, below)

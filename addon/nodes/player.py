@@ -103,7 +103,6 @@ def _played(
     materials: Materials,
     kept: tuple[str, Made],
 ) -> Any:
-    """What is drawn of the points of one part. `chosen`: the numbers of Draw As and Colour By."""
     (draw, by), (name, made), motion = chosen, kept, None
     if content.frames is not None:
         group = made.keep(build_sequence(name, content.frames, content.n_frames))
@@ -213,7 +212,6 @@ def _preset_menus(graph: Graph) -> None:
 
 
 def _moved(graph: Graph, points: Any, motion: Motion, draw: Any) -> Any:
-    """Points moved and turned, as the way to draw shows them."""
     still, round_ = (
         is_drawn(graph, draw, lambda mode: mode.still),
         is_drawn(graph, draw, lambda mode: not mode.turns),
@@ -244,7 +242,6 @@ def _coloured(
     moved: Applied,
     kept: tuple[str, Made],
 ) -> Any:
-    """Points with the colours asked for; as they are where the file's own rest colours are."""
     name, made = kept
     if content.sh_degree:
         camera = at_rest(graph, moved, camera_place(graph))

@@ -1,4 +1,4 @@
-"""Gaussians as a mesh of loose vertices: rest positions, and all else as attributes the node tree names.
+"""Gaussians as a mesh of loose vertices: rest positions, and all else as attributes; the collection they go to.
 
 The last four vertices are no Gaussians but references for Apply Transform (applied.py). Their opacity is −1, so that no
 threshold draws them. Who reads a mesh's rows leaves them out by `values` or `gaussians`.
@@ -6,6 +6,7 @@ threshold draws them. Who reads a mesh's rows leaves them out by `values` or `ga
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import bmesh
@@ -243,3 +244,35 @@ class _Rows:
         every = np.empty((self.count + self.extra, rows.shape[1]), np.float32)
         every[: self.count], every[self.count :] = rows, other
         return every.ravel()
+
+
+def receiving(context: Any) -> Any:
+    """The context's collection; if it is excluded, hidden or linked, the nearest above it that is none of these.
+
+    The scene's own collection if there is no such, or if the collection is not in the view layer.
+    """
+    context.view_layer.update()  # Blender may not have worked out yet what is visible
+    wanted = context.collection
+    ways = [way for way in _ways(context.view_layer.layer_collection) if way[-1].collection == wanted]
+    for way in ways:  # a collection may be in several others, and be seen in one of them alone
+        if _takes(way[-1]):
+            return wanted
+    for way in ways:
+        for layer in reversed(way):
+            if _takes(layer):
+                return layer.collection
+    return context.scene.collection
+
+
+def _takes(layer: Any) -> bool:
+    """Whether an object that is linked to a layer's collection is seen."""
+    if layer.exclude or not layer.is_visible:
+        return False
+    return layer.collection.library is None and layer.collection.override_library is None
+
+
+def _ways(layer: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    way = (*above, layer)
+    yield way
+    for child in layer.children:
+        yield from _ways(child, way)

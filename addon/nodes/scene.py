@@ -14,8 +14,8 @@ from tg4mm.core.splatfile import SplatFile
 
 from .. import names
 from . import Content, build_player, clock
+from .blending import make_materials
 from .graph import Made
-from .materials import make_materials
 from .points import fill_mesh, fill_references, main_axis, values
 from .spectrum import rms_amplitude
 
@@ -141,13 +141,11 @@ def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -
 
 
 def _has_keys(action: Any) -> bool:
-    """True for an action that moves something."""
     first, last = action.frame_range
     return bool(last > first)
 
 
 def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
-    """An object with the mesh, its modifier and its materials, in no collection yet."""
     materials = make_materials(name, made)
     for material in materials:
         mesh.materials.append(material)
@@ -158,7 +156,6 @@ def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
 
 
 def _describe(obj: Any, splat: SplatFile) -> None:
-    """Custom properties: what the panel says about the file and what a legend needs."""
     obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
     # Whole numbers of a property have 32 bits.
     obj[names.TIMESTEPS] = splat.n_timesteps if splat.n_timesteps < 2**31 else float(splat.n_timesteps)

@@ -31,8 +31,6 @@ class Materials(NamedTuple):
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a way to draw is built of: sockets of the tree, and materials."""
-
     graph: Graph
     points: Any
     inputs: Any  # the tree's, by name
@@ -125,7 +123,6 @@ def _splats(asked: _Asked) -> Any:
 
 
 def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
-    """An ellipsoid at every selected point; `radius` in standard deviations."""
     sphere = graph.call("GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": SUBDIVISIONS}, "Mesh")
     inputs = {
         "Points": points,
@@ -208,7 +205,6 @@ def _arrows(asked: _Asked) -> Any:
 
 
 def _arrow(graph: Graph) -> Any:
-    """A mesh of length 1 along z, from the origin."""
     shaft = {"Vertices": 8, "Radius": 0.035, "Depth": 0.7}
     head = {"Vertices": 12, "Radius Top": 0.0, "Radius Bottom": 0.1, "Depth": 0.3}
     joined = graph.node("GeometryNodeJoinGeometry")

@@ -7,9 +7,9 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
-from ..nodes import collection, drawing, points, scene
+from ..nodes import drawing, points, scene
 from ..reporting import reports
-from . import cropping, meshing
+from . import cropping
 from .panel import _SplatTab
 
 
@@ -125,7 +125,7 @@ class TG4MM_OT_add_crop_box(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         context.view_layer.update()
-        box = cropping.add_box(scene.splat_object(context), collection.receiving(context))
+        box = cropping.add_box(scene.splat_object(context), points.receiving(context))
         for other in context.selected_objects:
             other.select_set(False)
         box.select_set(True)
@@ -146,7 +146,7 @@ class TG4MM_OT_make_mesh(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         try:
-            made = meshing.make(scene.splat_object(context), collection.receiving(context), context)
+            made = cropping.make(scene.splat_object(context), points.receiving(context), context)
         except MemoryError:
             self.report({"ERROR"}, "Not enough memory for it: crop, or draw as arrows")
             return {"CANCELLED"}

@@ -49,7 +49,6 @@ def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.ndarray) -> list[str]:
-    """Hide the startup scene's cube if it overlaps the box; say what else is around all of it."""
     told = []
     for other in context.view_layer.objects:
         if other in objects or other.type not in _SOLID or not other.visible_get() or names.MARK in other:
@@ -66,7 +65,6 @@ def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.nda
 
 
 def _is_startup_cube(obj: Any) -> bool:
-    """Whether an object is the cube that Blender starts with, as it was."""
     if (
         obj.type != "MESH"
         or not obj.name.startswith("Cube")

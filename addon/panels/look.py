@@ -97,7 +97,6 @@ def is_exact(obj: Any) -> bool:
 
 
 def _size(obj: Any) -> tuple[int, int]:
-    """Gaussians and modes of an object."""
     return len(scene.first_mesh(obj).vertices), len(obj[names.FREQUENCIES])
 
 

@@ -1,4 +1,4 @@
-"""The legends of the colours in the 3D view: the panel's pictures, drawn over the lower left corner."""
+"""Settings of the session, on the window manager; legends over the lower left corner of the 3D view."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import Any
 
 import bpy
 import numpy as np
+from bpy.props import BoolProperty, EnumProperty, PointerProperty
 
 from .. import preferences
 from ..nodes import scene
-from . import analysis, view_settings
+from . import analysis
 
 SIDE = 200  # pixels, at a resolution scale of 1
 EDGE = 16
@@ -20,11 +21,34 @@ _handler: Any = None
 _drawn: dict[tuple[Any, ...], Any] = {}  # the legends that were drawn last, and their textures
 
 
+class TG4MM_view(bpy.types.PropertyGroup):
+    """Kept on the window manager, in no file"""
+
+    measure: EnumProperty(  # type: ignore[valid-type]
+        name="Amplitude",
+        description="What a bar of the spectrum shows, over all Gaussians",
+        items=[
+            ("RMS", "RMS", "Root mean square of the Gaussians' amplitudes, weighted by opacity"),
+            ("PEAK", "Largest", "Amplitude of the Gaussian that moves most"),
+        ],
+    )
+    legend: BoolProperty(  # type: ignore[valid-type]
+        name="Legend in the View",
+        description="Show what the colours mean in the lower left corner of the 3D view, with its overlays",
+        default=True,
+    )
+
+
+def of(context: Any) -> Any:
+    """The settings of the session."""
+    return context.window_manager.tg4mm_view
+
+
 def wanted(context: Any) -> list[tuple[str, tuple[Any, ...]]]:
     """The legends that a 3D view shows, of its coloured objects whichever is active: their names, and for each legend
     its function and arguments. The active object's comes first; objects that are coloured alike share one."""
     space = context.space_data
-    if space is None or not space.overlay.show_overlays or not view_settings.of(context).legend:
+    if space is None or not space.overlay.show_overlays or not of(context).legend:
         return []
     active = scene.splat_object(context)
     seen = sorted(filter(_is_seen, context.view_layer.objects), key=lambda obj: obj != active)
@@ -77,6 +101,8 @@ def _texture(picture: np.ndarray) -> Any:
 
 def register() -> None:
     global _handler
+    bpy.utils.register_class(TG4MM_view)
+    bpy.types.WindowManager.tg4mm_view = PointerProperty(type=TG4MM_view)
     if not bpy.app.background:
         _handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
 
@@ -86,3 +112,5 @@ def unregister() -> None:
     if _handler is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
     _handler, _drawn = None, {}
+    del bpy.types.WindowManager.tg4mm_view
+    bpy.utils.unregister_class(TG4MM_view)

@@ -10,7 +10,7 @@ import bpy
 from .. import compat, names, preferences
 from ..nodes import blending, clock, drawing, scene, spectrum
 from ..nodes.shapes import DRAW_MODES
-from . import analysis, colour_range, look, meshing, pictures, plots, view_settings
+from . import analysis, colour_range, cropping, look, overlay, pictures, plots
 
 
 class _Tab:
@@ -117,7 +117,7 @@ class VIEW3D_PT_tg4mm_frequencies(_MotionTab, bpy.types.Panel):
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True)
         _draw_all(grid, scene.splat_modifier(obj), *names.toggles(obj[names.FREQUENCIES]))
         layout.label(text="Shown above")
-        layout.row().prop(view_settings.of(context), "measure", expand=True)
+        layout.row().prop(overlay.of(context), "measure", expand=True)
 
 
 class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
@@ -137,7 +137,7 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
         if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
-        if blind := meshing.modifiers_after(obj):
+        if blind := cropping.modifiers_after(obj):
             layout.label(text=f"{', '.join(blind)}: sees meshes alone", icon="INFO")
             layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
         if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
@@ -180,7 +180,7 @@ class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
     """The function that draws an object's spectrum, and its arguments."""
-    measure = view_settings.of(context).measure
+    measure = overlay.of(context).measure
     freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
     highest = spectrum.whole_band(freqs, float(obj[names.FPS]))[1]
     strengths = tuple(analysis.mode_strengths(obj, measure))
@@ -201,7 +201,7 @@ def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
     picture = analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
     if picture is None:
         return
-    row, view = _fields(layout).row(align=True), view_settings.of(context)
+    row, view = _fields(layout).row(align=True), overlay.of(context)
     colour_range.draw(row, context, obj)
     row.operator("tg4mm.fit_colour_range", text="", icon="FULLSCREEN_EXIT")
     layout.prop(view, "legend")
@@ -210,7 +210,6 @@ def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
 
 
 def _draw_far_out(layout: Any, obj: Any) -> None:
-    """What is so far out that Blender keeps all positions coarsely, with the button that removes it."""
     far, span = look.far_out(obj)
     if not far:
         return
@@ -222,14 +221,12 @@ def _draw_far_out(layout: Any, obj: Any) -> None:
 
 
 def _fields(layout: Any) -> Any:
-    """A column of fields with their names beside them, without gaps."""
     column = layout.column(align=True)
     column.use_property_split = True
     return column
 
 
 def _shading(context: Any) -> str | None:
-    """SOLID, MATERIAL … of the 3D view that is drawn."""
     shading = getattr(getattr(context, "space_data", None), "shading", None)
     return None if shading is None else str(shading.type)
 
@@ -245,7 +242,6 @@ _CLASSES = (
 
 
 def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:
-    """Draw those of the inputs that the modifier has."""
     for name in inputs:
         if compat.has_input(modifier, name):
             compat.draw_input(layout, modifier, name, slider=name == names.ALPHA)

@@ -17,7 +17,7 @@ import blf
 import imbuf
 import numpy as np
 
-from ..nodes import colours, images
+from ..nodes import blending, colours
 from ..units import Unit
 
 Colour = tuple[float, float, float]  # display-referred sRGB, 0 to 1
@@ -178,7 +178,6 @@ def _frame(canvas: Canvas) -> None:
 
 
 def _ticks(canvas: Canvas, low: float, high: float, title: str, size: float, most: int = 5) -> None:
-    """Numbers below the plot's area, and what they are."""
     for value in ticks(low, high, most):
         part = (value - low) / (high - low)
         x = _LEFT + (_RIGHT - _LEFT) * part
@@ -245,13 +244,12 @@ def _words(words: str, size: float) -> tuple[np.ndarray, int]:
         blf.draw_buffer(0, words)
         file = Path(folder) / "words.png"  # the only way to its pixels in 4.5
         imbuf.write(drawn, filepath=str(file))
-        cover = images.pixels(file.read_bytes())[..., 0]
+        cover = blending.pixels(file.read_bytes())[..., 0]
     inked = np.flatnonzero(cover.any(axis=0))
     return cover[:, inked[0] : inked[-1] + 1] if len(inked) else cover, rise
 
 
 def _stroke(points: np.ndarray, thickness: float) -> tuple[np.ndarray, int, int]:
-    """Coverage of a polyline, and where its left upper pixel is."""
     reach = thickness / 2 + 1
     low = np.floor(points.min(axis=0) - reach).astype(int)
     high = np.ceil(points.max(axis=0) + reach).astype(int)

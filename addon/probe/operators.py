@@ -13,7 +13,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
 
 from .. import preferences
-from ..nodes import collection, scene
+from ..nodes import points, scene
 from ..reporting import reports
 from . import picking, probe
 
@@ -80,7 +80,7 @@ class TG4MM_OT_add_probe_sphere(_OnMotion):
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        sphere = picking.add_sphere(obj, collection.receiving(context), context.scene.cursor.location)
+        sphere = picking.add_sphere(obj, points.receiving(context), context.scene.cursor.location)
         for other in context.selected_objects:
             other.select_set(False)
         sphere.select_set(True)

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GenerateError
-from ..limits import check_choice, check_whole, check_within
+from ..errors import GenerateError, check_choice, check_whole, check_within
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
-from .framing import farther
 from .paths import (
     beside_path,
     clip_cameras,
+    farther,
     fixed_camera,
     handheld_camera,
     rig_cameras,

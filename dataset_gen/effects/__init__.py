@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from .describe import CODECS, Effects
-from .record import Record
+from .record import CODECS, Effects, Record
 
 __all__ = ["CODECS", "Effects", "Record"]

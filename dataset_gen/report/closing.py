@@ -12,9 +12,9 @@ from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.records import read_formed
 
 from ..tree import TIMING
+from .dataset import decibel, plural, similarity
 from .noise_floor import FloorRow
 from .sections import Findings
-from .text import decibel, plural, similarity
 
 _SETTINGS = (
     "engine", "images", "sensor", "seed", "background", "kind", "cameras", "effects", "blender_version",

@@ -139,6 +139,5 @@ def _rest(dataset: Dataset, view: View) -> Path | None:
 
 
 def _other_rest(dataset: Dataset, view: View) -> Path | None:
-    """The rest pose from this view with the other seed."""
     base = dataset.root / RESEEDED / REST / f"{view.timestep:03d}" / view.split / view.name
     return next((p for s in SUFFIXES if (p := base.with_name(base.name + s)).is_file()), None)

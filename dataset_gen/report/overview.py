@@ -27,8 +27,7 @@ from tg4mm.core.records import read_formed
 from tg4mm.core.values import Just, Maybe
 
 from ..errors import GenerateError
-from .dataset import read_picture
-from .text import decibel, hertz, percent
+from .dataset import decibel, hertz, percent, read_picture
 from .write import FORMAT, save
 
 _SCORE = {"alpha": float, **dict.fromkeys(("still_psnr_db", "perfect_psnr_db"), Maybe(float))}

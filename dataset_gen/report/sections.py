@@ -16,12 +16,10 @@ from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, 
 from tg4mm.core.pages.svg import number
 
 from ..vibration import reach
-from .dataset import Dataset, MotionTruth, View, read_picture
+from .dataset import Dataset, MotionTruth, View, hertz, length, percent, plural, read_picture, unit_of
 from .modes import ModeSummary, Track, parts_text, phasor_maps, spectrum, together
 from .noise_floor import FloorRow
-from .pictures import dotted, enlarged, overlay, ringed
-from .pixels import Seen, ViewMotion
-from .text import hertz, length, percent, plural, unit_of
+from .pixels import Seen, ViewMotion, dotted, enlarged, overlay, ringed
 
 
 @dataclass(frozen=True)

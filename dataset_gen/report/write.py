@@ -16,13 +16,20 @@ from tg4mm.core.records import write_sealed
 
 from ..tree import whole
 from .closing import floor_section, making_section, shares
-from .dataset import Dataset, evenly, read_dataset, read_picture
+from .dataset import Dataset, evenly, hertz, length, plural, read_dataset, read_picture
 from .modes import still_area, summarise, track_point
 from .noise_floor import noise_floor
-from .pictures import contact_rows, resized, sheet
-from .pixels import Seen, ViewMotion, motion_from_truth, motion_from_vertices, seen_motion
+from .pixels import (
+    Seen,
+    ViewMotion,
+    contact_rows,
+    motion_from_truth,
+    motion_from_vertices,
+    resized,
+    seen_motion,
+    sheet,
+)
 from .sections import Findings, motion_section, pictures_section, pixels_section
-from .text import hertz, length, plural
 
 FORMAT = "tg4mm-dataset-summary"
 _SHOWN = 3  # test cameras with maps

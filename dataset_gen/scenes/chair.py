@@ -13,9 +13,8 @@ import numpy as np
 from .. import meshes as m
 from ..patterns.solid import of_grid
 from ..scene import AreaLight, Gradient, Part, Scene, part
-from ..shapes import cushion as c
-from ..shapes.patch import both
-from ..shapes.scatter import copies
+from ..shapes import sheet as c
+from ..shapes.scatter import both, copies
 from ..shapes.sheet import edged, leaf, puff, puff_points, rounded, shell, volute
 from . import chair_surfaces as paint
 
@@ -60,7 +59,6 @@ def _on_back(points: np.ndarray) -> np.ndarray:
 
 
 def _legs() -> list[Part]:
-    """Two cabriole legs in front, two sabre legs behind, feet."""
     fore = m.spline(
         [(0.50, 0.485, -0.12), (0.535, 0.515, -0.26), (0.56, 0.54, -0.36), (0.535, 0.515, -0.56), (0.505, 0.49, -0.76),
          (0.51, 0.495, -0.88), (0.545, 0.53, -0.975), (0.562, 0.545, -1.0)], 14)  # fmt: skip
@@ -102,7 +100,6 @@ def _level(rim: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _seat() -> list[Part]:
-    """Rail with a shell in front, tufted cushion, cord, nails and fringe."""
     low, high = RAIL
     rail = c.moulding(
         *_level(SEAT.rim(220, -0.015), (low + high) / 2), c.bead_section(0.075, high - low, 6, 0.2)
@@ -167,7 +164,6 @@ def _fringe(top: float) -> m.Mesh:
 
 
 def _back() -> list[Part]:
-    """Carved frame on two stiles, tufted pad, cord, nails, crest."""
     frame = c.moulding(*c.frames_on(_on_back, BACK.rim(240, 0.042)), c.bead_section(0.098, 0.09, 6, 0.22))
     flat, share = BACK.disc(96)
     buttons = c.diamonds(5, 4, (0.17, 0.20), (0.0, 0.0))[:, ::-1] + [0.0, 0.01]
@@ -217,7 +213,6 @@ def _raised(points: np.ndarray, by: float | np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _crest() -> m.Mesh:
-    """A shell on the middle of the top rail, with a leaf to either side."""
     top = BACK.radius(np.array([np.pi / 2]))[0] + 0.045
     (place,), (normal,) = _raised(np.array([[0.0, top]]), 0.043)
     fan = shell(0.10, 0.022, 9, np.radians(250.0)).moved(m.frame(place, normal, (0, 1, 0)))
@@ -231,7 +226,6 @@ def _crest() -> m.Mesh:
 
 
 def _arms() -> list[Part]:
-    """Arm rests that end in volutes, their posts, and their pads."""
     start = _on_back(np.array([0.49, -0.10]))
     scroll = volute((0.40, 0.385), 0.075, 0.022, 1.35, 44)
     along: list[m.Vector] = [start, (-0.36, 0.53, 0.505), (-0.1, 0.60, 0.475), (0.2, 0.635, 0.455)]
@@ -263,7 +257,6 @@ def _arms() -> list[Part]:
 
 
 def _arm_pad(path: np.ndarray) -> tuple[m.Mesh, np.ndarray]:
-    """A small cushion on the arm, and where its texels lie."""
     line = m.spline(list(path), 30)[8:74]
     along, across = edged(len(line), 0.7), edged(40, 0.6)
     even = np.linspace(-1.0, 1.0, len(line))

@@ -6,10 +6,9 @@ import numpy as np
 
 from .. import textures as t
 from ..patterns import solid as unroll
-from ..patterns.brocade import cord as twisted
-from ..patterns.brocade import damask, velvet
+from ..patterns.furnishing import HONEY, damask, velvet, wood
+from ..patterns.furnishing import cord as twisted
 from ..patterns.solid import fractal, mix, noise, ramp, step, unit
-from ..patterns.wood import HONEY, wood
 from ..scene import Surface
 
 _GREEN = ((0.045, 0.20, 0.12), (0.20, 0.47, 0.30))

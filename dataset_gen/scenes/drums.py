@@ -12,8 +12,8 @@ from .. import meshes as m
 from ..meshes import Mesh
 from ..scene import AreaLight, Gradient, Scene, Surface, part
 from ..shapes import drums as d
+from ..shapes import drums as tb
 from ..shapes import solids as s
-from ..shapes import tubes as tb
 from . import drums_hardware as hw
 from . import drums_surfaces as paint
 

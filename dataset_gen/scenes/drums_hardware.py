@@ -10,8 +10,8 @@ from .. import meshes as m
 from ..meshes import Mesh
 from ..scene import Surface
 from ..shapes import drums as d
+from ..shapes import drums as tb
 from ..shapes import solids as s
-from ..shapes import tubes as tb
 from . import drums_surfaces as paint
 
 FLOOR = -0.74
@@ -67,7 +67,6 @@ def _upside_down(mesh: Mesh) -> Mesh:
 
 
 def _column(foot: np.ndarray, top: np.ndarray) -> list[Mesh]:
-    """Two telescoping tubes with a collar and a wing nut at the joint."""
     joint = foot + 0.55 * (top - foot)
     side = np.array([0.6, -0.8, 0.0])
     return [
@@ -79,7 +78,6 @@ def _column(foot: np.ndarray, top: np.ndarray) -> list[Mesh]:
 
 
 def _top(pivot: np.ndarray, normal: np.ndarray, below: float = 0.075) -> tuple[list[Mesh], list[Mesh]]:
-    """Tilter's rod through the cymbal, cup washer and wing nut; and the felts."""
     n = normal / np.linalg.norm(normal)
     metal = [
         tb.rod(pivot - below * n, pivot + 0.06 * n, 0.0055, 10),
@@ -111,7 +109,6 @@ def stands() -> list[Named]:
 
 
 def _arm(foot: np.ndarray, pivot: np.ndarray, normal: np.ndarray) -> list[Mesh]:
-    """Column, boom and tilters up to the cymbal's rod."""
     n = normal / np.linalg.norm(normal)
     end = pivot - 0.075 * n
     elbow = np.array([foot[0], foot[1], end[2] - 0.03 - 0.35 * np.linalg.norm((end - foot)[:2])])
@@ -155,7 +152,6 @@ def _footboard(length: float) -> list[Mesh]:
 
 
 def _hihat_pedal() -> list[Mesh]:
-    """In front of its stand, towards the drummer's seat."""
     at = m.frame((-0.735, -0.56, FLOOR), (0, 0, 1), (0.966, 0.259, 0.0))
     return [piece.moved(at) for piece in _footboard(0.2)]
 

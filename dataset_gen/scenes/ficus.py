@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import meshes as m
 from ..scene import AreaLight, Gradient, Part, Scene, Surface, part
-from ..shapes import growth, leaf
+from ..shapes import plants
 from ..shapes.scatter import pebbles
 from . import ficus_surfaces as paint
 
@@ -45,10 +45,10 @@ _STEMS = (
 def build() -> Scene:
     """The ficus at rest."""
     rng = np.random.default_rng([2032, 0])
-    stems = [growth.stem(np.array(points), radii, 0.55, rng) for points, radii, _, _ in _STEMS]
+    stems = [plants.stem(np.array(points), radii, 0.55, rng) for points, radii, _, _ in _STEMS]
     limbs = []
     for number, (stem, (_, _, count, first)) in enumerate(zip(stems, _STEMS, strict=True)):
-        limbs += growth.limbs(stem, count, first, (0.78, 0.36), rng, turn=2.1 * number)
+        limbs += plants.limbs(stem, count, first, (0.78, 0.36), rng, turn=2.1 * number)
     surface = paint.foliage_strips()
     leaves = [part(f"leaves_{k:02d}", _cluster(limb, rng), surface) for k, limb in enumerate(limbs)]
     return Scene(
@@ -59,7 +59,7 @@ def build() -> Scene:
     )
 
 
-def _trunk(stems: list[growth.Axis]) -> Part:
+def _trunk(stems: list[plants.Axis]) -> Part:
     tubes = []
     for stem in stems:
         tube = m.sweep(stem.path, m.circle(1.0, 18), stem.radius, up=(1.0, 0.0, 0.0))
@@ -67,10 +67,10 @@ def _trunk(stems: list[growth.Axis]) -> Part:
     return part("trunk", m.join(tubes), paint.bark())
 
 
-def _woody(axes: list[growth.Axis], sides: int) -> m.Mesh:
+def _woody(axes: list[plants.Axis], sides: int) -> m.Mesh:
     """Limbs or twigs of equal numbers of points, painted with the bark strip of the foliage picture."""
     paths, radii = np.stack([a.path for a in axes]), np.stack([a.radius for a in axes])
-    return _in_strip(leaf.stalks(paths, radii, sides), paint.BARK, 2.0)
+    return _in_strip(plants.stalks(paths, radii, sides), paint.BARK, 2.0)
 
 
 def _in_strip(mesh: m.Mesh, strip: int, repeats: float) -> m.Mesh:
@@ -78,10 +78,9 @@ def _in_strip(mesh: m.Mesh, strip: int, repeats: float) -> m.Mesh:
     return m.Mesh(mesh.vertices, mesh.triangles, np.stack([repeats * mesh.uv[..., 0], v], -1))
 
 
-def _cluster(limb: growth.Axis, rng: np.random.Generator) -> m.Mesh:
-    """A limb with its twigs, leaf stalks and leaves."""
-    twigs = growth.twigs(limb, 6, (0.16, 0.32), rng)
-    places = np.concatenate([growth.leaf_places(twig, 0.039, rng) for twig in twigs])
+def _cluster(limb: plants.Axis, rng: np.random.Generator) -> m.Mesh:
+    twigs = plants.twigs(limb, 6, (0.16, 0.32), rng)
+    places = np.concatenate([plants.leaf_places(twig, 0.039, rng) for twig in twigs])
     stalks, blades = _leaves(places, rng)
     return m.join([_woody([limb], 8), _woody(twigs, 6), stalks, blades])
 
@@ -96,16 +95,16 @@ def _leaves(places: np.ndarray, rng: np.random.Generator) -> tuple[m.Mesh, m.Mes
     paths = (
         start + (reach[:, None] * t)[..., None] * out + (0.2 * reach[:, None] * t * (1.0 - t))[..., None] * up
     )
-    stalks = leaf.stalks(paths, np.full((n, 4), 0.0017) * np.linspace(1.15, 0.85, 4))
+    stalks = plants.stalks(paths, np.full((n, 4), 0.0017) * np.linspace(1.15, 0.85, 4))
     kind = rng.choice(paint.KINDS, n, p=(0.42, 0.36, 0.17, 0.05))
-    shapes = leaf.Leaves(
+    shapes = plants.Leaves(
         length=0.138 * size, width=0.066 * size * rng.uniform(0.85, 1.15, n), droop=rng.uniform(0.15, 1.25, n),
         fold=rng.uniform(0.05, 0.4, n), ripple=rng.uniform(0.05, 0.25, n), phase=rng.uniform(0.0, 6.3, n),
         band=2 * kind,
     )  # fmt: skip
     ends = places.copy()
     ends[:, :3, 3] = paths[:, -1] - 0.001 * out[:, 0]
-    return _in_strip(stalks, 4, 0.3), leaf.blades(ends, shapes, paint.STRIPS)
+    return _in_strip(stalks, 4, 0.3), plants.blades(ends, shapes, paint.STRIPS)
 
 
 def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -116,7 +115,6 @@ def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _pot(rng: np.random.Generator, foliage: Surface) -> tuple[Part, ...]:
-    """Pot, saucer, soil, pebbles, and some fallen leaves: all still."""
     pot, saucer = (m.revolve([(r, z + FLOOR) for r, z in outline], 96) for outline in (_POT, _SAUCER))
     return (
         part("pot", pot, paint.pot()),
@@ -128,7 +126,6 @@ def _pot(rng: np.random.Generator, foliage: Surface) -> tuple[Part, ...]:
 
 
 def _soil() -> m.Mesh:
-    """The mound between the stems and the wall of the pot."""
     outline = [(r, 0.0) for r in np.linspace(_INNER + 0.002, 0.0, 24)]
     disc = m.revolve(outline, 72)
     x, y = disc.vertices[:, 0], disc.vertices[:, 1]
@@ -137,7 +134,6 @@ def _soil() -> m.Mesh:
 
 
 def _stones(rng: np.random.Generator, count: int = 150) -> m.Mesh:
-    """Pebbles strewn on the soil, more along the wall, clear of the stems and mostly of each other."""
     feet = np.array([points[0][:2] for points, *_ in _STEMS])
     places: list[tuple[float, float, float]] = []
     for _ in range(40 * count):
@@ -154,7 +150,6 @@ def _stones(rng: np.random.Generator, count: int = 150) -> m.Mesh:
 
 
 def _fallen(rng: np.random.Generator) -> m.Mesh:
-    """A few yellow leaves on the soil."""
     n = 5
     angle = np.array([0.5, 1.7, 2.9, 4.1, 5.4])
     r = np.array([0.2, 0.15, 0.21, 0.16, 0.19])
@@ -166,7 +161,7 @@ def _fallen(rng: np.random.Generator) -> m.Mesh:
     x, y = r * np.cos(angle), r * np.sin(angle)
     frames[:, :3, 3] = np.column_stack([x, y, ground(x, y) + 0.022])
     ones = np.ones(n)
-    shapes = leaf.Leaves(
+    shapes = plants.Leaves(
         0.1 * ones, 0.045 * ones, 0.15 * ones, 0.15 * ones, 0.15 * ones, turn, np.full(n, 2 * paint.KINDS - 2)
     )
-    return leaf.blades(frames, shapes, paint.STRIPS)
+    return plants.blades(frames, shapes, paint.STRIPS)

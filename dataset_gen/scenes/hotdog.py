@@ -36,8 +36,6 @@ PLATE = [
 
 @dataclass(frozen=True)
 class _Dog:
-    """Where a hot dog lies and what tells it from the other."""
-
     name: str
     y: float
     heading: float  # radians, turned on the plate
@@ -163,7 +161,6 @@ def _bead(count: int, radius: float, seed: int) -> np.ndarray:
 
 
 def _mustard() -> m.Mesh:
-    """A tight zig-zag."""
     t = np.linspace(0.0, 1.0, 900)
     wave = np.arcsin(0.965 * np.sin(2.0 * np.pi * 9.5 * t)) / np.arcsin(0.965)
     wobble = np.stack([8.0 * t, 0.0 * t, 0.0 * t], -1)
@@ -172,7 +169,6 @@ def _mustard() -> m.Mesh:
 
 
 def _ketchup() -> m.Mesh:
-    """A wide wavy line with loops."""
     t = np.linspace(0.0, 1.0, 900)
     turn = 2.0 * np.pi * 7.5 * t
     wobble = np.stack([8.0 * t, 0.0 * t, 0.0 * t], -1)
@@ -198,7 +194,6 @@ def _seeds(bun: m.Mesh, rng: np.random.Generator) -> m.Mesh:
 
 
 def _on_the_plate() -> tuple[Part, ...]:
-    """Crumbs, fallen seeds, and drops of both sauces; they lie still."""
     rng = np.random.default_rng([31, 9])
     angle, radius = rng.uniform(0.0, 2.0 * np.pi, 900), 0.99 * np.sqrt(rng.uniform(0.02, 0.98, 900))
     spots = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -222,7 +217,6 @@ def _on_the_plate() -> tuple[Part, ...]:
 
 
 def _crumb() -> m.Mesh:
-    """A torn lump of bread, its foot on z = 0."""
     arc = [(np.sin(a), -np.cos(a)) for a in np.linspace(0.0, np.pi, 9)]
     ball = m.revolve(arc, 14)
     swell = 0.02 * (1.0 + 0.28 * fractal(ball.vertices, 0.9, 3, 4))

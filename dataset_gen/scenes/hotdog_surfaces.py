@@ -129,8 +129,6 @@ def plate(outline: Sequence[Sequence[float]]) -> Surface:
 
 
 def _rim(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Ink [H, W] of the rim's ornament."""
-
     def line(at: float, width: float) -> np.ndarray:
         return step(np.abs(radius - at), width, 0.6 * width)
 

@@ -64,7 +64,6 @@ def _mirror_y(model: b.BrickModel, part: str, mesh: Mesh) -> None:
 
 
 def _chassis(model: b.BrickModel) -> None:
-    """Two beams full of holes, a deck between and above them, columns and fenders, tank behind."""
     beam = b.beam(16).moved(m.frame((-8.0, 2.5, 2.5), (0, 1, 0), (1, 0, 0)))
     _mirror_y(model, "chassis", beam)
     for x in (-8, -4, 0, 4):
@@ -87,14 +86,12 @@ def _chassis(model: b.BrickModel) -> None:
 
 
 def _mudguard(x: float, side: int) -> Mesh:
-    """The fender's slope down in front of it."""
     outline = np.array([(0.0, 0.0), (1.6, 0.0), (1.6, 0.1), (0.25, 0.38), (0.0, 0.38)])
     mesh = s.prism(outline, -1.98, 1.98, 0.03)
     return mesh.moved(m.frame((x + 0.01, 4.0 * side, 5.1), (0, -1, 0), (1, 0, 0)))
 
 
 def _tank(model: b.BrickModel) -> None:
-    """The fuel tank behind the cab: staggered bricks, a grille tile, cap and lamps."""
     model.brick("body", (-8, -2, 3.5), (1, 2, 1.2))
     model.brick("body", (-8, 0, 3.5), (1, 2, 1.2))
     model.brick("body", (-8, -2, 4.7), (1, 4, 0.4))
@@ -124,7 +121,6 @@ def _panel(name: str, origin: tuple, right: tuple, up: tuple, thick: float = 0.0
 
 
 def _hood(model: b.BrickModel) -> None:
-    """Bonnet of staggered bricks with a printed side, a sloped nose, headlights and exhaust."""
     for x, n in ((2, 3), (5, 3)):
         model.brick("body", (x, -2, 6.3), (n, 2, 1.2))
         model.brick("body", (x, 0, 6.3), (n, 2, 1.2))
@@ -151,7 +147,6 @@ def _hood(model: b.BrickModel) -> None:
 
 
 def _engine(model: b.BrickModel) -> None:
-    """Block with ribbed cylinders and red caps on both sides, radiator with slats, headlights."""
     model.brick("engine", (2, -2, 3.5), (5, 4, 1.2), studs=False)
     model.brick("engine", (2, -2, 4.7), (5, 4, 1.6), studs=False)
     ribs = [(0.62, 0.0)]
@@ -177,7 +172,6 @@ def _engine(model: b.BrickModel) -> None:
 
 
 def _cab(model: b.BrickModel) -> None:
-    """Posts, roof and dashboard on the fender deck; seat, wheel and levers inside."""
     for x, y in ((0.5, 2.5), (0.5, -2.5), (-5.5, 2.5), (-5.5, -2.5)):
         post = b.beam(6, height=1.0).moved(m.frame((x, y, 5.5), (1, 0, 0), (0, 0, 1)))
         model.add("cab", post)
@@ -200,7 +194,6 @@ def _cab(model: b.BrickModel) -> None:
 
 
 def _roof_lamps(model: b.BrickModel) -> None:
-    """Work lights under the roof's front edge and a beacon on top."""
     for y in (-1.5, 1.5):
         model.add("cab_trim", s.block((0.75, y - 0.5, 10.55), (1.5, y + 0.5, 11.4), 0.08))
         dome = m.revolve([(0.36, 0.0), (0.36, 0.05), (0.25, 0.14), (0.0, 0.19)], 20)
@@ -216,7 +209,6 @@ def _roof_lamps(model: b.BrickModel) -> None:
 
 
 def _inside(model: b.BrickModel) -> None:
-    """Red seat, steering wheel on its column, two levers with knobs, on a dark floor."""
     model.brick("frame", (-6, -2, 5.1), (6, 4, 0.4))
     model.brick("seat", (-5, -1, 5.5), (2, 2, 1.0), studs=False)
     model.add("seat", s.block((-4.95, -1.1, 6.48), (-2.7, 1.1, 6.95), 0.14))

@@ -93,7 +93,6 @@ def blade(model: b.BrickModel) -> None:
 
 
 def _edge(model: b.BrickModel, front: np.ndarray, back: np.ndarray) -> None:
-    """Cutting edge and teeth; the warning stripes above it are on the mouldboard's face."""
     low = 0.5 * (front + back)
     model.add("teeth", s.block((low[0] - 0.42, -7.1, 0.27), (low[0] + 0.48, 7.1, 0.62), 0.06))
     outline = np.array([(0.0, 0.0), (1.5, 0.0), (1.5, 0.07), (0.45, 0.48), (0.0, 0.48)])
@@ -118,7 +117,6 @@ def _striped(sheet: Mesh, y0: float) -> Mesh:
 
 
 def _ribs(model: b.BrickModel) -> None:
-    """Behind the mouldboard: a horizontal beam, uprights, the arms' and pistons' brackets."""
     behind = _BLADE[0] - _BLADE[2] - 0.62
     beam = b.beam(14).moved(m.frame((behind - 0.3, -7.0, 2.5), (1, 0, 0), (0, 1, 0)))
     model.add("blade", beam)

@@ -85,7 +85,6 @@ def build() -> Scene:
 
 
 def _microphone() -> tuple[Part, ...]:
-    """Body, collar, grille, capsule and switch, along the tilted axis."""
     at = m.frame(PIVOT, AXIS)
     on_top = m.frame(PIVOT + at[:3, 0] * (RADIUS - 0.008) + AXIS * 0.02, at[:3, 0], AXIS)
     rings = m.join([m.revolve(_COLLAR, 72), m.revolve(_RIM, 72)])
@@ -124,7 +123,6 @@ def _weave(
 
 
 def _dome() -> list[m.Mesh]:
-    """The grille's front: rings and meridians on a shallow dome."""
     base, bulge, wire = RADIUS - 0.026, 0.085, m.circle(0.0085, 6)
     wires = []
     for ring_radius in base * np.arange(1, 5) / 5.0:
@@ -142,7 +140,6 @@ def _dome() -> list[m.Mesh]:
 
 
 def _stand() -> tuple[Part, ...]:
-    """Rod, swivel block with its thumb screw, and the saddle that holds the body."""
     block_path = np.array([[0.0, 0.0, z] for z in np.linspace(0.03, 0.17, 8)])
     block = m.sweep(block_path, m.rounded_rectangle(0.13, 0.115, 0.025), up=_LEVEL)
     arc = [(0.072 * np.sin(a), -0.072 * np.cos(a)) for a in np.linspace(0.0, np.pi, 13)]
@@ -161,7 +158,6 @@ def _stand() -> tuple[Part, ...]:
 
 
 def _tripod() -> tuple[Part, ...]:
-    """Hub, three legs and their rubber feet: held still."""
     legs, feet = [], []
     for heading in LEG_HEADINGS:
         out = np.array([np.cos(heading), np.sin(heading), 0.0])

@@ -1,17 +1,89 @@
-"""What stands on the decks of the scene "ship": hatches, ladders, capstan, wheel, boat, casks, anchors."""
+"""What stands on the decks of the scene "ship", and her dimensions. Bow along +x, starboard at y < 0."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from .. import meshes as m
 from ..scene import Part, part
 from ..shapes import hull as lines
-from ..shapes import joinery as j
-from ..shapes import rig
-from ..shapes.patch import both, shifted, slab
+from ..shapes import vessel as j
+from ..shapes.hull import Hull
+from ..shapes.scatter import both, shifted, slab
 from . import ship_surfaces as paint
-from .ship_plan import HULL, deck_at, deck_z
+
+HULL = Hull()
+WATER = -0.37  # level of the sea
+WATER_RADIUS = 1.2
+
+# Decks: stations from aft to fore, height above the sheer.
+LEVELS: dict[str, tuple[tuple[float, float], float]] = {
+    "waist": ((0.36, 0.73), -0.05),
+    "quarterdeck": ((0.14, 0.37), 0.025),
+    "poop": ((0.0, 0.15), 0.095),
+    "forecastle": ((0.72, 0.985), 0.03),
+}
+# Bulwarks: stations, foot and head above the sheer.
+BULWARKS: dict[str, tuple[tuple[float, float], float, float]] = {
+    "waist": ((0.3705, 0.7195), 0.0, 0.03),
+    "quarterdeck": ((0.0, 0.37), 0.0, 0.08),
+    "poop": ((0.0, 0.15), 0.08, 0.15),
+    "forecastle": ((0.72, 0.985), 0.0, 0.08),
+}
+# How far the inside of each bulwark reaches below its foot: to its deck.
+LINING = {"waist": 0.06, "quarterdeck": 0.0, "poop": 0.0, "forecastle": 0.0}
+
+
+@dataclass(frozen=True)
+class MastPlan:
+    """One mast: heights of its pole from the deck up, and its yards as (height, half length, furled sail radius)."""
+
+    name: str
+    x: float
+    foot: float
+    top: float  # the platform
+    crosstrees: float
+    head: float
+    rake: float  # x per unit of height, aft is negative
+    radius: float
+    yards: tuple[tuple[float, float, float], ...]
+    brace: float  # degrees the yards are turned
+
+    def at(self, z: float, forward: float = 0.0) -> np.ndarray:
+        """The mast's axis at a height."""
+        return np.array([self.x + self.rake * (z - self.foot) + forward, 0.0, z])
+
+
+FORE = MastPlan(
+    "fore", 0.40, -0.09, 0.30, 0.60, 0.84, 0.03, 0.019,
+    ((0.215, 0.30, 0.031), (0.50, 0.22, 0.026), (0.73, 0.14, 0.018)), 9.0,
+)  # fmt: skip
+MAIN = MastPlan(
+    "main", -0.04, -0.24, 0.38, 0.74, 1.02, -0.02, 0.022,
+    ((0.275, 0.35, 0.035), (0.62, 0.25, 0.029), (0.89, 0.16, 0.02)), 9.0,
+)  # fmt: skip
+MIZZEN = MastPlan(
+    "mizzen", -0.47, -0.06, 0.30, 0.52, 0.68, -0.05, 0.016,
+    ((0.225, 0.2, 0.0), (0.445, 0.16, 0.019)), 9.0,
+)  # fmt: skip
+MASTS = (FORE, MAIN, MIZZEN)
+BOWSPRIT = (np.array([0.48, 0.0, -0.035]), np.array([1.10, 0.0, 0.225]))
+
+
+def deck_z(name: str, u: float) -> float:
+    """Height of a deck's edge at a station."""
+    return float(HULL.sheer(np.array(u))) + LEVELS[name][1]
+
+
+def deck_at(name: str, x: float, y: float = 0.0) -> np.ndarray:
+    """A point on a deck's planks, camber included."""
+    u = HULL.station(x, deck_z(name, 0.5))
+    z = deck_z(name, u)
+    half = max(float(HULL.breadth(np.array(u), z)) - 0.008, 1e-3)
+    return np.array([x, y, z + 0.01 * (1.0 - min(abs(y) / half, 1.0) ** 2) * min(half / 0.1, 1.0)])
+
 
 _CAPSTAN = [
     (0.0, 0.0), (0.042, 0.0), (0.042, 0.008), (0.024, 0.016), (0.02, 0.04), (0.026, 0.055), (0.036, 0.058),
@@ -41,7 +113,6 @@ _CASKS = ((0.02, 0.13), (0.055, 0.135), (0.04, -0.135), (-0.11, 0.13), (-0.19, -
 
 
 def _deck_work() -> tuple[Part, ...]:
-    """Gratings, ladders, capstan, wheel with its binnacle, casks."""
     work = []
     for deck, x, length, width in _GRATINGS:
         low = deck_at(deck, x) + [-length / 2, -width / 2, -0.012]
@@ -63,7 +134,6 @@ def _deck_work() -> tuple[Part, ...]:
 
 
 def _capstan(spot: np.ndarray) -> list[m.Mesh]:
-    """The drum with its six bars."""
     made = [shifted(m.revolve(_CAPSTAN, 16), spot)]
     for a in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
         out = np.array([np.cos(a), np.sin(a), 0.0])
@@ -73,7 +143,6 @@ def _capstan(spot: np.ndarray) -> list[m.Mesh]:
 
 
 def _boat() -> tuple[Part, ...]:
-    """The ship's boat on chocks over the main hatch: a small hull of its own, thwarts and oars in it."""
     small = lines.Hull(
         keel_z=0.0, half_beam=0.042, keel_ends=(-0.09, 0.075), sheer_ends=(-0.105, 0.115),
         sheer_z=(0.052, 0.042, 0.055), tumblehome=0.02,
@@ -119,15 +188,14 @@ def _anchor() -> tuple[m.Mesh, m.Mesh]:
 
 
 def _anchors() -> tuple[Part, ...]:
-    """A bower anchor at each bow, hung from its cathead, with its cable into the hawse."""
     foot, head = HULL.at(0.53, -0.275, 0.012), HULL.at(0.545, -0.14, 0.03)
     at = m.frame(foot, head - foot, (1.0, 0.25, 0.0))
     iron, stock = (piece.moved(at) for piece in _anchor())
     outboard = HULL.at(0.53, deck_z("forecastle", HULL.station(0.53, -0.1))) + [0.0, 0.0, 0.012]
     cathead = shifted(slab((-0.011, -0.075, -0.011), (0.011, 0.05, 0.011), 0.15), outboard)
     ring = at[:3, 3] + 0.149 * at[:3, 2]
-    tie = rig.rope(ring, outboard + [0.0, -0.07, 0.0], 0.0035)
-    cable = rig.line(m.spline([ring, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6), 0.005, 6)
+    tie = j.rope(ring, outboard + [0.0, -0.07, 0.0], 0.0035)
+    cable = j.line(m.spline([ring, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6), 0.005, 6)
     return (
         part("anchors", both(iron), paint.iron()),
         part("catheads", both(m.join([cathead, stock])), paint.oak()),

@@ -7,10 +7,10 @@ import numpy as np
 from .. import meshes as m
 from ..scene import Part, part
 from ..shapes import hull as lines
-from ..shapes import joinery as j
-from ..shapes.patch import both, box, patch, slab, tiled
+from ..shapes import vessel as j
+from ..shapes.scatter import both, box, patch, slab, tiled
 from . import ship_surfaces as paint
-from .ship_plan import BULWARKS, HULL, LEVELS, LINING, deck_z
+from .ship_fittings import BULWARKS, HULL, LEVELS, LINING, deck_z
 
 _WALL = 0.011  # thickness of the bulwarks
 _BROWN, _GREEN = (0.36, 0.19, 0.11), (0.17, 0.2, 0.16)
@@ -22,7 +22,6 @@ def parts() -> tuple[Part, ...]:
 
 
 def _hull() -> tuple[Part, ...]:
-    """Skin, keel with stem and sternpost, wales."""
     s = np.linspace(0.0, 1.0, 24)
     stem = HULL.side(np.ones(24), s)
     stern = HULL.side(np.zeros(8), np.linspace(1.0, 0.0, 8)) * [1.0, 0.0, 1.0]
@@ -39,7 +38,6 @@ def _hull() -> tuple[Part, ...]:
 
 
 def _bulwarks() -> tuple[Part, ...]:
-    """Painted sides above the sheer, each with its rail."""
     made, rails = {}, []
     for name, (ends, low, high) in BULWARKS.items():
         made[name] = lines.bulwark(HULL, ends, low, high, _WALL, LINING[name])
@@ -64,7 +62,6 @@ _OPENINGS = ((-0.55, 0.05, 0.5, (3, 2)), (0.55, 0.05, 0.5, (3, 2)), (0.0, 0.06, 
 
 
 def _decks() -> tuple[Part, ...]:
-    """Decks, the bulkheads between their levels with doors and windows, and the rails along their breaks."""
     sheets = [lines.deck(HULL, ends, height, 0.008) for ends, height in LEVELS.values()]
     decks = tiled(m.join(sheets), 2.0, 2.0)  # the picture is half a unit long
     walls, openings, tops = zip(*(_bulkhead(*which) for which in _BREAKS), strict=True)
@@ -81,7 +78,6 @@ def _decks() -> tuple[Part, ...]:
 def _bulkhead(
     high: str, low: str, end: int, facing: float
 ) -> tuple[m.Mesh, list[tuple[m.Mesh, m.Mesh]], tuple[m.Mesh, m.Mesh]]:
-    """The wall under the edge of a deck, its windows and door (frames, panes), and the balustrade on it."""
     u = np.array(LEVELS[high][0][end])
     x, top, foot = (
         float(HULL.side(u, np.array(1.0))[0]),
@@ -107,7 +103,6 @@ def _transom_point(y: float, z: float) -> np.ndarray:
 
 
 def _stern() -> tuple[Part, ...]:
-    """Transom with two rows of windows, gallery, carved crown, three lanterns, rudder."""
     top = float(HULL.level(np.array(0.0), HULL.sheer(np.array(0.0)) + BULWARKS["poop"][2]))
     frames, panes = zip(*(_stern_window(k, z) for z in (-0.06, 0.035) for k in range(-2, 3)), strict=True)
     # y, height of the foot, size; they stand on the crown
@@ -131,7 +126,6 @@ def _stern() -> tuple[Part, ...]:
 
 
 def _stern_window(number: int, z: float) -> tuple[m.Mesh, m.Mesh]:
-    """Frame and pane of a stern window, counted from the middle."""
     at = j.frame_on(_transom_point(0.046 * number, z), (-1.0, 0.0, 0.1))
     return j.window(at, 0.034, 0.056, (2, 3))
 
@@ -147,7 +141,6 @@ def _lantern(y: float, foot: float, size: float) -> tuple[m.Mesh, m.Mesh]:
 
 
 def _mouldings() -> list[m.Mesh]:
-    """Ledges across the transom."""
     made = []
     for z in (-0.105, -0.016, 0.074):
         half = float(HULL.breadth(np.array(0.0), z))

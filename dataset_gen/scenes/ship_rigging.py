@@ -6,10 +6,10 @@ import numpy as np
 
 from .. import meshes as m
 from ..scene import Part, part
-from ..shapes import rig
-from ..shapes.patch import both, shifted, slab
+from ..shapes import vessel
+from ..shapes.scatter import both, shifted, slab
 from . import ship_surfaces as paint
-from .ship_plan import BOWSPRIT, BULWARKS, FORE, HULL, MAIN, MASTS, MIZZEN, MastPlan
+from .ship_fittings import BOWSPRIT, BULWARKS, FORE, HULL, MAIN, MASTS, MIZZEN, MastPlan
 
 _UP = np.array([0.0, 0.0, 1.0])
 _TOP = [
@@ -29,13 +29,13 @@ def _mast(plan: MastPlan) -> list[m.Mesh]:
     r = plan.radius
     lap = 0.07
     return [
-        rig.spar(plan.at(plan.foot - 0.05), plan.at(plan.top + lap), (r, 1.05 * r, 0.95 * r, 0.75 * r)),
-        rig.spar(
+        vessel.spar(plan.at(plan.foot - 0.05), plan.at(plan.top + lap), (r, 1.05 * r, 0.95 * r, 0.75 * r)),
+        vessel.spar(
             plan.at(plan.top - 0.02, 1.6 * r),
             plan.at(plan.crosstrees + 0.6 * lap, 1.6 * r),
             (0.7 * r, 0.66 * r, 0.5 * r),
         ),
-        rig.spar(
+        vessel.spar(
             plan.at(plan.crosstrees - 0.01, 2.5 * r),
             plan.at(plan.head, 2.5 * r),
             (0.46 * r, 0.4 * r, 0.22 * r),
@@ -79,7 +79,7 @@ def _yards(plan: MastPlan) -> list[m.Mesh]:
     for number, (_, half, _) in enumerate(plan.yards):
         thick = 0.030 * half + 0.0035
         made.append(
-            rig.spar(
+            vessel.spar(
                 *_yard_ends(plan, number), (0.45 * thick, 0.85 * thick, thick, 0.85 * thick, 0.45 * thick), 10
             )
         )
@@ -99,11 +99,11 @@ def _spritsail() -> tuple[np.ndarray, np.ndarray]:
 
 def _spars() -> tuple[Part, ...]:
     masts = [piece for plan in MASTS for piece in _mast(plan)]
-    masts.append(rig.spar(*BOWSPRIT, (0.02, 0.02, 0.016, 0.009)))
+    masts.append(vessel.spar(*BOWSPRIT, (0.02, 0.02, 0.016, 0.009)))
     tops = [piece for plan in MASTS for piece in _platforms(plan)]
     yards = [piece for plan in MASTS for piece in _yards(plan)]
-    yards.append(rig.spar(*_lateen(), (0.005, 0.009, 0.009, 0.005), 10))
-    yards.append(rig.spar(*_spritsail(), (0.004, 0.007, 0.008, 0.007, 0.004), 10))
+    yards.append(vessel.spar(*_lateen(), (0.005, 0.009, 0.009, 0.005), 10))
+    yards.append(vessel.spar(*_spritsail(), (0.004, 0.007, 0.008, 0.007, 0.004), 10))
     return (
         part("masts", m.join(masts), paint.mast()),
         part("tops", m.join(tops), paint.joinery()),
@@ -126,7 +126,7 @@ def _sails() -> tuple[Part, ...]:
     for a, b, radius, gaskets, sag in spans:
         inset = 0.05 * (b - a)
         before = np.array([0.35 * radius, 0.0, 0.55 * radius])
-        canvas, tie = rig.furled(a + inset + before, b - inset + before, radius, gaskets, rng, sag)
+        canvas, tie = vessel.furled(a + inset + before, b - inset + before, radius, gaskets, rng, sag)
         rolls.append(canvas)
         ties.append(tie)
     return (
@@ -152,7 +152,6 @@ def _feet(plan: MastPlan, count: int, spacing: float) -> np.ndarray:
 
 
 def _standing() -> tuple[Part, ...]:
-    """Shrouds with ratlines, topmast shrouds, backstays, stays, and the channels that spread them."""
     sides = [_shrouds(plan, count) for plan, count in zip(MASTS, (6, 7, 5), strict=True)]
     dark, rungs, eyes, boards = (both(m.join(pieces)) for pieces in zip(*sides, strict=True))
     return (
@@ -169,33 +168,31 @@ def _shrouds(plan: MastPlan, count: int) -> tuple[m.Mesh, m.Mesh, m.Mesh, m.Mesh
     feet = _feet(plan, count, 0.03)
     spread = np.column_stack([np.linspace(0.01, -0.012, count), np.full(count, -0.9 * r), np.zeros(count)])
     heads = plan.at(plan.top + 0.012) + spread
-    tight, steps = rig.shrouds(feet + 0.036 * (heads - feet), heads, _MID, 0.021)
+    tight, steps = vessel.shrouds(feet + 0.036 * (heads - feet), heads, _MID, 0.021)
     edge = plan.at(plan.top + 0.012) + np.array([[x, -0.07 * size, 0.0] for x in (0.022, 0.002, -0.018)])
     cross = plan.at(plan.crosstrees + 0.02, 1.6 * r) + np.array(
         [[x, -0.008, 0.0] for x in (0.004, 0.0, -0.004)]
     )
-    topmast, top_steps = rig.shrouds(edge, cross, _THIN, 0.019)
+    topmast, top_steps = vessel.shrouds(edge, cross, _THIN, 0.019)
     backstays = [
-        rig.rope(feet[-1] - [dx, 0.0, 0.0], plan.at(z, 2.0 * r), _THIN)
+        vessel.rope(feet[-1] - [dx, 0.0, 0.0], plan.at(z, 2.0 * r), _THIN)
         for z, dx in ((plan.crosstrees + 0.02, 0.02), (plan.head - 0.03, 0.05))
     ]
     return (
         m.join([tight, topmast, *backstays]),
         m.join([steps, top_steps]),
-        rig.deadeyes(feet, heads, 0.0075),
+        vessel.deadeyes(feet, heads, 0.0075),
         _channel(feet),
     )
 
 
 def _channel(feet: np.ndarray) -> m.Mesh:
-    """The board outside the bulwark that the shrouds of a mast are set up to."""
     aft, fore = feet[-1] - [0.075, 0.0, 0.0], feet[0] + [0.02, 0.0, 0.0]
     low, high = min(feet[:, 2].min(), feet[:, 2].max() - 0.011), feet[:, 2].max() - 0.003
     return slab((aft[0], feet[:, 1].min() - 0.006, low), (fore[0], feet[:, 1].max() + 0.037, high), 0.2)
 
 
 def _stays() -> list[m.Mesh]:
-    """Ropes in the ship's middle plane that hold the masts forwards."""
     tip, heel = BOWSPRIT[1], BOWSPRIT[0]
 
     def on_bowsprit(t: float) -> np.ndarray:
@@ -215,11 +212,10 @@ def _stays() -> list[m.Mesh]:
         (_lateen()[1], MIZZEN.at(MIZZEN.head - 0.06, 0.03), _THIN),
         (_lateen()[1], np.array([-0.83, 0.0, 0.19]), _THIN),
     ]
-    return [rig.rope(a, b, radius, 0.004) for a, b, radius in runs]
+    return [vessel.rope(a, b, radius, 0.004) for a, b, radius in runs]
 
 
 def _running() -> tuple[Part, ...]:
-    """Lifts, braces, footropes with stirrups, sheets."""
     ropes = []
     for plan in MASTS:
         caps = (plan.top + 0.07, plan.crosstrees + 0.045, plan.head - 0.015)
@@ -229,36 +225,35 @@ def _running() -> tuple[Part, ...]:
             for arm in ends:
                 middle = plan.at(z, 2.0 * plan.radius)
                 near = middle + 0.06 * (arm - middle)
-                ropes.append(rig.rope(arm, plan.at(caps[number], 1.6 * plan.radius), _THIN))
-                ropes.append(rig.rope(arm + 0.06 * (middle - arm), near, 0.0019, 0.16 * half, spans=10))
+                ropes.append(vessel.rope(arm, plan.at(caps[number], 1.6 * plan.radius), _THIN))
+                ropes.append(vessel.rope(arm + 0.06 * (middle - arm), near, 0.0019, 0.16 * half, spans=10))
                 heights = (behind.top - 0.06, behind.crosstrees - 0.08, behind.head - 0.06)
-                ropes.append(rig.rope(arm, behind.at(min(z + 0.05, heights[number])), 0.0019, 0.012))
+                ropes.append(vessel.rope(arm, behind.at(min(z + 0.05, heights[number])), 0.0019, 0.012))
     tip = BOWSPRIT[1]
     for arm in _spritsail():
-        ropes.append(rig.rope(arm, tip - 0.02 * _UP, 0.0019))
+        ropes.append(vessel.rope(arm, tip - 0.02 * _UP, 0.0019))
         ropes.append(
-            rig.rope(arm, HULL.at(0.58, -0.06) * [1, np.sign(arm[1]) * -1, 1] + [0, 0, 0.02], 0.0019, 0.01)
+            vessel.rope(arm, HULL.at(0.58, -0.06) * [1, np.sign(arm[1]) * -1, 1] + [0, 0, 0.02], 0.0019, 0.01)
         )
     foot, _ = _lateen()
-    ropes.append(rig.rope(foot, np.array([-0.22, -0.12, -0.06]), _THIN))
+    ropes.append(vessel.rope(foot, np.array([-0.22, -0.12, -0.06]), _THIN))
     return (part("running", m.join(ropes), paint.rope("running", (0.66, 0.55, 0.37), 31)),)
 
 
 def _flags() -> tuple[Part, ...]:
-    """Ensign at the stern, pennants at the mast heads, jack on the bowsprit, with their staffs."""
     wind = np.radians(245.0)
-    staffs = [rig.spar((-0.825, 0.0, 0.10), (-0.875, 0.0, 0.40), (0.007, 0.006, 0.004), 8)]
+    staffs = [vessel.spar((-0.825, 0.0, 0.10), (-0.875, 0.0, 0.40), (0.007, 0.006, 0.004), 8)]
     staffs.append(
-        rig.spar(BOWSPRIT[1] + [-0.02, 0, 0.0], BOWSPRIT[1] + [-0.02, 0, 0.16], (0.005, 0.004, 0.003), 8)
+        vessel.spar(BOWSPRIT[1] + [-0.02, 0, 0.0], BOWSPRIT[1] + [-0.02, 0, 0.16], (0.005, 0.004, 0.003), 8)
     )
     cloths = []
     for plan, length in zip(MASTS, (0.17, 0.26, 0.15), strict=True):
         head = plan.at(plan.head, 2.5 * plan.radius)
         cap = m.revolve([(0.0, -0.008), (0.011, -0.004), (0.011, 0.004), (0.0, 0.008)], 10)
         staffs.append(shifted(cap, head + [0, 0, 0.002]))
-        cloths.append(rig.flag(head - [0, 0, 0.012], (length, 0.04), wind, 1.7, 0.75))
-    ensign = rig.flag((-0.871, 0.0, 0.385), (0.17, 0.115), wind, 1.3)
-    jack = rig.flag(BOWSPRIT[1] + [-0.02, 0, 0.155], (0.11, 0.075), wind, 1.2)
+        cloths.append(vessel.flag(head - [0, 0, 0.012], (length, 0.04), wind, 1.7, 0.75))
+    ensign = vessel.flag((-0.871, 0.0, 0.385), (0.17, 0.115), wind, 1.3)
+    jack = vessel.flag(BOWSPRIT[1] + [-0.02, 0, 0.155], (0.11, 0.075), wind, 1.2)
     red, white, blue = (0.70, 0.12, 0.1), (0.9, 0.88, 0.82), (0.12, 0.22, 0.45)
     return (
         part("staffs", m.join(staffs), paint.gilt("staffs")),

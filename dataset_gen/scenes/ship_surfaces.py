@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import textures as t
-from ..patterns import brocade, wood
+from ..patterns import furnishing
 from ..scene import Rgb, Surface
 
 _GILT = (0.62, 0.45, 0.20)
@@ -16,9 +16,9 @@ _rng = t.seeded(2031)
 def hull() -> Surface:
     """Tarred oak strakes, pale tallow below the waterline, worn and streaked; v runs from keel to sheer."""
     h, w = 640, 1536
-    boards = wood.planks(h, w, 30, 5.0, _rng(1), 0.13)
-    fibres = wood.grain(h, w, _rng(2), 22, 150)
-    image = wood.planked((0.40, 0.265, 0.165), boards, fibres, (0.3, 0.28))
+    boards = furnishing.planks(h, w, 30, 5.0, _rng(1), 0.13)
+    fibres = furnishing.grain(h, w, _rng(2), 22, 150)
+    image = furnishing.planked((0.40, 0.265, 0.165), boards, fibres, (0.3, 0.28))
     v = ((np.arange(h) + 0.5) / h)[:, None]
     streaks = np.clip(t.noise(h, w, (3, 90), _rng(3)), 0.0, 2.0) * 0.16
     image *= (1.0 - streaks * (0.4 + 0.6 * v))[..., None]
@@ -34,8 +34,8 @@ def hull() -> Surface:
 def upper_works(name: str, ground: Rgb, number: int) -> Surface:
     """Painted bulwarks: a band of gilt lozenges and rosettes between mouldings on planks."""
     h, w = 192, 2048
-    boards = wood.planks(h, w, 5, 9.0, _rng(number), 0.1)
-    image = wood.planked(ground, boards, wood.grain(h, w, _rng(number + 1), 60, 40), (0.16, 0.2))
+    boards = furnishing.planks(h, w, 5, 9.0, _rng(number), 0.1)
+    image = furnishing.planked(ground, boards, furnishing.grain(h, w, _rng(number + 1), 60, 40), (0.16, 0.2))
     v = ((np.arange(h) + 0.5) / h)[:, None]
     u = ((np.arange(w) + 0.5) / w * 46.0)[None]
     cross, up = np.abs(u % 1.0 - 0.5), np.abs(v - 0.5)
@@ -51,8 +51,10 @@ def upper_works(name: str, ground: Rgb, number: int) -> Surface:
 def transom() -> Surface:
     """The stern: planks across, gilt scrolls and lozenges above the waterline; u across, v upwards."""
     h, w = 640, 384
-    boards = wood.planks(h, w, 34, 1.5, _rng(49), 0.12)
-    image = wood.planked((0.34, 0.2, 0.12), boards, wood.grain(h, w, _rng(50), 5, 150), (0.24, 0.24))
+    boards = furnishing.planks(h, w, 34, 1.5, _rng(49), 0.12)
+    image = furnishing.planked(
+        (0.34, 0.2, 0.12), boards, furnishing.grain(h, w, _rng(50), 5, 150), (0.24, 0.24)
+    )
     v = ((np.arange(h) + 0.5) / h)[:, None]
     u = ((np.arange(w) + 0.5) / w)[None]
     cross = np.abs((u * 11.0) % 1.0 - 0.5)
@@ -69,29 +71,33 @@ def transom() -> Surface:
 def deck() -> Surface:
     """Scrubbed pine, caulked with pitch; one repeat per 0.5 units of ship."""
     h, w = 512, 768
-    boards = wood.planks(h, w, 20, 2.0, _rng(11), 0.12)
-    image = wood.planked((0.66, 0.52, 0.36), boards, wood.grain(h, w, _rng(12), 10, 120), (0.16, 0.2))
+    boards = furnishing.planks(h, w, 20, 2.0, _rng(11), 0.12)
+    image = furnishing.planked(
+        (0.66, 0.52, 0.36), boards, furnishing.grain(h, w, _rng(12), 10, 120), (0.16, 0.2)
+    )
     return Surface("deck", image, 1.0 - boards.seam, 0.002, roughness=0.7)
 
 
 def bulkhead() -> Surface:
     """Upright boarding of the cabins."""
     h, w = 192, 512
-    boards = wood.planks(w, h, 18, 1.2, _rng(13), 0.12)
-    image = wood.planked((0.5, 0.33, 0.19), boards, wood.grain(w, h, _rng(14), 5, 110), (0.22, 0.24))
+    boards = furnishing.planks(w, h, 18, 1.2, _rng(13), 0.12)
+    image = furnishing.planked(
+        (0.5, 0.33, 0.19), boards, furnishing.grain(w, h, _rng(14), 5, 110), (0.22, 0.24)
+    )
     return Surface("bulkhead", image.transpose(1, 0, 2), 1.0 - boards.seam.T, 0.002, roughness=0.6)
 
 
 def oak() -> Surface:
     """Dark timber of wales, rails, channels, rudder; the fibres along u."""
-    image = wood.timber(512, 192, (0.23, 0.15, 0.1), _rng(15), 0.42).transpose(1, 0, 2)
+    image = furnishing.timber(512, 192, (0.23, 0.15, 0.1), _rng(15), 0.42).transpose(1, 0, 2)
     return Surface("oak", image, roughness=0.55)
 
 
 def wale() -> Surface:
     """The same timber on swept sections, whose length is v: scarphed pieces with bolts."""
     h, w = 2048, 64
-    image = wood.timber(h, w, (0.17, 0.115, 0.085), _rng(16), 0.45)
+    image = furnishing.timber(h, w, (0.17, 0.115, 0.085), _rng(16), 0.45)
     v, u = (np.arange(h) + 0.5) / h * 70.0, (np.arange(w) + 0.5) / w
     bolts = (np.abs(v % 1.0 - 0.5) < 0.1)[:, None] & (np.abs((u * 4.0) % 1.0 - 0.5) < 0.16)[None]
     image = t.paint(image, bolts.astype(float), (0.48, 0.4, 0.3))
@@ -100,19 +106,19 @@ def wale() -> Surface:
 
 def joinery() -> Surface:
     """Warm brown timber of hatches, ladders, capstan, boats; the fibres along u."""
-    image = wood.timber(384, 256, (0.52, 0.33, 0.17), _rng(17), 0.4).transpose(1, 0, 2)
+    image = furnishing.timber(384, 256, (0.52, 0.33, 0.17), _rng(17), 0.4).transpose(1, 0, 2)
     return Surface("joinery", image, roughness=0.55)
 
 
 def turned() -> Surface:
     """Timber of balusters and handrails, swept or revolved."""
-    return Surface("turned", wood.timber(256, 64, (0.58, 0.37, 0.18), _rng(18), 0.35), roughness=0.5)
+    return Surface("turned", furnishing.timber(256, 64, (0.58, 0.37, 0.18), _rng(18), 0.35), roughness=0.5)
 
 
 def mast() -> Surface:
     """Pine spars with iron hoops and rope wooldings; one repeat per half unit."""
     h, w = 512, 128
-    image = wood.timber(h, w, (0.52, 0.34, 0.19), _rng(19), 0.42)
+    image = furnishing.timber(h, w, (0.52, 0.34, 0.19), _rng(19), 0.42)
     for v in (0.12, 0.62):
         image = t.paint(image, t.band(h, w, v, v + 0.022), (0.09, 0.08, 0.08))
     turns = t.diagonal(h, w, 256.0 / 2.2, 0)
@@ -131,13 +137,13 @@ def gilt(name: str = "gilt") -> Surface:
 
 def rope(name: str, colour: Rgb, number: int) -> Surface:
     """Laid rope."""
-    image, height = brocade.laid(128, 32, colour, _rng(number))
+    image, height = furnishing.laid(128, 32, colour, _rng(number))
     return Surface(name, image, height, 0.002, roughness=0.85)
 
 
 def canvas() -> Surface:
     """Flax sails, rolled: folds run along the yard."""
-    image, height = brocade.canvas(384, 384, (0.87, 0.80, 0.66), _rng(23), 5, (7, 16))
+    image, height = furnishing.canvas(384, 384, (0.87, 0.80, 0.66), _rng(23), 5, (7, 16))
     return Surface("canvas", image, height, 0.01, roughness=0.85, sheen=0.15)
 
 
@@ -151,7 +157,7 @@ def iron() -> Surface:
 
 def port() -> Surface:
     """Red lids and frames of the gun ports."""
-    image = wood.timber(128, 96, (0.46, 0.12, 0.08), _rng(26), 0.35).transpose(1, 0, 2)
+    image = furnishing.timber(128, 96, (0.46, 0.12, 0.08), _rng(26), 0.35).transpose(1, 0, 2)
     return Surface("port", image, roughness=0.5, coat=0.1)
 
 
@@ -173,7 +179,7 @@ def glass(name: str, colour: Rgb, number: int) -> Surface:
 def flag(name: str, bands: tuple[Rgb, ...], number: int) -> Surface:
     """Bunting in bands across the hoist, with a seam every panel."""
     h, w = 192, 384
-    weave, height = brocade.canvas(h, w, (1.0, 1.0, 1.0), _rng(number), 6, (4, 10))
+    weave, height = furnishing.canvas(h, w, (1.0, 1.0, 1.0), _rng(number), 6, (4, 10))
     rows = (np.arange(h) * len(bands) // h)[::-1]
     return Surface(name, weave * np.array(bands)[rows][:, None], height, 0.003, roughness=0.8, sheen=0.2)
 
@@ -212,7 +218,7 @@ def sea_body() -> Surface:
 def cask() -> Surface:
     """Staves under iron hoops; u goes around, v upwards along the outline."""
     h, w = 192, 256
-    image = wood.timber(h, w, (0.50, 0.34, 0.2), _rng(51), 0.35)
+    image = furnishing.timber(h, w, (0.50, 0.34, 0.2), _rng(51), 0.35)
     staves = (((np.arange(w) + 0.5) / w * 14.0) % 1.0 < 0.12).astype(float)[None] * np.ones((h, 1))
     image = t.paint(image, staves, (0.14, 0.1, 0.07))
     for v in (0.24, 0.36, 0.54, 0.66):
@@ -223,7 +229,9 @@ def cask() -> Surface:
 def boat() -> Surface:
     """The ship's boat: clinker strakes, white above, blue sheer strake."""
     h, w = 192, 512
-    boards = wood.planks(h, w, 8, 2.0, _rng(52), 0.16)
-    image = wood.planked((0.78, 0.74, 0.66), boards, wood.grain(h, w, _rng(53), 5, 40), (0.12, 0.14))
+    boards = furnishing.planks(h, w, 8, 2.0, _rng(52), 0.16)
+    image = furnishing.planked(
+        (0.78, 0.74, 0.66), boards, furnishing.grain(h, w, _rng(53), 5, 40), (0.12, 0.14)
+    )
     image = t.paint(image, t.band(h, w, 0.875, 0.99), (0.12, 0.24, 0.36))
     return Surface("boat", image, 1.0 - boards.seam, 0.003, roughness=0.5)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..meshes import Mesh, join, sweep
-from .patch import mirrored, patch
+from .scatter import mirrored, patch
 
 Height = float | Callable[[np.ndarray], np.ndarray]  # above the sheer, constant or by station u
 

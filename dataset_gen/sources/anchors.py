@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ..materials import DISPLACEMENT
+from ..build import DISPLACEMENT
 from .gather import Piece
 
 _LOCAL, _GENERATED, _WORLD = "tg4mm local", "tg4mm generated", "tg4mm world"

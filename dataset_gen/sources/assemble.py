@@ -10,15 +10,13 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..build import Stage, stage_of
+from ..build import Stage, stage_of, trees
 from ..cameras import Camera
 from ..errors import GenerateError
-from ..materials import trees
-from ..vibration.bodies import Body
-from . import lighting
+from ..vibration.fields import Body
 from .anchors import Anchors
 from .bodies_file import Found
-from .copies import MaterialCopies
+from .copies import MaterialCopies, brighten, glows
 from .gather import Gathered, Lamp
 from .images import list_names
 from .realise import realise
@@ -67,11 +65,11 @@ def assemble(
         raise GenerateError(f"{origin.path}: scene {old.name!r} holds nothing but volumes")
     copies.report()
     lamps = [(lamp.name, _lamp(lamp, scene, origin.exposure)) for lamp in found.lamps]
-    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or lighting.glows(copies.made)
+    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or glows(copies.made)
     light(scene, old, lit, notes)
     if origin.exposure != 1.0:
         roots = [block.node_tree for block in (scene.world, *copies.made)]
-        lighting.brighten(trees(roots), origin.exposure)
+        brighten(trees(roots), origin.exposure)
     _remove_all_but(scene)
     for name, obj in [*lamps, *((name, obj) for name, obj, _ in made)]:
         obj.name = name  # the user's object had it until now

@@ -14,7 +14,7 @@ from tg4mm.core.untrusted import parse_json, read_npz
 from .. import tree
 from ..cameras import Camera
 from ..errors import GenerateError
-from ..vibration.bodies import Body
+from ..vibration.fields import Body
 
 _VERSION = 2
 _PLAIN = ("unit_scale_m", "own_unit", "camera_names", "warnings", "centre", "radius")

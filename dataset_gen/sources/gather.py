@@ -96,7 +96,6 @@ def gather(scene: bpy.types.Scene) -> Gathered:
 
 
 def _prepare(scene: bpy.types.Scene) -> None:
-    """Turns off whatever would come between the engine and the full geometry."""
     render = scene.render
     render.resolution_x = render.resolution_y = 8
     render.resolution_percentage = 100
@@ -169,7 +168,6 @@ def _name(original: bpy.types.Object, parent: bpy.types.Object | None) -> str:
 def _shapes_of(
     found: Gathered, instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph
 ) -> Iterator[tuple[Shape, str]]:
-    """The mesh of an object and the tubes of its hair."""
     obj = instance.object
     if obj.type not in ("MESH", "CURVES"):
         return

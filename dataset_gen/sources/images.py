@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..materials import LINEAR, new_image
+from ..build import LINEAR, new_image
 
 
 def list_names(names: Iterable[str], most: int = 6) -> str:
@@ -106,7 +106,6 @@ def _lost(image: bpy.types.Image | None) -> str:
 
 
 def _grey_sky() -> bpy.types.Image:
-    """A soft grey environment, brighter above."""
     if (known := bpy.data.images.get("tg4mm grey sky")) is not None:
         return known
     height = 32

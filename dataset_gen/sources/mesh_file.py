@@ -12,10 +12,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..build import trees
+from ..build import world as made_world
 from ..cameras import scene_cameras
 from ..errors import GenerateError
-from ..materials import trees
-from ..materials import world as made_world
 from ..scene import Gradient
 from .assemble import Loaded, Origin, assemble
 from .blend import file_cameras
@@ -31,8 +31,6 @@ _GREY = (0.45, 0.45, 0.45, 1.0)  # linear
 
 @dataclass(frozen=True)
 class _Format:
-    """How Blender reads a kind of file."""
-
     operator: str  # of bpy.ops
     addon: str = ""  # that brings the operator along
     metres: bool = False  # whether the format fixes the unit of length, which the importer turns into metres
@@ -178,7 +176,6 @@ def _colour(found: Gathered, warnings: list[str]) -> None:
 
 
 def _material_of(layer: str) -> bpy.types.Material:
-    """Principled, with a colour attribute or plain grey."""
     material = bpy.data.materials.new(layer or "grey")
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
@@ -198,7 +195,6 @@ def _has_detail(materials: Sequence[bpy.types.Material | None]) -> bool:
 
 
 def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:
-    """A soft box and a sky, whatever the file said."""
     scene.world = made_world(_SKY)
     data = bpy.data.lights.new("soft box", "AREA")
     data.size, data.energy = _LAMP_SIZE, _LAMP_POWER

@@ -1,19 +1,16 @@
 """Vibration as data: mode shapes as displacement fields on the rest vertices, times a law in time.
 
 numpy only; no Blender. What moves and how is described in YAML (describe.py), solved on meshes (solve.py) into a
-Motion (motion.py) that is exactly linear in the gain of every mode. The convention of phases: timelaw.py.
+Motion (motion.py) that is exactly linear in the gain of every mode. The convention of phases: values.py.
 """
 
 from __future__ import annotations
 
-from .bodies import Body
 from .describe import MotionDescription, read_motion
-from .fields import Field
-from .modes import Mode
+from .fields import Body, Field, Mode
 from .motion import Motion, State
-from .reach import pixel_displacement, reach
-from .solve import solve
-from .timelaw import SINE, Ramp, TimeLaw, Vibration
+from .solve import pixel_displacement, reach, solve
+from .values import SINE, Ramp, TimeLaw, Vibration
 
 __all__ = [
     "SINE", "Body", "Field", "Mode", "Motion", "MotionDescription", "Ramp", "State", "TimeLaw", "Vibration",

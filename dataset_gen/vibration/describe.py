@@ -15,12 +15,9 @@ from tg4mm.core.untrusted import read_json, read_yaml
 
 from ..errors import GenerateError
 from . import values
-from .beams import Bending
-from .fields import Drift, Field, Group, Jiggle, Rock, Translate, Twist
-from .modes import RANDOM, Mode
-from .plates import Membrane, Plate
-from .timelaw import Ramp, Vibration
-from .waves import Wave
+from .fields import RANDOM, Drift, Field, Group, Jiggle, Mode, Rock, Translate, Twist
+from .structures import Bending, Membrane, Plate, Wave
+from .values import Ramp, Vibration
 
 _ALWAYS = ("name", "kind", "parts", "magnified")
 _VIBRATES = ("frequency", "amplitude", "amplitude_px", "phase", "phases", "decay")

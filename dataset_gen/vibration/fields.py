@@ -1,4 +1,4 @@
-"""Displacement fields: rigid motions, twist, soft bodies, vertex groups; the base of all kinds.
+"""Displacement fields: rigid motions, twist, soft bodies, vertex groups; the bodies and modes they belong to.
 
 A field maps rest points [V, 3] to displacements [V, 3], real or complex, of any scale: the mode's amplitude
 scales it. Fields are frozen dataclasses; their names are the keys of the motion description, and the type of
@@ -8,15 +8,99 @@ each says how the key is read (values.py).
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from .bodies import Body
-from .geometry import across, unit
-from .values import Direction, MaybePositive, Point, Positive, Text, Triple, direction, number, vector, whole
+from .values import (
+    Direction,
+    MaybePositive,
+    Point,
+    Positive,
+    Text,
+    TimeLaw,
+    Triple,
+    Vibration,
+    direction,
+    number,
+    vector,
+    whole,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One object at rest. Raises ValueError if the arrays do not fit together or are not finite."""
+
+    name: str
+    vertices: np.ndarray  # [V, 3] float64, world space, scene units
+    triangles: np.ndarray  # [F, 3] int
+    follow: np.ndarray  # [V] in 0..1: how much of every mode's field a vertex goes along with
+    groups: Mapping[str, np.ndarray] = field(default_factory=dict)  # weights [V] of the vertex groups
+
+    def __post_init__(self) -> None:
+        n = len(self.vertices)
+        shapes = {"vertices": (self.vertices, (n, 3)), "follow": (self.follow, (n,))}
+        shapes |= {f"group {name!r}": (weights, (n,)) for name, weights in self.groups.items()}
+        for what, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ValueError(f"{self.name}: {what} has shape {array.shape}, expected {shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{self.name}: {what} holds a value that is not finite")
+        if self.triangles.ndim != 2 or self.triangles.shape[1] != 3:
+            raise ValueError(f"{self.name}: triangles have shape {self.triangles.shape}, expected [F, 3]")
+
+
+def unit(direction: Sequence[float] | np.ndarray) -> np.ndarray:
+    """[3] float64 of length 1. The direction must not be zero."""
+    d = np.asarray(direction, np.float64)
+    d = d / np.abs(d).max()
+    return np.asarray(d / np.linalg.norm(d))
+
+
+def across(direction: Sequence[float] | np.ndarray, axis: np.ndarray, what: str) -> np.ndarray:
+    """The unit vector [3] of what `direction` has perpendicular to the unit vector `axis`.
+
+    Raises ValueError, beginning with `what`, if the two are parallel.
+    """
+    d = unit(direction)
+    d = d - axis * (d @ axis)
+    if np.linalg.norm(d) < 1e-6:
+        raise ValueError(f"{what} {tuple(float(c) for c in direction)} is parallel to it")
+    return unit(d)
+
+
+def plane(
+    normal: Sequence[float], x: Sequence[float] | None, what: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors (u, v, n) of a plane: n the normal, u along `x` as far as it lies in the plane.
+
+    Without `x`, u is along world x, or along world y if the normal is nearly along x. Raises ValueError,
+    beginning with `what`, if x is parallel to the normal.
+    """
+    n = unit(normal)
+    if x is None:
+        x = (1.0, 0.0, 0.0) if abs(n[0]) < 0.9 else (0.0, 1.0, 0.0)
+    u = across(x, n, what)
+    return u, np.cross(n, u), n
+
+
+def fade(distance: np.ndarray, full: float, zero: float) -> np.ndarray:
+    """1 up to the distance `full`, exactly 0 from `zero` on, a smooth step (C¹) in between."""
+    u = np.clip((zero - np.asarray(distance, np.float64)) / (zero - full), 0.0, 1.0)
+    return np.asarray(u * u * (3.0 - 2.0 * u))
+
+
+def phasor(degrees: float | np.ndarray) -> np.ndarray:
+    """exp(i · degrees), exact at multiples of 90°, so that a real shape stays real."""
+    quarters = np.asarray(degrees, np.float64) / 90.0
+    whole = np.round(quarters)
+    rest = np.exp(0.5j * np.pi * (quarters - whole))
+    return np.asarray(np.array([1, 1j, -1, -1j])[whole.astype(int) % 4] * rest)
+
 
 Shape = Callable[[np.ndarray], np.ndarray]
 
@@ -158,3 +242,51 @@ class Group(Field):
     def on(self, body: Body, seed: Sequence[int]) -> Shape:
         weights = np.asarray(body.groups.get(self.group, np.zeros(len(body.vertices))), np.float64)
         return lambda points: weights[:, None] * unit(self.direction)
+
+
+RANDOM = "random"
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode. Exactly one of `amplitude` and `amplitude_px` is given.
+
+    The amplitude is the largest displacement over all vertices of the scene and over a cycle: in scene units (of
+    a drift: scene units per second), or in pixels of the reference camera.
+    """
+
+    name: str
+    field: Field
+    law: TimeLaw
+    amplitude: float | None = None
+    amplitude_px: float | None = None
+    phase: float = 0.0  # degrees; 0 is a sine, at rest at t = 0
+    phases: tuple[tuple[str, float], ...] | str = ()  # further degrees per part: (glob, degrees), or RANDOM
+    parts: tuple[str, ...] = ()  # globs of the parts that move; () is every part
+    magnified: bool = True  # False: α leaves it alone
+
+    @property
+    def kind(self) -> str:
+        return self.field.kind
+
+    @property
+    def frequency_hz(self) -> float:
+        """0 for a drift."""
+        return self.law.frequency_hz
+
+    @property
+    def steady(self) -> bool:
+        """Whether it goes on for ever, the same in every period."""
+        return isinstance(self.law, Vibration) and self.law.decay_s is None
+
+    def moves(self, part: str) -> bool:
+        """Whether a part takes part in the mode."""
+        return not self.parts or any(fnmatchcase(part, glob) for glob in self.parts)
+
+    def phasor(self, part: str, seed: int) -> complex:
+        """exp(i · phase) of a part; of several globs that match it the last one counts."""
+        if isinstance(self.phases, str):
+            rng = np.random.default_rng([seed, body_seed(self.name), body_seed(part)])
+            return complex(phasor(self.phase + rng.uniform(0.0, 360.0)))
+        extra = [degrees for glob, degrees in self.phases if fnmatchcase(part, glob)]
+        return complex(phasor(self.phase + (extra[-1] if extra else 0.0)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .timelaw import TimeLaw
+from .values import TimeLaw
 
 _ROUND = 9  # decimals of a gain: 1e-9 of an amplitude is far below float32
 _ON_A_LINE = 1e-12  # how far off a line, relative, numbers that differ by rounding may lie

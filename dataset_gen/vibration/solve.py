@@ -8,13 +8,51 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from ..errors import GenerateError
-from .bodies import Body
 from .describe import MotionDescription
-from .fields import Group
-from .modes import Mode
+from .fields import Body, Group, Mode
 from .motion import Motion
-from .reach import reach
-from .timelaw import SINE
+from .values import SINE
+
+
+def reach(shape: np.ndarray) -> np.ndarray:
+    """Largest |Re(s e^{iθ})| over all θ of vectors s [..., D]: half the major axis of their ellipses [...].
+
+    With s = a + ib it is the larger singular value of the matrix [a, b], in closed form.
+    """
+    a, b = np.real(shape), np.imag(shape)
+    aa, bb, ab = (a * a).sum(-1), (b * b).sum(-1), (a * b).sum(-1)
+    return np.asarray(np.sqrt(0.5 * (aa + bb) + np.hypot(0.5 * (aa - bb), ab)))
+
+
+def pixel_displacement(
+    positions: np.ndarray,
+    shape: np.ndarray,
+    camera_to_world: np.ndarray,
+    fl_x: float,
+    fl_y: float,
+    width: int | None = None,
+    height: int | None = None,
+) -> float:
+    """Largest displacement in pixels, over points and over the cycle, of a complex shape seen by a camera.
+
+    To first order: the shape [V, 3] goes through the Jacobian of the pinhole projection at `positions` [V, 3].
+    `camera_to_world` [4, 4] has OpenGL axes; focal lengths are in pixels. Points behind the camera do not count,
+    and given `width` and `height` (principal point in the middle) neither do points outside the picture. Hidden
+    points count: nothing is known of what lies in front. 0 if no point counts.
+    """
+    rotation = np.asarray(camera_to_world, np.float64)[:3, :3]
+    local = (positions - np.asarray(camera_to_world)[:3, 3]) @ rotation
+    depth = -local[:, 2]
+    seen = depth > 1e-9
+    local, depth, moved = local[seen], depth[seen], shape[seen] @ rotation
+    x, y = local[:, 0] / depth, local[:, 1] / depth
+    if width is not None and height is not None:
+        inside = (np.abs(fl_x * x) <= 0.5 * width) & (np.abs(fl_y * y) <= 0.5 * height)
+        x, y, depth, moved = x[inside], y[inside], depth[inside], moved[inside]
+    # Depth grows against local z: d(X/depth) = (dX + x dZ) / depth.
+    columns = fl_x * (moved[:, 0] + x * moved[:, 2]), fl_y * (moved[:, 1] + y * moved[:, 2])
+    return float(reach(np.stack(columns, -1) / depth[:, None]).max(initial=0.0))
+
 
 Reference = Callable[[np.ndarray, np.ndarray], float]
 _MANY = 8  # names in a message
@@ -49,7 +87,6 @@ def solve(
 def _shapes(
     mode: Mode, bodies: Sequence[Body], fps: float, reference: Reference | None, seed: int
 ) -> list[np.ndarray]:
-    """Per body the shape [V, 3] complex128 of a mode, scaled."""
     if mode.frequency_hz >= fps / 2:
         raise ValueError(
             f"frequency {mode.frequency_hz:g} Hz is not below half the frame rate, {fps / 2:g} Hz (fps {fps:g})"
@@ -88,7 +125,6 @@ def _pixel_scale(
 
 
 def _moving(mode: Mode, bodies: Sequence[Body]) -> list[Body]:
-    """The bodies that take part; checks every glob and the vertex group."""
     for glob in mode.parts:
         _matching("parts", glob, [body.name for body in bodies])
     moving = [body for body in bodies if mode.moves(body.name)]
@@ -103,7 +139,6 @@ def _moving(mode: Mode, bodies: Sequence[Body]) -> list[Body]:
 
 
 def _check_group(group: str, moving: Sequence[Body]) -> None:
-    """Raises ValueError for a vertex group that no part has, or that no vertex is in."""
     holders = [body for body in moving if group in body.groups]
     if not holders:
         there = sorted({name for body in moving for name in body.groups})

@@ -1,13 +1,25 @@
-"""Values of a motion description: what a person may write for a number, a point, a direction, and its check.
+"""Values of a motion description and their checks (ValueError says what is wrong with one); laws of time.
 
 A reader takes what YAML or JSON gave and returns the typed value, or raises ValueError whose text says what is
 wrong with the value ("-3 is not a positive number"); the caller puts file, mode and key before it.
+
+The convention of phases. A mode of shape s (complex displacement field, scaled to its amplitude)
+and phase φ moves the rest point x by
+
+    Re[ −i · e^{iφ} · s(x) · g(t) ]      t in timesteps, timestep 0 is the reference frame
+
+with g(t) = exp(i 2π f t/fps) · exp(−(t/fps)/decay) for a vibration: at phase 0 a real shape goes as s · sin(2π f
+t/fps), at rest at t = 0; and g(t) = i · t/fps for a drift, which goes as s · t/fps. The product −i · e^{iφ} · s is
+the stored mode shape m, so that every displacement is Re Σ_k m_k g_k(t), and (1 + α) times mode k if it is magnified.
 """
 
 from __future__ import annotations
 
 import reprlib
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Protocol
+
+import numpy as np
 
 from tg4mm.core.values import Number
 
@@ -105,3 +117,43 @@ MaybePositive = Annotated[float | None, positive]
 Point = Annotated[Triple, vector]
 Direction = Annotated[Triple, direction]
 Text = Annotated[str, text]
+
+
+SINE = -1j  # Re[−i s exp(iωt)] = s sin ωt
+
+
+class TimeLaw(Protocol):
+    """The gain over time of a mode."""
+
+    @property
+    def frequency_hz(self) -> float:
+        """0 if it does not oscillate."""
+
+    def gain(self, timesteps: np.ndarray, fps: float) -> np.ndarray:
+        """g at the given timesteps [T], complex128 [T]."""
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """A sinusoid, ringing down by 1/e every `decay_s` seconds if that is given."""
+
+    frequency_hz: float
+    decay_s: float | None = None
+
+    def gain(self, timesteps: np.ndarray, fps: float) -> np.ndarray:
+        t = np.asarray(timesteps, np.float64)
+        # Whole turns are taken off first, so that equal phases give equal numbers at any t.
+        g = np.exp(2j * np.pi * ((self.frequency_hz * t / fps) % 1.0))
+        return g if self.decay_s is None else g * np.exp(-t / (fps * self.decay_s))
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A linear growth: the shape is the displacement after one second."""
+
+    @property
+    def frequency_hz(self) -> float:
+        return 0.0
+
+    def gain(self, timesteps: np.ndarray, fps: float) -> np.ndarray:
+        return 1j * np.asarray(timesteps, np.float64) / fps

@@ -312,7 +312,7 @@ def test_a_modifier_after_ours_is_told_of_and_sees_one_mesh(extension: ModuleTyp
     drawn_whole(extension, obj)
     array = obj.modifiers.new("Array", "ARRAY")
     array.count = 3
-    after = extension.panels.meshing.modifiers_after
+    after = extension.panels.cropping.modifiers_after
     assert after(obj) == ["Array"]
 
     def faces() -> int:

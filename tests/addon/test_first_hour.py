@@ -148,7 +148,7 @@ def test_fifty_modes_of_a_recording_without_end(
     assert bpy.ops.tg4mm.probe(source="CURSOR") == {"FINISHED"}
     found = extension.probe.picking.stored(obj)
     assert found.n_timesteps == n_timesteps
-    function, *arguments = extension.probe.panel.curve_picture(
+    function, *arguments = extension.probe.picking.curve_picture(
         found, extension.preferences.unit_for(bpy.context, obj), 0.5
     )
     function(*arguments)

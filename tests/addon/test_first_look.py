@@ -63,7 +63,7 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
 def test_legend_is_of_the_palette_where_splats_blend_as_trained(
     extension: ModuleType, splat_path: Path
 ) -> None:
-    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.view_colours
+    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.analysis
     setter(extension, obj)(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
     unit = extension.preferences.unit_for(bpy.context, obj)
     before = extension.panels.analysis.legend_picture(obj, unit, scene)
@@ -78,7 +78,7 @@ def test_legend_is_of_the_palette_where_splats_blend_as_trained(
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])
 def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, transform: str) -> None:
-    scene, seen = bpy.context.scene, extension.panels.view_colours
+    scene, seen = bpy.context.scene, extension.panels.analysis
     scene.view_settings.view_transform = transform
     linear = extension.nodes.colours.amplitude_map()
     found = seen.through_view(linear, scene)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset_gen.cameras import CameraSetup, cameras_at
-from dataset_gen.cameras.framing import half_widths, moving_points
+from dataset_gen.cameras.paths import half_widths, moving_points
 from dataset_gen.prepare import bodies_of, framed
 from dataset_gen.scenes import NAMES
 from dataset_gen.settings import Settings, motion_file

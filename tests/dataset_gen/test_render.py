@@ -9,7 +9,7 @@ OpenEXR = pytest.importorskip("OpenEXR")
 from mathutils import Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
-from dataset_gen import build, compat, devices, exr, render, truth  # noqa: E402
+from dataset_gen import build, compat, exr, render, truth  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
 from dataset_gen.errors import GenerateError  # noqa: E402
 from dataset_gen.pictures import PictureFormat  # noqa: E402
@@ -206,7 +206,7 @@ class Listed:
 
 def test_the_fastest_kind_of_gpu_is_taken(stage):
     listed = Listed(CPU=["Xeon"], CUDA=["H200"], OPTIX=["H200"], HIP=["MI300"])
-    assert devices.use_device(stage.scene, "auto", listed) == "OPTIX: H200"
+    assert compat.use_device(stage.scene, "auto", listed) == "OPTIX: H200"
     assert (listed.compute_device_type, stage.scene.cycles.device) == ("OPTIX", "GPU")
     assert {d.type: d.use for d in listed.devices} == {
         "CPU": False,
@@ -214,25 +214,25 @@ def test_the_fastest_kind_of_gpu_is_taken(stage):
         "OPTIX": True,
         "HIP": False,
     }
-    assert devices.device_in_use(listed) == "GPU"
-    assert devices.use_device(stage.scene, "cpu", listed) == "CPU"
+    assert compat.device_in_use(listed) == "GPU"
+    assert compat.use_device(stage.scene, "cpu", listed) == "CPU"
     assert (listed.compute_device_type, stage.scene.cycles.device) == ("NONE", "CPU")
 
 
 def test_without_a_gpu_auto_takes_the_processor_and_gpu_is_refused(stage):
     listed = Listed(CPU=["Xeon"])
-    assert devices.use_device(stage.scene, "auto", listed) == "CPU"
+    assert compat.use_device(stage.scene, "auto", listed) == "CPU"
     with pytest.raises(GenerateError, match=r"--device gpu: Blender finds no GPU \(looked for OPTIX, CUDA"):
-        devices.use_device(stage.scene, "gpu", listed)
+        compat.use_device(stage.scene, "gpu", listed)
 
 
 def test_what_blender_finds_here_is_listed_or_refused(stage):
-    found = devices.gpus(devices.cycles_preferences())
-    assert all(names and backend in devices.BACKENDS for backend, names in found.items())
+    found = compat.gpus(compat.cycles_preferences())
+    assert all(names and backend in compat.BACKENDS for backend, names in found.items())
     if not found:
         with pytest.raises(GenerateError, match="--device gpu"):
             render.configure(stage, Quality(SIZE, SIZE, 4, 0, 1, device="gpu"))
-    assert devices.use_device(stage.scene, "cpu") == "CPU"
+    assert compat.use_device(stage.scene, "cpu") == "CPU"
 
 
 def in_a_group(node):

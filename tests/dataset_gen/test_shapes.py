@@ -8,10 +8,9 @@ import pytest
 from dataset_gen import meshes as m
 from dataset_gen.patterns import minerals, solid
 from dataset_gen.patterns import solid as unroll
-from dataset_gen.shapes import bricks, solids, tubes
-from dataset_gen.shapes.cushion import Outline, frames_on, moulding
+from dataset_gen.shapes import bricks, drums, solids
 from dataset_gen.shapes.scatter import on_surface
-from dataset_gen.shapes.sheet import puff, puff_points, rounded, sheet
+from dataset_gen.shapes.sheet import Outline, frames_on, moulding, puff, puff_points, rounded, sheet
 from tests.dataset_gen.builtin import open_edges, volume
 
 
@@ -55,7 +54,7 @@ def _torus(path):
         (lambda: solids.pierced(ROUND, 0.5 * ROUND, 0.0, 2.0), 2.0 * np.pi * 0.75, 1e-3, False),
         (lambda: solids.lamella(2.0 * ARC, 3.0 * ARC, 0.0, 2.0), 0.5 * 1.5 * 5.0 * 2.0, 1e-3, False),
         (lambda: solids.lamella(3.0 * ARC, 2.0 * ARC, 0.0, 2.0), 0.5 * 1.5 * 5.0 * 2.0, 1e-3, False),
-        (lambda: tubes.tube(PATH, 0.2, 0.15, segments=300), 3.0 * np.pi * (0.2**2 - 0.15**2), 1e-3, False),
+        (lambda: drums.tube(PATH, 0.2, 0.15, segments=300), 3.0 * np.pi * (0.2**2 - 0.15**2), 1e-3, False),
         (lambda: m.sweep(PATH, m.circle(0.2, 200), up=(1.0, 0.0, 0.0)), 0.12 * np.pi, 1e-3, False),
     ],
 )  # fmt: skip

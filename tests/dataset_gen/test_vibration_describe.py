@@ -9,7 +9,7 @@ import pytest
 from dataset_gen.errors import GenerateError
 from dataset_gen.vibration import MotionDescription, Ramp, Vibration, read_motion
 from dataset_gen.vibration.describe import KINDS
-from dataset_gen.vibration.waves import Region
+from dataset_gen.vibration.structures import Region
 
 COMMON = {"frequency": 5, "amplitude": 0.005}
 EVERY_KIND = {

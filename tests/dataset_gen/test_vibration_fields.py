@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from dataset_gen.vibration import reach
-from dataset_gen.vibration.beams import Bending
-from dataset_gen.vibration.fields import Jiggle, Rock, Twist
-from dataset_gen.vibration.geometry import phasor
-from dataset_gen.vibration.plates import Membrane, Plate, bessel, bessel_zero
-from dataset_gen.vibration.waves import Region, Wave
+from dataset_gen.vibration.fields import Jiggle, Rock, Twist, phasor
+from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel, bessel_zero
 
 BASE, TIP = np.array([0.2, -0.1, -0.3]), np.array([0.5, 0.2, 0.4])
 LENGTH = float(np.linalg.norm(TIP - BASE))

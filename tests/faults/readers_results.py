@@ -34,9 +34,9 @@ from tg4mm.research.bench.pages.write import _ablation
 from tg4mm.research.bench.scored import with_closure
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.wanted import _is_ours
-from tg4mm.research.paper import embeddings
-from tg4mm.research.paper.embeddings import series_of
+from tg4mm.research.paper import preset
 from tg4mm.research.paper.model import load_model, save_planes
+from tg4mm.research.paper.preset import series_of
 from tg4mm.run import Run, figures_file
 from tg4mm.show.measure import prepare, prepared
 from tg4mm.show.measure.measurement import measure_one
@@ -234,8 +234,8 @@ def _read_embeddings(root: Path) -> None:
     def anew(*_: Any) -> None:
         raise RunError("they are made anew")
 
-    with patch.object(embeddings, "_make", anew):
-        embeddings.series_of(Run.open(root / "run"), "linear", _plan()).at(0.5)
+    with patch.object(preset, "_make", anew):
+        preset.series_of(Run.open(root / "run"), "linear", _plan()).at(0.5)
 
 
 def _pass(root: Path) -> Path:

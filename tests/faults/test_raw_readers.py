@@ -39,8 +39,8 @@ ALLOWED = {
     "tg4mm/run/tensor_file.py": "a run's tensors",
     "tg4mm/run/folder.py": "one row of a run's tensor that was checked",
     "tg4mm/capture/sfm/mapping.py": "COLMAP's model in its working folder",
-    "tg4mm/research/paper/embeddings.py": "its own cache, by checksums",
-    "dataset_gen/sources/header.py": "the end of a packed .blend file",
+    "tg4mm/research/paper/preset.py": "its own cache, by checksums",
+    "dataset_gen/sources/blend.py": "the end of a packed .blend file",
     "dataset_gen/sources/mesh_file.py": "PLY, as long as its header says",
     # What this program has just written itself, or another of its own processes says.
     "tg4mm/core/memory.py": "temporary arrays without a name",
@@ -49,9 +49,9 @@ ALLOWED = {
     "tg4mm/core/work_folder.py": "a request, as JSON would give it back",
     "dataset_gen/worker.py": "the task given to a render process",
     "dataset_gen/render.py": "what Blender rendered a moment ago",
-    "dataset_gen/sensor.py": "a JPEG made in memory",
+    "dataset_gen/pictures.py": "a JPEG made in memory",
     "dataset_gen/effects/codec.py": "a video made a moment ago",
-    "addon/jobs/reading.py": "lines of the generator's standard error",
+    "addon/jobs/runner.py": "lines of the generator's standard error",
     "addon/jobs/core_check.py": "a line of another Python",
     "addon/make_extension.py": "this repository's own files",
     # Writers alone.

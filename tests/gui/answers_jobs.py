@@ -82,7 +82,7 @@ def highest() -> float:
 @answer
 def job(kind: str) -> dict[str, Any] | None:
     """State, progress and message of the extension's background job."""
-    import bl_ext.user_default.tg4mm.jobs.background as background
+    import bl_ext.user_default.tg4mm.jobs.commands as background
 
     found = background.get(kind)
     if found is None:

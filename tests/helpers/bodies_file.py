@@ -6,7 +6,7 @@ import numpy as np
 
 from dataset_gen.cameras import Camera, look_at
 from dataset_gen.sources.bodies_file import Found
-from dataset_gen.vibration.bodies import Body
+from dataset_gen.vibration.fields import Body
 
 VERTICES = np.array([[0.1, 0.2, 0.3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

@@ -73,7 +73,7 @@ def whole(
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
     from tg4mm.research.bench.presets import Choices, run_preset, steps_of
-    from tg4mm.research.bench.vqa import checkouts
+    from tg4mm.research.bench.scored import checkouts
     from tg4mm.research.evaluate.lpips import load_lpips
 
     _plan(alphas, True, lpips_weights, device)
@@ -145,7 +145,7 @@ def scenes(
     error and static leak (relative to the rms motion), seconds of each stage, peak memory in MiB. What fails is listed,
     and the rest goes on. OUT/runs holds the runs and pictures.
     """
-    from tg4mm.research.bench.goals import goals_page
+    from tg4mm.research.bench.pages.markdown import goals_page
     from tg4mm.research.bench.scenes import run_scenes
 
     if goals is not None and goals.is_dir():
@@ -224,7 +224,7 @@ def _request(
     from tg4mm.research.bench.methods.tracking import checked_settings
     from tg4mm.research.bench.request import SCORINGS, settings_by_preset
     from tg4mm.research.bench.scenes import ScenesRequest
-    from tg4mm.research.bench.vqa import checkouts
+    from tg4mm.research.bench.scored import checkouts
 
     names = checked_names(methods.split(",")) if methods or not external else ()
     own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.") and "tracking" in names}

@@ -52,8 +52,7 @@ def evaluate(
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm.fit.device import check_device
     from tg4mm.research.evaluate.run import evaluate_run
-    from tg4mm.research.evaluate.table import format_table
-    from tg4mm.research.evaluate.wanted import check_alphas, target_file
+    from tg4mm.research.evaluate.wanted import check_alphas, format_table, target_file
     from tg4mm.run import Run
 
     check_device(device.value)

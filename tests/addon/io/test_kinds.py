@@ -56,7 +56,7 @@ def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(
         from PIL import Image
 
         want = np.asarray(Image.open(BytesIO(data)).convert("RGBA"))
-        np.testing.assert_array_equal(extension.nodes.images.decode(data), want)
+        np.testing.assert_array_equal(extension.nodes.blending.decode(data), want)
     assert blocks() == before
     data = pictures["quats.webp"]
     damaged = data[:4] + (len(data) - 28).to_bytes(4, "little") + data[8:-20]

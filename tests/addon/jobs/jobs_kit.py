@@ -16,7 +16,7 @@ def wait(
     extension: ModuleType, kind: str, until: Callable[[Any], bool] = lambda job: False, limit_s: float = 120.0
 ) -> Any:
     """Call the timer's function, as Blender would, until a job ends or a condition holds; returns the job."""
-    background = extension.jobs.background
+    background = extension.jobs.commands
     job = background.get(kind)
     begun = time.monotonic()
     while job.running and not until(job):

@@ -61,7 +61,7 @@ def test_scene_becomes_a_dataset(extension: ModuleType, settings: Any, splat_pat
     assert load_images(capture).data.shape == (9, 32, 32, 4)
     about = json.loads((root / "scene.json").read_text())
     assert about["truth"] == "none"
-    assert about["modes"] == extension.jobs.describe.description(settings, ["Cube [[]a]"]).to_json()["modes"]
+    assert about["modes"] == extension.jobs.kinds.description(settings, ["Cube [[]a]"]).to_json()["modes"]
     with np.load(root / "truth" / "motion.npz") as motion:
         assert list(motion["objects"]) == ["Cube [a]", "Still"]  # no splats
         assert np.linalg.norm(motion["mode_0"], axis=-1).max() == pytest.approx(0.1, rel=1e-5)
@@ -126,7 +126,7 @@ def test_refusals_come_before_anything_is_written(
     with pytest.raises(RuntimeError, match=message):
         bpy.ops.tg4mm.generate()
     assert sorted(tmp_path.rglob("*")) == before
-    assert extension.jobs.background.get(KIND) is None
+    assert extension.jobs.commands.get(KIND) is None
 
 
 def test_what_the_generator_finds_wrong_is_one_line(extension: ModuleType, settings: Any) -> None:
@@ -176,7 +176,7 @@ def test_core_python_runs_the_generator_where_it_is_named(
 
 def test_disabling_the_extension_ends_the_run(extension: ModuleType, settings: Any) -> None:
     bpy.ops.tg4mm.generate()
-    job = extension.jobs.background.get(KIND)
+    job = extension.jobs.commands.get(KIND)
     extension.unregister()
     assert job.state.value == "cancelled"
     assert job._program.process.poll() is not None

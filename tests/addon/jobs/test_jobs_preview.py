@@ -70,7 +70,7 @@ def weights(obj: Any, world: np.ndarray) -> dict[str, np.ndarray]:
 def expected_motion(extension: ModuleType, rest: list[Body], parts: list[str]) -> Motion:
     """Solved by the generator's own package from the description that the panel makes."""
     settings = bpy.context.scene.tg4mm_generate
-    described = extension.jobs.describe.description(settings, parts).to_json()
+    described = extension.jobs.kinds.description(settings, parts).to_json()
     return solve(MotionDescription.from_json(described), rest, settings.fps, None, settings.seed)
 
 
@@ -159,7 +159,7 @@ def test_amplitude_in_pixels_is_that_of_the_first_camera(extension: ModuleType, 
     rest = bodies(3, ALL)
     assert bpy.ops.tg4mm.preview_start() == {"FINISHED"}
     shift = [now.vertices - then.vertices for now, then in zip(bodies(4, ALL), rest, strict=True)]
-    camera = extension.jobs.describe.reference_camera(settings, rest, scene)
+    camera = extension.jobs.kinds.reference_camera(settings, rest, scene)
     focal = camera.focal(200)
     pixels = [
         pixel_displacement(body.vertices, moved.astype(complex), camera.camera_to_world, focal, focal)

@@ -76,8 +76,8 @@ def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], li
     core = EventProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
     core.update(10, psnr=21.5)
     core.finish()
-    first, last = (jobs.reading.read_line(line).progress for line in emitted())
-    assert first == jobs.reading.Progress("space stage", 10, 30, 12.0)
+    first, last = (jobs.runner.read_line(line).progress for line in emitted())
+    assert first == jobs.runner.Progress("space stage", 10, 30, 12.0)
     assert first.text == "space stage 10/30, 0:12 left"
     assert (last.done, last.left_s) == (10, None)  # it ended early
 
@@ -92,11 +92,11 @@ def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str
     events.say("warning", "floor far wider", "warning: ")
     events.say("note", "compiling kernels")
     events.emit("complete", path="/data/a b/ü_5Hz")
-    core, made, warning, note, complete = (jobs.reading.read_line(line) for line in emitted())
+    core, made, warning, note, complete = (jobs.runner.read_line(line) for line in emitted())
     assert core.error == "/no/ä: does not exist"
     assert "--size" in made.error
     assert warning.warning == "floor far wider"
-    assert note.progress == jobs.reading.Progress("compiling kernels")
+    assert note.progress == jobs.runner.Progress("compiling kernels")
     assert complete.result == "/data/a b/ü_5Hz"
 
 
@@ -106,18 +106,18 @@ def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str
      '{"tg4mm": "progress", "x": ' + "[" * 9000, '{"tg4mm": "complete", "path": 7}', '{"tg4mm": 1' + "0" * 9000 + "}"],
 )  # fmt: skip
 def test_other_lines_say_nothing(jobs: Any, line: str) -> None:
-    read = jobs.reading.read_line(line)
+    read = jobs.runner.read_line(line)
     assert (read.error, read.warning, read.result, read.progress) == ("", "", "", None)
 
 
 def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
-    progress = jobs.reading.Progress
+    progress = jobs.runner.Progress
     assert (progress("a").factor, progress("a", 5, 4).factor, progress("a", 1, 4).factor) == (0, 1, 0.25)
     assert progress("a").text == "a"
     assert progress("a", 1, 2, 3723.4).text == "a 1/2, 1:02:03 left"
     odd = event("progress", label=7, done=-1, total=1e99, left_s="soon")
-    assert jobs.reading.read_line(odd).progress == progress("")
-    assert jobs.reading.read_line(
+    assert jobs.runner.read_line(odd).progress == progress("")
+    assert jobs.runner.read_line(
         event("progress", label="a", done=True, total=2, left_s=float("nan"))
     ).progress == (progress("a", 0, 2))
 

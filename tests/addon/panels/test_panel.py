@@ -30,7 +30,7 @@ def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layo
         preferences=bpy.context.preferences,
         space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
     )
-    for cls in (*extension.panels.panel._CLASSES, extension.probe.panel.VIEW3D_PT_tg4mm_probe):
+    for cls in (*extension.panels.panel._CLASSES, extension.probe.picking.VIEW3D_PT_tg4mm_probe):
         if not hasattr(cls, "poll") or cls.poll(context):
             cls.draw(SimpleNamespace(layout=layout), context)
     return layout
@@ -135,7 +135,7 @@ def test_colours_by_motion_come_with_a_legend(
     assert extension.panels.analysis.legend_picture(obj, unit, bpy.context.scene) is None
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     put(names.COLOUR_RANGE, 0.5)
-    view = extension.panels.view_settings.of(bpy.context)
+    view = extension.panels.overlay.of(bpy.context)
     assert laid_out(extension, obj).pictures == 1  # the legend is in the view
     view.legend = False
     assert laid_out(extension, obj).pictures == 2  # and now in the panel

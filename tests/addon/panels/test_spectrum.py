@@ -158,7 +158,7 @@ def test_another_file_has_another_picture(extension: ModuleType, splat_path: Pat
     loud = picture_of(extension, import_splat(tmp_path / "loud.ply"))
     np.testing.assert_allclose(loud[2], 2 * np.array(first[2]), rtol=1e-5)
     assert (first[-1].name, loud[-1].name) == ("scene units", "mm")
-    view = extension.panels.view_settings.of(bpy.context)
+    view = extension.panels.overlay.of(bpy.context)
     view.measure = "PEAK"
     assert picture_of(extension, obj)[2] == tuple(obj[extension.names.MODE_AMPLITUDES])
     view.measure = "RMS"

@@ -289,14 +289,14 @@ def test_curve_marks_the_current_frame(extension: ModuleType, moving: Any) -> No
     put, names = setter(extension, moving), extension.names
     select(moving, [2])
     found = reading(extension, moving, "SELECTION")
-    part = extension.probe.panel.time_part
+    part = extension.probe.picking.time_part
     for first, speed, frame, expected in ((1, 1.0, 1, 0.0), (1, 1.0, 48, 1.0), (11, 0.5, 58, 0.5)):
         put(names.FIRST, float(first))
         put(names.SPEED, speed)
         bpy.context.scene.frame_set(frame)
         assert part(bpy.context, moving, found) == pytest.approx(expected)
     unit = extension.units.unit_of(None)
-    function, *arguments = extension.probe.panel.curve_picture(found, unit, 0.5)
+    function, *arguments = extension.probe.picking.curve_picture(found, unit, 0.5)
     expected = extension.panels.plots.series(*extension.probe.probe.series(found, 8), unit)
     np.testing.assert_array_equal(function(*arguments), extension.panels.plots.mark_time(expected, 0.5))
 
@@ -308,10 +308,10 @@ def test_rows_are_the_largest_by_frequency(extension: ModuleType) -> None:
     found = extension.probe.probe.Probe(
         "p", np.arange(9.0), phasors, np.tile([0.0, 1.0, 0.0], (9, 1)), 30.0, 30
     )
-    rows, left_out = extension.probe.panel.shown_ellipses(found)
+    rows, left_out = extension.probe.picking.shown_ellipses(found)
     assert [e.frequency_hz for e in rows] == [2, 6, 7, 8]
     assert left_out == 5
-    texts = extension.probe.panel.row_texts(rows[0], extension.units.unit_of(0.001))
+    texts = extension.probe.picking.row_texts(rows[0], extension.units.unit_of(0.001))
     assert texts == ("2 Hz", "8 mm", "0°", "along (0.00, 1.00, 0.00)", "0: moves along a line")
 
 
@@ -343,7 +343,7 @@ def test_the_panel_and_the_table_show_it(extension: ModuleType, sure: Any, tmp_p
     found = reading(extension, obj, "SELECTION")
     e = extension.probe.probe.ellipses(found)[1]
     unit = extension.units.unit_of(0.001)  # a scene unit is a millimetre
-    shown = extension.probe.panel.row_texts(e, unit)[1]
+    shown = extension.probe.picking.row_texts(e, unit)[1]
     assert shown == f"{e.amplitude:.4g} ± {deviation[1, 7]:.2g} mm"
     assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="PHASORS") == {"FINISHED"}
     rows = table(tmp_path / "a.csv")[1]

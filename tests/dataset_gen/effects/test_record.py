@@ -7,7 +7,7 @@ import pytest
 
 from dataset_gen.cameras import CameraSetup, cameras_at, train_cameras
 from dataset_gen.colour import over_white, to_display
-from dataset_gen.effects import warp
+from dataset_gen.effects import record
 from dataset_gen.effects.record import drift_gains, flicker_gains, largest_shift, slow_curve, turned, turns
 from dataset_gen.settings import Quality
 
@@ -64,7 +64,7 @@ SIZE = 128
 
 
 def shifts(camera, vectors, places):
-    return np.array([warp.pixels_before(camera, SIZE, v, places) - places for v in vectors])
+    return np.array([record.pixels_before(camera, SIZE, v, places) - places for v in vectors])
 
 
 def test_the_picture_shifts_by_the_stated_rms_about_its_nominal_place():
@@ -90,13 +90,13 @@ def test_shake_is_tremor_between_1_and_10_hz(fps):
 
 def test_too_small_a_margin_is_an_error():
     camera = train_cameras(30)[0]
-    fine = np.zeros((warp.fine_size(SIZE, 3),) * 2 + (4,), np.float32)
+    fine = np.zeros((record.fine_size(SIZE, 3),) * 2 + (4,), np.float32)
     with pytest.raises(ValueError, match="a margin of 3 pixels is too small"):
-        warp.frame(fine, camera, SIZE, 3, np.array([0.03, 0.0, 0.0]))
+        record.frame(fine, camera, SIZE, 3, np.array([0.03, 0.0, 0.0]))
     with pytest.raises(
         ValueError, match=r"the fine picture has shape \(268, 268, 4\), expected \(272, 272, 4\)"
     ):
-        warp.frame(fine, camera, SIZE, 4, np.zeros(3))
+        record.frame(fine, camera, SIZE, 4, np.zeros(3))
 
 
 def test_a_warped_rendering_is_what_the_turned_camera_sees():
@@ -119,13 +119,13 @@ def test_a_warped_rendering_is_what_the_turned_camera_sees():
         return 255.0 * to_display(over_white(linear))
 
     direct, again = (grey(take(turned(camera, vector), quality, seed)) for seed in (0, 1))
-    fine = take(warp.fine_camera(camera, size, margin), quality.finer(warp.fine_size(size, margin), 2))
+    fine = take(record.fine_camera(camera, size, margin), quality.finer(record.fine_size(size, margin), 2))
     object_ = direct.min(-1) < 250
 
     def rms(difference):
         return float(np.sqrt((difference[object_] ** 2).mean()))
 
     noise = rms(direct - again)
-    assert rms(grey(warp.frame(fine, camera, size, margin, vector)) - direct) < 1.3 * noise
-    assert rms(grey(warp.frame(fine, camera, size, margin, 0 * vector)) - direct) > 8 * noise
-    assert rms(grey(warp.frame(fine, camera, size, margin, -vector)) - direct) > 12 * noise
+    assert rms(grey(record.frame(fine, camera, size, margin, vector)) - direct) < 1.3 * noise
+    assert rms(grey(record.frame(fine, camera, size, margin, 0 * vector)) - direct) > 8 * noise
+    assert rms(grey(record.frame(fine, camera, size, margin, -vector)) - direct) > 12 * noise

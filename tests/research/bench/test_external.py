@@ -22,8 +22,8 @@ from tg4mm.research.bench.methods.video import Linear2D
 from tg4mm.research.bench.pages.shown import gather
 from tg4mm.research.bench.pages.tables import groups_of, tables_of
 from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.scored import checkouts
 from tg4mm.research.bench.sets import open_set
-from tg4mm.research.bench.vqa import checkouts
 
 ROOT = Path(__file__).parents[3]
 

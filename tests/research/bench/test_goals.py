@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from tg4mm.research.bench.goals import judge
 from tg4mm.research.bench.means import group_means
+from tg4mm.research.bench.pages.markdown import judge
 
 GROUP = "128×128, 0.2 px"
 

@@ -17,10 +17,10 @@ import pytest
 from tests.research.bench.conftest import MODAL, PAPER
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
+from tg4mm.research.bench import methods
 from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import SEEN, _request
-from tg4mm.research.bench.methods import trained
 from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
 from tg4mm.research.bench.request import Plan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
@@ -139,9 +139,9 @@ def test_preparation_is_not_timed_and_done_once(
         built.append(arguments)
         return subject_of(*arguments)
 
-    monkeypatch.setattr(trained, "subject_of", subject)
-    if hasattr(trained, "_subject_of"):
-        trained._subject_of.cache_clear()
+    monkeypatch.setattr(methods, "subject_of", subject)
+    if hasattr(methods, "_subject_of"):
+        methods._subject_of.cache_clear()
     place = job_folder(out, opened, method)
     for row in method.rows:
         for alpha in (5, 20):
@@ -305,7 +305,7 @@ def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) 
 
 def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
     """Its seconds would be taken for the other's."""
-    method = trained.Trained(Training("modal", "modal", MODAL))
+    method = methods.Trained(Training("modal", "modal", MODAL))
     opened = open_set(data, data.name)
     with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
         method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))

@@ -20,9 +20,16 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
-from tg4mm.research.bench.scored import cameras_of, score_pictures, video_of, with_closure
+from tg4mm.research.bench.scored import (
+    PROGRAMS,
+    Checkout,
+    cameras_of,
+    checkouts,
+    score_pictures,
+    video_of,
+    with_closure,
+)
 from tg4mm.research.bench.sets import BenchSet, open_set
-from tg4mm.research.bench.vqa import PROGRAMS, Checkout, checkouts
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.subject import Subject
 from tg4mm.show.weights import blending_weights

@@ -18,7 +18,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.run import evaluate_run
-from tg4mm.research.evaluate.table import format_table
+from tg4mm.research.evaluate.wanted import format_table
 from tg4mm.run import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"

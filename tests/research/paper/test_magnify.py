@@ -15,9 +15,9 @@ from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.core.splatfile import read_splat
-from tg4mm.research.paper.embeddings import FOLDER, at_points, series_of
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.research.paper.motion import rotation_between
+from tg4mm.research.paper.preset import FOLDER, at_points, series_of
 from tg4mm.run.poses import poses_of
 from tg4mm.show.export.splat import smoothing_of
 
@@ -83,7 +83,7 @@ def test_motion_grows_with_alpha(trained, method):
 
 
 def test_a_second_request_finds_what_the_first_made_and_a_killed_one_goes_on(trained, monkeypatch):
-    import tg4mm.research.paper.embeddings as module
+    import tg4mm.research.paper.preset as module
 
     wanted = plan(3.0, "phase")
     calls: list[int] = []
@@ -115,7 +115,7 @@ def flip(file: Path) -> None:
 
 
 def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
-    import tg4mm.research.paper.embeddings as module
+    import tg4mm.research.paper.preset as module
 
     wanted, calls = plan(2.5, "phase"), []
 

@@ -8,8 +8,17 @@ import torch
 from torch.nn.functional import gelu, grid_sample
 
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.research.paper.decoder import BASE, base_below, base_of, new_decoder
-from tg4mm.research.paper.triplane import PLANES, cells_of, sample, sample_torch, scene_box
+from tg4mm.research.paper.triplane import (
+    BASE,
+    PLANES,
+    base_below,
+    base_of,
+    cells_of,
+    new_decoder,
+    sample,
+    sample_torch,
+    scene_box,
+)
 
 R, C, N = 16, 8, 60
 

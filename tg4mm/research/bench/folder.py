@@ -81,7 +81,6 @@ def filmed_digest(root: Path) -> str:
 
 @lru_cache(maxsize=64)  # every job of a set asks
 def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
-    """Of the files' names and bytes."""
     digest = hashlib.sha256()
     for name, size, _ in state:
         digest.update(f"{name} {size}\n".encode())

@@ -25,9 +25,8 @@ from tg4mm.research.bench.measure import alphas_of
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.request import Plan
-from tg4mm.research.bench.scored import cameras_of, picture_name, score_pictures, video_of
+from tg4mm.research.bench.scored import Checkout, cameras_of, picture_name, score_pictures, video_of
 from tg4mm.research.bench.sets import BenchSet, truth_at, truth_state
-from tg4mm.research.bench.vqa import Checkout
 from tg4mm.research.evaluate.lpips import load_lpips
 
 SCORES = "scores.json"
@@ -119,7 +118,6 @@ def _at(
     method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: Plan, vqa: Sequence[Checkout],
     kept: _Kept, collect: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
-    """(the pictures' record, their scores) at one α."""
     if collect:
         recipe, old = _found(method, row, data, place, alpha, plan)
         known = kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa))
@@ -186,8 +184,6 @@ def _read(file: Path, form: dict[str, Any]) -> dict[str, Any] | None:
 
 
 class _Kept:
-    """Scores that earlier calls have left in a file, each with what it depends on."""
-
     def __init__(self, file: Path) -> None:
         self.file = file
         known = _read(file, _SCORES)
@@ -216,7 +212,6 @@ class _Kept:
 
 
 def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
-    """The digest of all that scores depend on."""
     asked = {
         "recipe": recipe,
         "lpips": [files_state([p], p.parent) for p in plan.lpips_weights],

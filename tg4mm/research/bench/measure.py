@@ -134,7 +134,6 @@ def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
 
 
 def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
-    """All that the figures depend on, in JSON's types."""
     configs = parse_settings(training.settings, training.preset)
     own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
     return own | {

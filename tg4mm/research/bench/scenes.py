@@ -16,15 +16,13 @@ from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_fol
 from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import alphas_of, check_plan, is_measured, warm_up
-from tg4mm.research.bench.methods import Method
+from tg4mm.research.bench.methods import Method, Trained
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.methods.known import DEFAULT, methods_of
-from tg4mm.research.bench.methods.trained import Trained
 from tg4mm.research.bench.pages.write import write_page, write_results
 from tg4mm.research.bench.request import Plan, Training, check_settings, same_time_training
-from tg4mm.research.bench.scored import with_closure
+from tg4mm.research.bench.scored import Checkout, with_closure
 from tg4mm.research.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth
-from tg4mm.research.bench.vqa import Checkout
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
 KIND = "scenes"
@@ -137,8 +135,6 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
 
 
 class _Bench:
-    """A benchmark under way: what is there so far."""
-
     def __init__(
         self,
         out: Path,
@@ -181,7 +177,6 @@ class _Bench:
             self.written = now
 
     def _check_trained(self, method: Trained, data: BenchSet) -> None:
-        """Raise BenchError for a run that is not done."""
         if not is_measured(job_folder(self.out, data, method), data, method.training, self.request.plan):
             raise BenchError(
                 f"{method.name} on {data.label} is not finished, or is of other settings or pictures"

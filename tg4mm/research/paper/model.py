@@ -19,8 +19,7 @@ from torch import Tensor
 
 from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.research.paper.decoder import BASE, Decoder
-from tg4mm.research.paper.triplane import Cells, cells_of, sample
+from tg4mm.research.paper.triplane import BASE, Cells, Decoder, cells_of, sample
 from tg4mm.run import Run
 
 TRIPLANE = "triplane"

@@ -24,10 +24,9 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import RestViews
 from tg4mm.fit.space.view import render_view
 from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.decoder import Decoder
 from tg4mm.research.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes
 from tg4mm.research.paper.space import Fit, cameras_on, view_loss, views_at
-from tg4mm.research.paper.triplane import sample
+from tg4mm.research.paper.triplane import Decoder, sample
 from tg4mm.run import Run
 
 CHECKPOINT_EVERY_S = 20.0
@@ -36,8 +35,6 @@ _STAGE = "motion"
 
 
 class _Stage:
-    """The frozen model on its device, and the loop over timesteps."""
-
     def __init__(
         self,
         run: Run,

@@ -19,9 +19,8 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews
 from tg4mm.fit.space.view import render_view
 from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.decoder import Decoder, base_below, new_decoder
 from tg4mm.research.paper.model import PaperModel, active, save_model, with_active
-from tg4mm.research.paper.triplane import cells_of, sample, scene_box
+from tg4mm.research.paper.triplane import Decoder, base_below, cells_of, new_decoder, sample, scene_box
 from tg4mm.run import Run
 
 CHECKPOINT_EVERY_S = 20.0

@@ -55,8 +55,6 @@ _METRICS = ("ssim", "psnr_db")  # PSNR for the column at α = 0
 
 @dataclass(frozen=True)
 class _Job:
-    """Rows that share one training on one dataset."""
-
     data: BenchSet
     rows: tuple[Row, ...]
     training: Training
@@ -128,7 +126,6 @@ def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[
 
 
 def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: Path) -> str:
-    """Draw slices.png of the first dataset; its caption."""
     lines = {line["row"]: line for line in results["lines"] if line["set"] == data.label}
     band = next(iter(lines.values()))["band_hz"]
     shown = {}
@@ -166,8 +163,6 @@ def _results(
 
 
 class _Runner:
-    """One ablation under way: where it writes, and what later runs take over from earlier ones."""
-
     def __init__(self, preset: str, plan: Plan, out: Path, results: dict[str, Any], say: Printer) -> None:
         self.preset, self.plan, self.out, self.results, self.say = preset, plan, out, results, say
         self.is_warm, self.n_done = False, 0
@@ -215,7 +210,6 @@ class _Runner:
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
-    """Rows by training, in order."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         key = json.dumps([dict(row.settings), *row.changed_data], sort_keys=True)
@@ -256,7 +250,6 @@ def _place_name(job: _Job, data: BenchSet) -> str:
 
 
 def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[str, Any]:
-    """One row on one dataset in results.json."""
     ways = [row.label] if row.scorings else [way.name for way in job.training.ways]
     log = figures["log"]
     values: dict[str, Any] = scalars(figures)

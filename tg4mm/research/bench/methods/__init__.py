@@ -1,16 +1,25 @@
-"""What a benchmark compares: anything that is fitted to a dataset and renders its test pictures magnified."""
+"""What a method of the benchmark is, and those that train a run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from tg4mm.capture import Capture
-from tg4mm.research.bench.request import Plan
+from tg4mm.capture import Capture, load_capture
+from tg4mm.core.magnification import Magnification
+from tg4mm.research.bench.measure import measure
+from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet
+from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
+from tg4mm.research.evaluate.scores import Candidate, render_views
+from tg4mm.research.evaluate.subject import Subject, subject_of
+from tg4mm.run import Run
+from tg4mm.run.tensor_file import model_hash
 
 Pictures = Iterator[
     tuple[int, np.ndarray]
@@ -50,3 +59,73 @@ class Method(Protocol):
         What is prepared once, such as opening a model, is done when this is called: the pictures themselves are timed.
         """
         ...
+
+
+_CAMERAS_AT_ONCE = 8  # pictures held
+_VERSION = 1  # of how pictures are made of a model: raise it when the same model would give others
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A preset, magnified in each of its ways. `framing`: also the rows of its Gaussians at rest and moved exactly."""
+
+    training: Training
+    framing: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.training.name.replace(", ", "-").replace(" ", "_").replace("'", "")
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        own = tuple(row_title(self.training.name, way.name) for way in self.training.ways)
+        return (STATIC, *own, CEILING) if self.framing else own
+
+    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        _subject_of.cache_clear()  # of another run, whose memory is not this one's
+        return measure(place, data, self.training, plan)
+
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        way = self._way(row)
+        return {
+            "version": _VERSION,
+            "model": model_hash(place / "run"),
+            "row": row,
+            "method": None if way is None else way.method,
+            "filter": None if way is None else way.filter,
+            "band_hz": list(data.band_hz) if plan.banded else None,
+        }
+
+    def render(
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+    ) -> Pictures:
+        way = self._way(row)
+        run, magnified = place / "run", (way or self.training.ways[0]).magnified(plan.bands(data))
+        subject = _subject_of(run, model_hash(run), data.root, magnified, plan.device)
+        (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
+        if method.posing is not None:  # opens the model, which is not to count as rendering
+            method.posing.at(float(alpha))
+        return _pictures(subject, method, capture, float(alpha))
+
+    def _way(self, row: str) -> Scoring | None:
+        """How a row is magnified, None for one that frames the others."""
+        return next((w for w in self.training.ways if row_title(self.training.name, w.name) == row), None)
+
+
+@lru_cache(maxsize=1)  # one at a time: rows and α of one way to magnify follow each other
+def _subject_of(run: Path, model: str, root: Path, magnified: Magnification, device: str) -> Subject:
+    return subject_of(Run.open(run), load_capture(root), magnified, {}, device)
+
+
+def _pictures(subject: Subject, method: Candidate, capture: Capture, alpha: float) -> Pictures:
+    for t in np.unique(capture.timesteps).tolist():
+        gaussians = method.pose(subject.gaussians, t, alpha)
+        rows = np.flatnonzero(capture.timesteps == t)
+        for first in range(0, len(rows), _CAMERAS_AT_ONCE):
+            some = rows[first : first + _CAMERAS_AT_ONCE]
+            yield from zip(some.tolist(), render_views(gaussians, capture, some), strict=True)
+
+
+def row_title(training: str, way: str) -> str:
+    """`modal`, but `paper-tuned: linear`."""
+    return training if training == way else f"{training}: {way}"

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import SET
-from tg4mm.research.bench.methods import Method
+from tg4mm.research.bench.methods import Method, Trained
 from tg4mm.research.bench.methods.external import External
 from tg4mm.research.bench.methods.tracking import NAME as TRACKING
 from tg4mm.research.bench.methods.tracking import tracking
-from tg4mm.research.bench.methods.trained import Trained
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D
 from tg4mm.research.bench.request import SCORINGS, Training
 from tg4mm.research.evaluate.run import CEILING, STATIC

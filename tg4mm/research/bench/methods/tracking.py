@@ -31,7 +31,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import rotated
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import rest_views
-from tg4mm.research.bench.methods.trained import Trained
+from tg4mm.research.bench.methods import Trained
 from tg4mm.research.bench.request import Scoring, Training
 from tg4mm.research.paper.space import Cameras, cameras_on, view_loss, views_at
 from tg4mm.research.paper.triplane import scene_box

@@ -182,7 +182,6 @@ def write_sheet(out: Path, rows: Mapping[str, np.ndarray], height: int = 0) -> N
 
 
 def _font() -> ImageFont.FreeTypeFont:
-    """matplotlib's own, which has Greek letters; Pillow's has none."""
     import matplotlib
 
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 13)

@@ -118,7 +118,6 @@ def row_name(means: Mapping[str, Any], every: set[str]) -> str:
 
 
 def _framed(means: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """“Nothing moves” first and the ceiling last."""
     return sorted(means, key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
 
 
