@@ -43,5 +43,5 @@ def test_a_missing_a_foreign_and_a_truncated_file_are_one_line_each(tmp_path):
 
 
 def test_reading_it_imports_no_blender():
-    program = "import sys; sys.modules['bpy'] = None; from dataset_gen.sources import bodies_file, header"
+    program = "import sys; sys.modules['bpy'] = None; from dataset_gen.sources import bodies_file"
     subprocess.run([sys.executable, "-c", program], check=True)

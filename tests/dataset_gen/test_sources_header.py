@@ -5,7 +5,7 @@ import gzip
 import pytest
 
 from dataset_gen.errors import GenerateError
-from dataset_gen.sources import blend
+from dataset_gen.sources import bodies_file
 
 OLD = b"BLENDER-v405" + b"DATA" * 100 + b"ENDB" + bytes(20)
 NEW = b"BLENDER17-01v0502" + b"DATA" * 100 + b"ENDB" + bytes(28)
@@ -31,21 +31,21 @@ def write(tmp_path, content):
 )
 def test_other_files_are_refused_in_one_line_with_the_path(tmp_path, content, complaint):
     with pytest.raises(GenerateError, match=rf"user\.blend {complaint}") as caught:
-        blend.check(write(tmp_path, content), (5, 2))
+        bodies_file.check(write(tmp_path, content), (5, 2))
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("content", [NEW, gzip.compress(NEW, mtime=0)])
 def test_a_file_of_a_newer_blender_is_refused_with_both_versions(tmp_path, content):
     with pytest.raises(GenerateError, match=r"saved by Blender 5\.2, newer than this Blender 4\.5"):
-        blend.check(write(tmp_path, content), (4, 5))
+        bodies_file.check(write(tmp_path, content), (4, 5))
 
 
 def test_a_missing_file_and_a_folder_are_named(tmp_path):
     with pytest.raises(GenerateError, match=r"absent\.blend does not exist"):
-        blend.check(tmp_path / "absent.blend", (4, 5))
+        bodies_file.check(tmp_path / "absent.blend", (4, 5))
     with pytest.raises(GenerateError, match="is a folder"):
-        blend.check(tmp_path, (4, 5))
+        bodies_file.check(tmp_path, (4, 5))
 
 
 def test_what_blender_saves_passes_and_its_pieces_do_not(tmp_path):

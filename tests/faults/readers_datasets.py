@@ -19,7 +19,7 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.report import closing
 from dataset_gen.report.dataset import read_dataset, read_picture
 from dataset_gen.report.pixels import motion_from_truth, seen_motion
-from dataset_gen.sources.blend import check
+from dataset_gen.sources.bodies_file import check
 from dataset_gen.sources.mesh_file import count_not_finite
 from tests.dataset_gen.planes import Plane
 from tests.faults.containers import of_npz, of_png, of_sealed

@@ -16,8 +16,8 @@ from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import PosedFrames
-from tg4mm.fit.motion.sinusoids import sinusoids
-from tg4mm.fit.motion.temporal.regions import RegionSeries, moving_camera_series, shift_series
+from tg4mm.fit.motion.spectrum import sinusoids
+from tg4mm.fit.motion.temporal.steady import RegionSeries, moving_camera_series, shift_series
 
 SIZE, POST = 64, 1
 

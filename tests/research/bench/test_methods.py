@@ -11,8 +11,7 @@ import torch
 
 from tests.research.bench.conftest import MODAL
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.magnify.half_octaves import half_octave_bands
-from tg4mm.fit.magnify.phase import PhaseMagnifier
+from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.methods.tracking import HexPlane, checked_settings, tracking
 from tg4mm.research.bench.methods.video import (
     Linear2D,
@@ -163,8 +162,7 @@ def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarses
 ) -> None:
     import torch
 
-    from tg4mm.fit.magnify.half_octaves import half_octave_bands
-    from tg4mm.fit.magnify.phase import _give, _take
+    from tg4mm.fit.magnify.phase import _give, _take, half_octave_bands
 
     spectrum = torch.fft.rfft2(torch.from_numpy(np.random.default_rng(0).random((1, *size))).float())
     back = torch.zeros_like(spectrum)

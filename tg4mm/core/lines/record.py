@@ -12,8 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.core.lines.line import Line
-from tg4mm.core.lines.model import Shape, refined, slopes, solved, trend
-from tg4mm.core.lines.noise import around, degrees, level, samples, sandwiched, spectra
+from tg4mm.core.lines.model import (
+    Shape,
+    around,
+    degrees,
+    level,
+    refined,
+    samples,
+    sandwiched,
+    slopes,
+    solved,
+    spectra,
+    trend,
+)
 
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line

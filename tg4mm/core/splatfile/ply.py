@@ -9,19 +9,20 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from tg4mm.core.splatfile import model, supersplat
+from tg4mm.core.splatfile.header import blocks, check_size, columns
+
 from ..errors import SplatFileError
-from . import layout, supersplat
 from .drawable import Head, Options, drawable
 from .header import ASCII, Element, Header, read_header
 from .model import SH_COUNTS, SplatFile
-from .rows import blocks, check_size, columns
 
 MODE_NAME = re.compile(r"mode_[0-9]+_(re|im)_r?[xyz]")
 RGB = ("red", "green", "blue")
 FILTER = ("filter_3D",)  # of Mip-Splatting, scene units
 PREFIX = "scalar_"  # of CloudCompare, before each property that it does not know
-NEEDED = (*layout.POSITION, *layout.F_DC, *layout.OPACITY, *layout.SCALE, *layout.ROTATION)
-OF_SPLATS = (*layout.OPACITY, *layout.SCALE, *layout.ROTATION)
+NEEDED = (*model.POSITION, *model.F_DC, *model.OPACITY, *model.SCALE, *model.ROTATION)
+OF_SPLATS = (*model.OPACITY, *model.SCALE, *model.ROTATION)
 DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
 
 
@@ -88,22 +89,22 @@ def _rename(names: dict[str, str], old: str, new: str) -> None:
 def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options) -> Plan:
     notes: list[str] = []
     missing = [name for name in NEEDED if name not in names]
-    colour: tuple[str, ...] = layout.F_DC
-    scale: tuple[str, ...] = layout.SCALE
-    if set(missing) >= set(OF_SPLATS) and not set(missing) & set(layout.POSITION):
+    colour: tuple[str, ...] = model.F_DC
+    scale: tuple[str, ...] = model.SCALE
+    if set(missing) >= set(OF_SPLATS) and not set(missing) & set(model.POSITION):
         raise SplatFileError(
             "is a point cloud, without opacity, scale and rotation: there are no splats in it"
         )
-    if set(layout.F_DC) <= set(missing) and all(names.get(name) == "<u1" for name in RGB):
-        colour, missing = RGB, [name for name in missing if name not in layout.F_DC]
+    if set(model.F_DC) <= set(missing) and all(names.get(name) == "<u1" for name in RGB):
+        colour, missing = RGB, [name for name in missing if name not in model.F_DC]
     if missing == ["scale_2"]:
-        scale, missing = layout.SCALE[:2], []
+        scale, missing = model.SCALE[:2], []
         notes.append("2D Gaussian splatting: flat discs, read as Gaussians of no thickness")
     if missing:
         raise SplatFileError(f"property {missing[0]} is missing, {len(missing)} in all")
     n_rest = sum(name.startswith("f_rest_") for name in names)
     counts = [3 * (k - 1) for k in DEGREES]
-    rest = layout.f_rest(n_rest)
+    rest = model.f_rest(n_rest)
     if n_rest not in counts or any(name not in names for name in rest):
         raise SplatFileError(f"has {n_rest} f_rest properties; expected f_rest_0 on, {counts} of them")
     filter = FILTER if FILTER[0] in names else ()
@@ -111,8 +112,8 @@ def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options)
         notes.append("Mip-Splatting's filter_3D is in the scales and opacities")
     about, m = _motion(names, about, options, notes)
     deviations = _deviations(names, m)
-    modes = [name for k in range(m) for name in layout.mode(k)]
-    shape = (*layout.POSITION, *scale, *layout.OPACITY, *layout.ROTATION)
+    modes = [name for k in range(m) for name in model.mode(k)]
+    shape = (*model.POSITION, *scale, *model.OPACITY, *model.ROTATION)
     _check_floats(
         names, (*shape, *(colour if colour is not RGB else ()), *rest, *filter, *modes, *deviations)
     )
@@ -128,7 +129,7 @@ def _check_floats(names: dict[str, str], used: Sequence[str]) -> None:
 def _modes_of(names: dict[str, str]) -> int:
     """Modes of which all twelve properties are there, from mode_0 on."""
     m = 0
-    while all(name in names for name in layout.mode(m)):
+    while all(name in names for name in model.mode(m)):
         m += 1
     return m
 
@@ -166,7 +167,7 @@ def _motion(
 
 def _deviations(names: dict[str, str], m: int) -> tuple[str, ...]:
     """The properties that hold the modes' standard deviations, () if there are none."""
-    wanted = tuple(layout.deviation(k) for k in range(m))
+    wanted = tuple(model.deviation(k) for k in range(m))
     there = [name for name in wanted if name in names]
     if there and len(there) != m:
         missing = next(name for name in wanted if name not in there)
@@ -188,25 +189,25 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
     ):  # a double past float32's range becomes infinity, which `drawable` counts
         for block in blocks(file, header, vertex):
             rows = slice(start, start := start + len(block))
-            means[rows] = columns(block, layout.POSITION)
-            quats[rows] = columns(block, layout.ROTATION)
+            means[rows] = columns(block, model.POSITION)
+            quats[rows] = columns(block, model.ROTATION)
             logs[rows, : len(plan.scale)] = columns(block, plan.scale)
-            logits[rows] = columns(block, layout.OPACITY)[:, 0]
+            logits[rows] = columns(block, model.OPACITY)[:, 0]
             sh[rows, 0] = columns(block, plan.colour)
             sh[rows, 1:] = columns(block, plan.rest).reshape(len(block), 3, k - 1).transpose(0, 2, 1)
             if smooth is not None:
                 smooth[rows] = columns(block, plan.filter)[:, 0]
             for i in range(m):
-                parts = columns(block, layout.mode(i))
+                parts = columns(block, model.mode(i))
                 for phasors, at in ((displacement[i, rows], 0), (rotation[i, rows], 6)):
                     phasors.real, phasors.imag = parts[:, at : at + 3], parts[:, at + 3 : at + 6]
             if deviation is not None:
                 deviation[:, rows] = columns(block, plan.deviations).T
     if plan.colour is RGB:
-        sh[:, 0] = layout.f_dc(sh[:, 0] / 255)
+        sh[:, 0] = model.f_dc(sh[:, 0] / 255)
     notes = (*plan.notes, *_infinite(logs[:, : len(plan.scale)], logits))
     with np.errstate(over="ignore"):
-        scales, opacities = np.exp(logs), layout.sigmoid(logits)
+        scales, opacities = np.exp(logs), model.sigmoid(logits)
     if smooth is not None:
         scales, opacities = _smoothed(scales, opacities, smooth)
     fields: dict[str, Any] = {

@@ -1,4 +1,9 @@
-"""Opening a splat file, of whatever kind: told by its first bytes, and by its name where these say nothing."""
+"""Opening a splat file, of whatever kind: told by its first bytes, and by its name where these say nothing.
+
+.splat, of antimatter15's viewer: 32 bytes a Gaussian and nothing else, so that a file cut between two is one.
+Position and linear scale as float32, colour and opacity, rotation wxyz as bytes. Axes are those of the PLY that it
+was made of.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +12,46 @@ import logging
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
-from ..errors import SplatFileError
-from . import accessors, spz
-from .antimatter import head_of_splat, read_antimatter
-from .drawable import Decode, Head, Options
-from .gltf import head_of_gltf, read_gltf
-from .model import SplatFile
-from .ply import head_of_ply, read_ply
-from .sog import head_of_sog, read_sog
+import numpy as np
+
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import accessors, model, spz
+from tg4mm.core.splatfile.drawable import Decode, Head, Options, drawable
+from tg4mm.core.splatfile.gltf import head_of_gltf, read_gltf
+from tg4mm.core.splatfile.model import SplatFile
+from tg4mm.core.splatfile.ply import head_of_ply, read_ply
+from tg4mm.core.splatfile.sog import head_of_sog, read_sog
+
+_RECORD = np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
+
+
+def head_of_splat(size: int) -> Head:
+    """What the length of a file says."""
+    if size == 0 or size % _RECORD.itemsize:
+        raise SplatFileError(
+            f"is {size} bytes long; a .splat has {_RECORD.itemsize} a Gaussian: it is cut off, or something else"
+        )
+    return Head(".splat", size // _RECORD.itemsize)
+
+
+def read_antimatter(file: BinaryIO, size: int) -> SplatFile:
+    """The Gaussians of a .splat. SplatFileError without the file's name."""
+    count = head_of_splat(size).count
+    records = np.fromfile(file, _RECORD, count)
+    if len(records) != count:
+        raise SplatFileError(f"is truncated: {len(records)} Gaussians, expected {count}")
+    rgba = records["rgba"] / np.float32(255)
+    fields = {
+        "means": records["place"],
+        "quats": records["turn"] / np.float32(128) - 1,
+        "scales": records["scale"],
+        "opacities": rgba[:, 3],
+        "sh": model.f_dc(rgba[:, None, :3]),
+    }
+    return drawable(fields)
+
 
 ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".json")  # of files that can be read
 _OTHERS = {  # known, and not read

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.splatfile import model
+
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE, parse_json
 from ..values import Number
-from . import layout
 from .accessors import beside
 from .drawable import Decode, Head, Options, drawable
 from .model import SplatFile
@@ -112,7 +113,7 @@ def read_sog(path: Path, options: Options) -> SplatFile:
     low, high = _numbers(means, "mins", 3), _numbers(means, "maxs", 3)
     places = low + np.where(high > low, high - low, 1.0) * fine / 65535
     scales, colours = _table(meta, "scales", 3), _table(meta, "sh0", 4)
-    opacities = sh0[:, 3] / 255 if _version(meta) == 2 else layout.sigmoid(colours[sh0[:, 3], 3])
+    opacities = sh0[:, 3] / 255 if _version(meta) == 2 else model.sigmoid(colours[sh0[:, 3], 3])
     sh = _looked_up(colours, sh0[:, :3])[:, None]
     if "shN" in meta:
         sh = np.concatenate([sh, _harmonics(meta, pixels, flat)], axis=1)

@@ -18,9 +18,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from tg4mm.core.splatfile import model, spz
+
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE
-from . import layout, spz
 from .axes import TURN, transformed, y_up
 from .drawable import Head, drawable
 from .model import SplatFile
@@ -256,7 +257,7 @@ def _content(splat: SplatFile) -> bytes:
         np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[:, :, :3],
         _bytes(255.0 * splat.opacities),
         _bytes(255.0 * (COLOUR * splat.sh[:, 0] + 0.5)),
-        _bytes(16.0 * (layout.log_scale(splat.scales) + 10.0)),
+        _bytes(16.0 * (model.log_scale(splat.scales) + 10.0)),
         smallest_three(splat.quats),
         _bytes(128.0 * (splat.sh[:, 1:] + 1.0)),
     )

@@ -9,12 +9,13 @@ from typing import BinaryIO
 
 import numpy as np
 
+from tg4mm.core.splatfile import model
+from tg4mm.core.splatfile.header import blocks, columns
+
 from ..errors import SplatFileError
-from . import layout
 from .drawable import drawable
 from .header import Element, Header
 from .model import SplatFile
-from .rows import blocks, columns
 
 CHUNK = 256  # Gaussians
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
@@ -43,7 +44,7 @@ def read(file: BinaryIO, header: Header, vertex: Element) -> SplatFile:
     position, rotation, scale, colour = packed.T
     rgba = np.stack([colour >> np.uint32(s) & np.uint32(255) for s in (24, 16, 8, 0)], axis=1) / 255
     rgb = between(_COLOURS, rgba[:, :3]) if _COLOURS[0] in chunk.properties else rgba[:, :3]
-    sh = layout.f_dc(rgb)[:, None]
+    sh = model.f_dc(rgb)[:, None]
     if rest is not None:
         sh = np.concatenate([sh, _harmonics(file, header, rest)], axis=1)
     with np.errstate(over="ignore"):
@@ -79,7 +80,7 @@ def _check(vertex: Element, chunk: Element | None, rest: Element | None) -> None
         )
     if rest is not None:
         n = len(rest.properties)
-        fits = n in _REST and all(rest.properties.get(name) == "<u1" for name in layout.f_rest(n))
+        fits = n in _REST and all(rest.properties.get(name) == "<u1" for name in model.f_rest(n))
         if not fits or rest.count != vertex.count:
             raise SplatFileError(
                 f"element sh has {n} properties and {rest.count} entries; expected {_REST} of type uchar, "
@@ -112,7 +113,7 @@ def largest_put_in(others: np.ndarray, which: np.ndarray) -> np.ndarray:
 def _harmonics(file: BinaryIO, header: Header, rest: Element) -> np.ndarray:
     """[N, K − 1, 3]: bytes of ±4, in the middle of each step."""
     k = len(rest.properties) // 3
-    raw = np.concatenate([columns(block, layout.f_rest(3 * k)) for block in blocks(file, header, rest)])
+    raw = np.concatenate([columns(block, model.f_rest(3 * k)) for block in blocks(file, header, rest)])
     values = ((raw.astype(np.float32) + 0.5) / 256 - 0.5) * 8
     values[raw == 0], values[raw == 255] = -4, 4
     return values.reshape(-1, 3, k).transpose(0, 2, 1)

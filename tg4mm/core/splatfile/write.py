@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.core.splatfile import model
+
 from .. import temporary
 from ..errors import SplatFileError
-from . import layout
 from .model import SplatFile
 
 ROWS_AT_ONCE = 8192  # keeps the block being interleaved in the processor's cache
@@ -50,17 +51,17 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _names(splat: SplatFile) -> list[str]:
-    rest = layout.f_rest(3 * (splat.sh.shape[1] - 1))
-    modes = [name for k in range(splat.n_modes) for name in layout.mode(k)]
+    rest = model.f_rest(3 * (splat.sh.shape[1] - 1))
+    modes = [name for k in range(splat.n_modes) for name in model.mode(k)]
     if splat.deviation is not None:
-        modes += [layout.deviation(k) for k in range(splat.n_modes)]
-    fixed = (layout.POSITION, layout.NORMAL, layout.F_DC, rest, layout.OPACITY, layout.SCALE, layout.ROTATION)
+        modes += [model.deviation(k) for k in range(splat.n_modes)]
+    fixed = (model.POSITION, model.NORMAL, model.F_DC, rest, model.OPACITY, model.SCALE, model.ROTATION)
     return [name for names in fixed for name in names] + modes
 
 
 def _header(splat: SplatFile) -> bytes:
     about = {
-        "format_version": layout.FORMAT_VERSION,
+        "format_version": model.FORMAT_VERSION,
         "fps": splat.fps or None,
         "n_timesteps": int(splat.n_timesteps),
         "frequencies_hz": [float(f) for f in splat.freqs_hz],
@@ -72,7 +73,7 @@ def _header(splat: SplatFile) -> bytes:
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        layout.MARK + json.dumps(about, allow_nan=False),
+        model.MARK + json.dumps(about, allow_nan=False),
         f"element vertex {len(splat)}",
         *(f"property float {name}" for name in _names(splat)),
         "end_header",
@@ -91,8 +92,8 @@ def _blocks(splat: SplatFile) -> Iterator[np.ndarray]:
             np.zeros_like(means),
             splat.sh[rows, 0],
             splat.sh[rows, 1:].transpose(0, 2, 1).reshape(len(means), 3 * (k - 1)),
-            layout.logit(splat.opacities[rows])[:, None],
-            layout.log_scale(splat.scales[rows]),
+            model.logit(splat.opacities[rows])[:, None],
+            model.log_scale(splat.scales[rows]),
             splat.quats[rows],
         ]
         for displacement, rotation in zip(splat.displacement, splat.rotation, strict=True):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.fit.motion.sinusoids import far_from, polynomials, refined, residual, sinusoids
+from tg4mm.fit.motion.spectrum import far_from, polynomials, refined, residual, sinusoids
 
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration

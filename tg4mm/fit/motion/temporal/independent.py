@@ -27,14 +27,20 @@ from tg4mm.fit.motion.linear_fit import LinearFit
 from tg4mm.fit.motion.nuisance.first_look import FirstLook, look_at
 from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
-from tg4mm.fit.motion.sinusoids import constant_and_trend, sinusoids
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import constant_and_trend, sinusoids
 from tg4mm.fit.motion.split_half import folds_of, wiener_shrink
 from tg4mm.fit.motion.targets import TargetImages, projected
 from tg4mm.fit.motion.temporal.frequencies import LEAST
-from tg4mm.fit.motion.temporal.regions import RegionSeries, region_series
-from tg4mm.fit.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
+from tg4mm.fit.motion.temporal.steady import (
+    RegionSeries,
+    Steady,
+    frequencies_of,
+    frequency_figures,
+    no_targets,
+    region_series,
+)
 
 _ALTERNATIONS = 2  # between fields and phases on the pictures themselves
 _OF_ITERATIONS = 4  # times fewer iterations than the fit: enough for phases

@@ -25,19 +25,31 @@ from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussian
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
-from tg4mm.fit.motion.nuisance.camera_path import CameraPath, Reading
-from tg4mm.fit.motion.nuisance.poses import ALTERNATIONS, corrected_poses, pictures_of
+from tg4mm.fit.motion.nuisance.camera_path import (
+    ALTERNATIONS,
+    CameraPath,
+    Reading,
+    corrected_poses,
+    pictures_of,
+)
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.refine import refine_at_rest
-from tg4mm.fit.motion.sinusoids import polynomials, sinusoids
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import polynomials, sinusoids
 from tg4mm.fit.motion.split_half import folds_of
 from tg4mm.fit.motion.temporal.frequencies import Frequencies
-from tg4mm.fit.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
-from tg4mm.fit.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
+from tg4mm.fit.motion.temporal.steady import (
+    RegionSeries,
+    Steady,
+    frequencies_of,
+    frequency_figures,
+    labels_of,
+    moving_camera_series,
+    no_targets,
+)
 
 _STILL_PX = 0.05  # rms correction of the poses below which another brings nothing
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it

@@ -2,24 +2,146 @@
 
 Their frequencies are found first, from how regions of Gaussians shift in the pictures; then every frequency has two
 fields, of its cosine and its sine.
+
+How regions of Gaussians shift in a camera's picture, frame by frame: what frequencies and phases are found from. A
+region's shift along the picture's rows and columns in one frame is the least-squares solution of that frame's change
+through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E
+the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from tg4mm.core.progress import progress
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
+from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.nuisance.first_look import FixedCameras
+from tg4mm.fit.motion.observation_model import ObservationModel
+from tg4mm.fit.motion.observations import Observations, PosedFrames, whole_pictures
+from tg4mm.fit.motion.solver.aggregates import Aggregates
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import constant_and_trend
 from tg4mm.fit.motion.split_half import reliability
 from tg4mm.fit.motion.targets import TargetImages
 from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.frequencies import Frequencies, find_frequencies
-from tg4mm.fit.motion.temporal.regions import RegionSeries
+
+_PROBES = 4
+_SEEN = 0.02  # of the median region's determinant: below it a region is not seen
+
+
+@dataclass(frozen=True)
+class RegionSeries:
+    """Shifts of G regions in the F frames of one clock; a moving camera has axes and normal matrices per frame."""
+
+    times_s: np.ndarray  # [F]
+    sides: np.ndarray  # [F, G, 2] b, scene units⁻¹
+    normals: np.ndarray  # [F or 1, G, 2, 2] A
+    axes: np.ndarray  # [F or 1, 2, 3] right and down, unit vectors in the world
+
+    def arrays(self) -> Arrays:
+        """For a checkpoint."""
+        return {"sides": self.sides, "normals": self.normals, "axes": self.axes}
+
+    @staticmethod
+    def restored(times_s: np.ndarray, arrays: Arrays) -> RegionSeries:
+        """From what `arrays` gave."""
+        return RegionSeries(times_s, arrays["sides"], arrays["normals"], arrays["axes"])
+
+    def whitened(self) -> np.ndarray:
+        """[F, 2G]: A^(-1/2) b, whose noise is that of one pixel, alike for all regions; 0 where nothing is seen."""
+        values, vectors = np.linalg.eigh(self.normals)
+        limit = _SEEN * np.median(values[..., 1][values[..., 1] > 0]) if (values > 0).any() else 1.0
+        root = np.where(values > limit, 1 / np.sqrt(np.maximum(values, 1e-30)), 0)
+        b = np.einsum(
+            "fgij,fgi->fgj", np.broadcast_to(vectors, (len(self.sides), *vectors.shape[1:])), self.sides
+        )
+        return (root * b).reshape(len(b), -1)
+
+    def phasors(self, functions: np.ndarray) -> np.ndarray:
+        """[K, G, 2] complex: of least squares with functions of time [2K, F], as `sinusoids` gives them.
+
+        Sums b_f over the functions, to be divided by A: E m. For one fixed camera. A constant and a trend are fitted
+        besides.
+        """
+        design = np.concatenate([constant_and_trend(self.times_s), functions]).T
+        solution = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
+        pairs = solution.reshape(-1, 2, *self.sides.shape[1:])
+        return pairs[:, 0] + 1j * pairs[:, 1]
+
+
+def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) -> list[RegionSeries]:
+    """Every fixed camera's region shifts."""
+    labels, out = labels_of(problem.aggregates), []
+    with progress("region shifts", len(seen.views), "cameras") as update:
+        for v, frames in enumerate(seen.observations.frames):
+
+            def compute(v: int = v, frames: PosedFrames = frames) -> Arrays:
+                pictures = whole_pictures(seen.observations, frames.rows)
+                return shift_series(seen.model(v), labels, (p - seen.look.mean[v] for p in pictures)).arrays()
+
+            out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
+            update(v + 1)
+    return out
+
+
+def labels_of(aggregates: Aggregates) -> np.ndarray:
+    """[N] int: the region of every Gaussian, the aggregates of the solver's coarse level."""
+    return np.asarray(aggregates.tentative.indices)
+
+
+def shift_series(model: ObservationModel, labels: np.ndarray, changes: Iterable[np.ndarray]) -> RegionSeries:
+    """The shifts in one pose's changes [f, H, W, 3], a few frames at a time; labels [N]: every Gaussian's region."""
+    axes = model.frames.viewmat[:2, :3].astype(np.float64)
+    sides = [_summed(model.adjoint(some)[..., :3] @ axes.T, labels) for some in changes]
+    return RegionSeries(
+        model.frames.times_s, np.concatenate(sides), _normals(model, labels, axes)[None], axes[None]
+    )
+
+
+def _normals(model: ObservationModel, labels: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
+    rng, count = np.random.default_rng(0), int(labels.max()) + 1
+    signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
+    motions = np.zeros((2 * _PROBES, len(labels), DOF), np.float32)
+    for p in range(_PROBES):
+        for a in range(2):
+            motions[2 * p + a, :, :3] = signs[p, labels, None] * axes[a]
+    sums = _summed(model.normal(motions)[..., :3] @ axes.T, labels).reshape(_PROBES, 2, count, 2)
+    mean = (sums * signs[:, None, :, None]).mean(0).transpose(1, 0, 2)
+    values, vectors = np.linalg.eigh((mean + mean.transpose(0, 2, 1)) / 2)
+    return np.einsum("gij,gj,gkj->gik", vectors, np.maximum(values, 0), vectors)
+
+
+def moving_camera_series(
+    models: Sequence[ObservationModel], changes: Iterable[np.ndarray], labels: np.ndarray
+) -> RegionSeries:
+    """The shifts in a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own model."""
+    times_s: list[np.ndarray] = []
+    each: list[Arrays] = []
+    with progress("region shifts", len(models), "frames") as update:
+        for k, (model, change) in enumerate(zip(models, changes, strict=True)):
+            own = shift_series(model, labels, [change[None]])
+            each.append(own.arrays())
+            times_s.append(own.times_s)
+            model.release()
+            update(k + 1)
+    return RegionSeries.restored(np.concatenate(times_s), concatenated(each))
+
+
+def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """[F, G, 2]: sums of [F, N, 2] over regions."""
+    order = np.argsort(labels, kind="stable")
+    starts = np.searchsorted(labels[order], np.arange(int(labels.max()) + 1))
+    return np.add.reduceat(values[:, order].astype(np.float64), starts, axis=1)
+
 
 _HIGHEST = 0.98  # of half the frame rate
 
