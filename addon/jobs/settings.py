@@ -5,17 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-from bpy.props import (
-    BoolProperty,
-    CollectionProperty,
-    EnumProperty,
-    FloatProperty,
-    FloatVectorProperty,
-    IntProperty,
-    IntVectorProperty,
-    PointerProperty,
-    StringProperty,
-)
+from bpy import props
 
 from . import preview
 from .kinds import KINDS
@@ -33,14 +23,14 @@ def _gain_changed(settings: Any, context: Any) -> None:
 
 
 def _length(name: str, text: str, default: float, least: float = 0.0) -> Any:
-    return FloatProperty(
+    return props.FloatProperty(
         name=name, description=text, default=default, min=least, soft_max=100.0, unit="LENGTH", precision=4,
         update=_changed,
     )  # fmt: skip
 
 
 def _place(name: str, text: str, default: tuple[float, float, float]) -> Any:
-    return FloatVectorProperty(
+    return props.FloatVectorProperty(
         name=name,
         description=text,
         default=default,
@@ -52,7 +42,7 @@ def _place(name: str, text: str, default: tuple[float, float, float]) -> Any:
 
 
 def _heading(name: str, text: str, default: tuple[float, float, float]) -> Any:
-    return FloatVectorProperty(
+    return props.FloatVectorProperty(
         name=name, description=text, default=default, size=3, subtype="XYZ", precision=3, update=_changed
     )
 
@@ -60,37 +50,37 @@ def _heading(name: str, text: str, default: tuple[float, float, float]) -> Any:
 class TG4MM_moving_object(bpy.types.PropertyGroup):
     """An object that takes part in the motion"""
 
-    object: PointerProperty(type=bpy.types.Object, name="Object")  # type: ignore[valid-type]
+    object: props.PointerProperty(type=bpy.types.Object, name="Object")  # type: ignore[valid-type]
 
 
 class TG4MM_generate(bpy.types.PropertyGroup):
     """How the scene vibrates, and what is rendered of it"""
 
     # fmt: off
-    moving: CollectionProperty(type=TG4MM_moving_object)  # type: ignore[valid-type]
-    source: EnumProperty(  # type: ignore[valid-type]
+    moving: props.CollectionProperty(type=TG4MM_moving_object)  # type: ignore[valid-type]
+    source: props.EnumProperty(  # type: ignore[valid-type]
         name="Motion", description="Where the description of the motion comes from", default="PANEL", update=_changed,
         items=[("PANEL", "One Mode", "One mode, described here"),
                ("FILE", "File", "Any number of modes, in a file of your own (JSON, or YAML with the core)")])
-    motion_file: StringProperty(  # type: ignore[valid-type]
+    motion_file: props.StringProperty(  # type: ignore[valid-type]
         name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH",
         options=_RELATIVE, update=_changed)
-    kind: EnumProperty(  # type: ignore[valid-type]
+    kind: props.EnumProperty(  # type: ignore[valid-type]
         name="Mode", description="How the objects move", default="bending", update=_changed,
         items=[(name, kind.label, kind.description) for name, kind in KINDS.items()])
-    frequency: FloatProperty(  # type: ignore[valid-type]
+    frequency: props.FloatProperty(  # type: ignore[valid-type]
         name="Frequency", description="Hz; below half of the Frame Rate", default=5.0, min=0.001, soft_max=100.0,
         precision=3, unit="FREQUENCY", update=_changed)
-    amplitude_in: EnumProperty(  # type: ignore[valid-type]
+    amplitude_in: props.EnumProperty(  # type: ignore[valid-type]
         name="Amplitude In", default="SCENE", update=_changed,
         description="Unit of the amplitude, which is the largest displacement of any vertex",
         items=[("SCENE", "Units", "Of the plate"),
                ("PIXELS", "Pixels", "Pixels in the first training camera")])
     amplitude: _length("Amplitude", "Largest displacement", 0.01, 1e-9)  # type: ignore[valid-type]
-    amplitude_px: FloatProperty(  # type: ignore[valid-type]
+    amplitude_px: props.FloatProperty(  # type: ignore[valid-type]
         name="Amplitude", description="Largest displacement, pixels in the first training camera", default=0.3,
         min=1e-4, soft_max=20.0, precision=3, update=_changed)
-    phase: FloatProperty(  # type: ignore[valid-type]
+    phase: props.FloatProperty(  # type: ignore[valid-type]
         name="Phase", description="0 is a sine: at rest in the first timestep", subtype="ANGLE", update=_changed)
 
     point: _place("Point", "World coordinates", (0, 0, 0))  # type: ignore[valid-type]
@@ -99,46 +89,46 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     direction: _heading("Direction", "World axes, any length", (1, 0, 0))  # type: ignore[valid-type]
     length: _length("Length",  # type: ignore[valid-type]
                     "Way along the axis over which the twist grows; 0: everything turns alike", 0.0)
-    order: IntProperty(  # type: ignore[valid-type]
+    order: props.IntProperty(  # type: ignore[valid-type]
         name="Order", description="1 is the beam's lowest mode", default=1, min=1, max=3, update=_changed)
     wavelength: _length("Wavelength", "Of the plate", 1.0, 1e-6)  # type: ignore[valid-type]
-    rayleigh: BoolProperty(  # type: ignore[valid-type]
+    rayleigh: props.BoolProperty(  # type: ignore[valid-type]
         name="Rayleigh", description="The surface wave of an elastic solid: points go round ellipses", update=_changed)
     decay_length: _length("Decay Length",  # type: ignore[valid-type]
                           "Distance from the surface's z for a fall by 1/e; 0: no fall", 0.0)
-    level: FloatProperty(  # type: ignore[valid-type]
+    level: props.FloatProperty(  # type: ignore[valid-type]
         name="Height", description="World z", unit="LENGTH", precision=4, update=_changed)
-    hold: EnumProperty(  # type: ignore[valid-type]
+    hold: props.EnumProperty(  # type: ignore[valid-type]
         name="Held", description="What holds the soft body", update=_changed,
         items=[("HEIGHT", "Below a Height", "It sways above a height"),
                ("POINT", "At a Point", "It sways with the distance from a point")])
     reach: _length("Reach",  # type: ignore[valid-type]
                    "Distance from what holds it at which the displacement grows linearly", 1.0, 1e-6)
-    random: BoolProperty(  # type: ignore[valid-type]
+    random: props.BoolProperty(  # type: ignore[valid-type]
         name="Random Direction", description="Every object sways its own way", update=_changed)
     radius: _length("Radius", "Of the rim", 1.0, 1e-6)  # type: ignore[valid-type]
-    drum_nodes: IntVectorProperty(  # type: ignore[valid-type]
+    drum_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Nodes", description="Nodal diameters, and nodal circles counting the rim", size=2, default=(0, 1),
         min=0, max=20, update=_changed)
-    sides: FloatVectorProperty(  # type: ignore[valid-type]
+    sides: props.FloatVectorProperty(  # type: ignore[valid-type]
         name="Sides", description="Of the plate", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
-    plate_nodes: IntVectorProperty(  # type: ignore[valid-type]
+    plate_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Half Waves", description="Along each side", size=2, default=(1, 1), min=1, max=20, update=_changed)
     thickness: _length("Thickness",  # type: ignore[valid-type]
                        "How far along the normal it reaches; 0: without end", 0.0)
-    group: StringProperty(  # type: ignore[valid-type]
+    group: props.StringProperty(  # type: ignore[valid-type]
         name="Vertex Group", description="Its weights say how far each vertex goes", update=_changed)
 
-    gain: FloatProperty(  # type: ignore[valid-type]
+    gain: props.FloatProperty(  # type: ignore[valid-type]
         name="Gain", description="The preview shows this many times the displacement; the data have it once",
         default=20.0, soft_min=0.0, soft_max=200.0, update=_gain_changed)
-    fps: FloatProperty(  # type: ignore[valid-type]
+    fps: props.FloatProperty(  # type: ignore[valid-type]
         name="Frame Rate", description="Timesteps of the dataset per second, Hz", default=30.0, min=0.01,
         soft_max=1000.0, precision=2, unit="FREQUENCY", update=_changed)
-    timesteps: IntProperty(  # type: ignore[valid-type]
+    timesteps: props.IntProperty(  # type: ignore[valid-type]
         name="Timesteps", description="Number of frames of the dataset", default=30, min=1, max=1000)
 
-    cameras: EnumProperty(  # type: ignore[valid-type]
+    cameras: props.EnumProperty(  # type: ignore[valid-type]
         name="Cameras", description="Where the training pictures are taken from", update=_changed,
         items=[("orbit", "Orbit", "A spiral around the scene, as in NeRF's synthetic sets"),
                ("rig", "Rig", "Fixed cameras on arcs around the scene"),
@@ -147,36 +137,36 @@ class TG4MM_generate(bpy.types.PropertyGroup):
                ("clips", "Clips", "One camera that films from one place after another"),
                ("flat", "Flat", "One fixed camera"),
                ("given", "The Scene's Own", "The perspective cameras of this scene")])
-    views: IntProperty(  # type: ignore[valid-type]
+    views: props.IntProperty(  # type: ignore[valid-type]
         name="Views", description="Training cameras", default=30, min=1, max=1000, update=_changed)
-    test_views: IntProperty(  # type: ignore[valid-type]
+    test_views: props.IntProperty(  # type: ignore[valid-type]
         name="Test Views", description="Cameras of the test pictures", default=5, min=0, max=1000)
-    size: IntProperty(  # type: ignore[valid-type]
+    size: props.IntProperty(  # type: ignore[valid-type]
         name="Size", description="Edge of the square pictures, pixels", default=128, min=8, max=4096,
         subtype="PIXEL", update=_changed)
-    samples: IntProperty(  # type: ignore[valid-type]
+    samples: props.IntProperty(  # type: ignore[valid-type]
         name="Samples", description="Light paths per pixel", default=96, min=1, max=65536)
-    device: EnumProperty(  # type: ignore[valid-type]
+    device: props.EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Where Cycles renders",
         items=[("cpu", "CPU", ""), ("gpu", "GPU", ""), ("auto", "GPU or CPU", "A GPU where there is one")])
-    truth: EnumProperty(  # type: ignore[valid-type]
+    truth: props.EnumProperty(  # type: ignore[valid-type]
         name="Truth per Pixel", default="none",
         description="Depth, normal, position and displacement of every pixel; the core's Python writes it",
         items=[("none", "None", "The motion of the vertices alone"), ("test", "Test Views", ""),
                ("all", "All Views", "Large")])
-    alphas: StringProperty(  # type: ignore[valid-type]
+    alphas: props.StringProperty(  # type: ignore[valid-type]
         name="Magnified", default="5,10,20,50,100",
         description="Magnification factors of the ground truth: test pictures whose motion is 1 + factor times as "
                     "large")
-    seed: IntProperty(  # type: ignore[valid-type]
+    seed: props.IntProperty(  # type: ignore[valid-type]
         name="Seed", description="Of the renderer, and of what is random in the motion", min=0, update=_changed)
-    processes: IntProperty(  # type: ignore[valid-type]
+    processes: props.IntProperty(  # type: ignore[valid-type]
         name="Processes", description="Render processes at once; 0: one for each core", min=0, max=256)
-    label: StringProperty(  # type: ignore[valid-type]
+    label: props.StringProperty(  # type: ignore[valid-type]
         name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
-    out: StringProperty(  # type: ignore[valid-type]
+    out: props.StringProperty(  # type: ignore[valid-type]
         name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH", options=_RELATIVE)
-    in_blender: BoolProperty(  # type: ignore[valid-type]
+    in_blender: props.BoolProperty(  # type: ignore[valid-type]
         name="This Blender", description="This Blender renders, not the one that the core's Python has: the same "
         "version as yours, but without truth per pixel and without a report")
     # fmt: on
@@ -186,15 +176,15 @@ class TG4MM_train(bpy.types.PropertyGroup):
     """From a dataset to splats"""
 
     # fmt: off
-    dataset: StringProperty(  # type: ignore[valid-type]
+    dataset: props.StringProperty(  # type: ignore[valid-type]
         name="Dataset", description="A dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
-    run: StringProperty(  # type: ignore[valid-type]
+    run: props.StringProperty(  # type: ignore[valid-type]
         name="Run", description="Folder for what training writes; an unfinished run there goes on",
         subtype="DIR_PATH", options=_RELATIVE)
-    device: EnumProperty(  # type: ignore[valid-type]
+    device: props.EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Where the core computes",
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])
-    settings: StringProperty(  # type: ignore[valid-type]
+    settings: props.StringProperty(  # type: ignore[valid-type]
         name="Settings", description="Settings of training that differ from the defaults, with spaces between: "
         "space.iterations=3000 motion.gauss_newton=0")
     # fmt: on
@@ -207,8 +197,8 @@ _register_classes, _unregister_classes = bpy.utils.register_classes_factory(
 
 def register() -> None:
     _register_classes()
-    setattr(bpy.types.Scene, GENERATE, PointerProperty(type=TG4MM_generate))
-    setattr(bpy.types.Scene, TRAIN, PointerProperty(type=TG4MM_train))
+    setattr(bpy.types.Scene, GENERATE, props.PointerProperty(type=TG4MM_generate))
+    setattr(bpy.types.Scene, TRAIN, props.PointerProperty(type=TG4MM_train))
 
 
 def unregister() -> None:

@@ -11,18 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import GenerateError, check_choice, check_whole, check_within
+from . import paths
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
-from .paths import (
-    beside_path,
-    clip_cameras,
-    farther,
-    fixed_camera,
-    handheld_camera,
-    rig_cameras,
-    sweep_cameras,
-    test_cameras,
-    train_cameras,
-)
 
 KINDS = ("orbit", "rig", "sweep", "handheld", "clips", "flat", "given")
 SINGLE = ("handheld", "flat", "given")  # kinds that take no number of views
@@ -119,10 +109,10 @@ class CameraSetup:
 
         framed = self
         if self.kind != "given":
-            framed = replace(framed, clearance=farther(points, train))
+            framed = replace(framed, clearance=paths.farther(points, train))
         if self.kind != "flat":
             seen = points if magnified is None else np.concatenate([points, magnified])
-            framed = replace(framed, test_clearance=farther(seen, test))
+            framed = replace(framed, test_clearance=paths.farther(seen, test))
         return framed
 
     @property
@@ -191,17 +181,17 @@ def cameras_at(setup: CameraSetup, timestep: int) -> dict[str, tuple[Camera, ...
 @functools.lru_cache(maxsize=1024)
 def _train(setup: CameraSetup, timestep: int, begins: bool) -> tuple[Camera, ...]:
     if setup.kind == "orbit":
-        return tuple(train_cameras(setup.views, setup.aim))
+        return tuple(paths.train_cameras(setup.views, setup.aim))
     aim = setup.stand
     if setup.kind == "rig":
-        return tuple(rig_cameras(setup.views, aim, setup.seed))
+        return tuple(paths.rig_cameras(setup.views, aim, setup.seed))
     if setup.kind == "clips":
-        return tuple(clip_cameras(setup.views, aim, setup.seed))
+        return tuple(paths.clip_cameras(setup.views, aim, setup.seed))
     if setup.kind in ("flat", "sweep"):
-        sweep = sweep_cameras(setup.views, aim, setup.seed) if begins else ()
-        return (fixed_camera(aim), *sweep)
+        sweep = paths.sweep_cameras(setup.views, aim, setup.seed) if begins else ()
+        return (paths.fixed_camera(aim), *sweep)
     if setup.kind == "handheld":
-        return (handheld_camera(timestep / setup.fps, setup.fps, aim, setup.seed),)
+        return (paths.handheld_camera(timestep / setup.fps, setup.fps, aim, setup.seed),)
     return setup.given
 
 
@@ -210,11 +200,11 @@ def _test(setup: CameraSetup) -> tuple[Camera, ...]:
     if not setup.test_views:
         return ()
     if setup.kind == "flat":
-        return (fixed_camera(setup.stand),)
+        return (paths.fixed_camera(setup.stand),)
     if setup.kind == "handheld":
         duration = (setup.n_timesteps - 1) / setup.fps
-        return tuple(beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
-    return tuple(test_cameras(setup.test_views, setup.test_stand))
+        return tuple(paths.beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
+    return tuple(paths.test_cameras(setup.test_views, setup.test_stand))
 
 
 _SHORTEST_PAUSE, _LONGEST_PAUSE = 2.0, 10.0  # seconds between clips: the camera is carried to its next place

@@ -10,18 +10,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from tg4mm import __version__
-from tg4mm.core.pages.page import (
-    Figure,
-    Page,
-    Panel,
-    Section,
-    Stat,
-    Table,
-    Text,
-    missing,
-    picture,
-    render_page,
-)
+from tg4mm.core.pages import page
 from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.records import read_formed
 from tg4mm.core.values import Just, Maybe
@@ -54,20 +43,20 @@ def write_overview(parent: Path) -> Path:
     roots = sorted(path.parent for path in parent.glob("*/scene.json"))
     if not roots:
         raise GenerateError(f"{parent}: holds no dataset, a folder with a scene.json")
-    text = render_page(overview([Entry(root, _summary(root)) for root in roots]))
+    text = page.render_page(overview([Entry(root, _summary(root)) for root in roots]))
     save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
     return parent / "index.html"
 
 
-def overview(entries: list[Entry]) -> Page:
+def overview(entries: list[Entry]) -> page.Page:
     """The page."""
-    return Page(
+    return page.Page(
         title="Vibrating scenes with exact motion",
         kicker="vibration datasets, an overview",
         summary=f"{_count(len(entries))} in this folder, with cameras, pictures and exact ground truth.",
         stats=_stats(entries),
         lead=[],
-        sections=[Section("The scenes", [_grid(entries), _table(entries), *_unreported(entries)])],
+        sections=[page.Section("The scenes", [_grid(entries), _table(entries), *_unreported(entries)])],
         footer=f"tg4mm {__version__}. Written from the reports of the sets.",
     )
 
@@ -84,32 +73,35 @@ def _summary(root: Path) -> dict[str, Any]:
         return {}
 
 
-def _stats(entries: list[Entry]) -> list[Stat]:
+def _stats(entries: list[Entry]) -> list[page.Stat]:
     known = [e.summary for e in entries if e.summary]
     pixels = [s["pixels_max"] for s in known if s["pixels_max"]]
     value, unit = size_text(sum(s["bytes"] for s in known)).split(" ")
-    stats = [Stat("Sets", str(len(entries))), Stat("On disk", value, unit, "equal pictures counted once")]
+    stats = [
+        page.Stat("Sets", str(len(entries))),
+        page.Stat("On disk", value, unit, "equal pictures counted once"),
+    ]
     if pixels:
         between = f"{number(min(pixels), 2)} … {number(max(pixels), 2)}"
-        stats.insert(1, Stat("Largest motion in a picture", between, "px", "from set to set, at α = 0"))
+        stats.insert(1, page.Stat("Largest motion in a picture", between, "px", "from set to set, at α = 0"))
     return stats
 
 
-def _grid(entries: list[Entry]) -> Figure:
-    return Figure(
+def _grid(entries: list[Entry]) -> page.Figure:
+    return page.Figure(
         [_panel(entry) for entry in entries], "A training view of each; its name leads to its report.", 4
     )
 
 
-def _panel(entry: Entry) -> Panel:
+def _panel(entry: Entry) -> page.Panel:
     path = entry.root / "report/thumbnail.png"
     link = _link(entry)
     if not path.is_file():
-        return missing("no report yet", link)
+        return page.missing("no report yet", link)
     try:
-        return picture(read_picture(path), link, alt=entry.name)
+        return page.picture(read_picture(path), link, alt=entry.name)
     except GenerateError:
-        return missing("its picture cannot be read", link)
+        return page.missing("its picture cannot be read", link)
 
 
 def _link(entry: Entry) -> str:
@@ -119,7 +111,7 @@ def _link(entry: Entry) -> str:
     return Markup('<a href="{}" style="color: inherit">{}</a>').format(href, entry.root.name)
 
 
-def _table(entries: list[Entry]) -> Table:
+def _table(entries: list[Entry]) -> page.Table:
     rows = [_row(entry) for entry in entries if entry.summary]
     caption = (
         "Frequencies of the modes; largest displacement of any vertex; largest motion in a test picture and its 95th "
@@ -130,7 +122,7 @@ def _table(entries: list[Entry]) -> Table:
         "set", "frequency", "amplitude (units)", "max (px)", "95 % (px)", "still", "α", "nothing moves",
         "perfect",
     ]  # fmt: skip
-    return Table(header, rows, caption)
+    return page.Table(header, rows, caption)
 
 
 def _row(entry: Entry) -> list[str]:
@@ -149,8 +141,8 @@ def _number(value: float | None) -> str:
     return "–" if value is None else number(value)
 
 
-def _unreported(entries: list[Entry]) -> list[Text]:
+def _unreported(entries: list[Entry]) -> list[page.Text]:
     names = [entry.root.name for entry in entries if not entry.summary]
     if not names:
         return []
-    return [Text(f"Without a report that can be read: {', '.join(names)}.", style="note")]
+    return [page.Text(f"Without a report that can be read: {', '.join(names)}.", style="note")]

@@ -35,7 +35,6 @@ _LOWER = m.frame((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))  # so that
 
 
 def build() -> Scene:
-    """The chair at rest."""
     return Scene(
         name="chair",
         parts=tuple(

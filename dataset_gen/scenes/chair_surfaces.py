@@ -68,22 +68,18 @@ def _timber(name: str, length: float, seed: int, carving: int, height: int = 768
 
 
 def legs() -> Surface:
-    """Honey-coloured wood, fluted."""
     return _timber("legs", 0.95, 11, 0)
 
 
 def stiles() -> Surface:
-    """As the legs."""
     return _timber("stiles", 0.65, 12, 9)
 
 
 def rail(name: str, length: float, seed: int) -> Surface:
-    """Wood with a carved row of leaves."""
     return _timber(name, length, seed, round(length / 0.075), 1536)
 
 
 def gilt(name: str, seed: int) -> Surface:
-    """Carving in worn gold leaf over red ground."""
     points = unroll.of_grid(
         np.array([[[0, 0, 0], [0.2, 0, 0]], [[0, 0.3, 0], [0.2, 0.3, 0]]], float), 256, 256
     )
@@ -103,26 +99,22 @@ def gilt(name: str, seed: int) -> Surface:
 
 
 def brass(name: str) -> Surface:
-    """Polished brass, spotted with age."""
     image = t.speckle(t.flat(128, 256, (0.86, 0.67, 0.33)), _rng(4), 0.35, (6, 14))
     return Surface(name, image, metallic=0.7, roughness=0.33)
 
 
 def button() -> Surface:
-    """Gold cloth in a whirl."""
     swirl = t.diagonal(96, 192, 1.0, 8)
     image = ramp(swirl, [(0.0, (0.42, 0.28, 0.08)), (1.0, (0.93, 0.77, 0.40))])
     return Surface("button", image, swirl, 0.003, roughness=0.6, sheen=0.2)
 
 
 def cord(name: str, turns: float) -> Surface:
-    """Gold and green, twisted."""
     image, ridge = twisted(1536, 32, turns, _GOLD, ((0.03, 0.17, 0.1), (0.22, 0.5, 0.32)), 20)
     return Surface(name, image, ridge, 0.005, roughness=0.65, sheen=0.2)
 
 
 def fringe() -> Surface:
-    """Gold threads, green at the ends."""
     h, w = 128, 64
     v = ((np.arange(h) + 0.5) / h)[:, None]
     thread = t.diagonal(h, w, 6.0, 3)

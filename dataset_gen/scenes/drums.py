@@ -36,7 +36,6 @@ _BASS_AXIS = (0.0, 1.0, 0.03)
 
 
 def build() -> Scene:
-    """The kit at rest."""
     parts = [*_bass(), *_toms(), *_snare(), *hw.cymbals(), *hw.stands(), *hw.pedal(), *hw.throne(), _rug()]
     return Scene(
         name="drums",

@@ -47,7 +47,6 @@ def _bell(radius: float) -> tuple[float, float]:
 
 
 def cymbals() -> list[Named]:
-    """Three cymbals and the hi-hat's pair: the parts that rock."""
     out = []
     for number, c in enumerate((*CYMBALS, HIHAT)):
         mesh = d.cymbal(c.radius, *_bell(c.radius)).moved(m.frame(c.pivot, c.normal, (1, 0, 0)))
@@ -89,7 +88,6 @@ def _top(pivot: np.ndarray, normal: np.ndarray, below: float = 0.075) -> tuple[l
 
 
 def stands() -> list[Named]:
-    """Cymbal stands (the ride's with a boom), the hi-hat's stand, all felts and feet."""
     metal, rubber, felts = [], [], []
     for c in (*CYMBALS, HIHAT):
         foot = np.array([*c.foot, FLOOR])
@@ -157,7 +155,6 @@ def _hihat_pedal() -> list[Mesh]:
 
 
 def pedal() -> list[Named]:
-    """The hi-hat's pedal and the bass drum's: boards, posts, cam, chain, and a felt beater that stands off the head."""
     hinge, head = np.array([0.0, -0.22, FLOOR + 0.24]), FLOOR + 0.42
     at = m.frame((0.0, -0.5, FLOOR), (0, 0, 1), (1, 0, 0))
     pieces = [piece.moved(at) for piece in _footboard(0.25)]
@@ -196,7 +193,6 @@ def pedal() -> list[Named]:
 
 
 def throne() -> list[Named]:
-    """A round padded seat with piping on a tripod."""
     foot, top = np.array([0.02, -0.80, FLOOR]), -0.16
     legs, feet = tb.tripod(foot, 0.24, 0.3, np.radians(30.0), 0.018)
     r = 0.2

@@ -129,12 +129,10 @@ _rng = t.seeded(2025, 200)
 
 
 def shells() -> Surface:
-    """Burgundy sparkle under varnish."""
     return Surface("shells", glitter(512, (0.85, 0.07, 0.1), _rng(1)), roughness=0.4, coat=0.5)
 
 
 def snare_shell() -> Surface:
-    """Steel with engraved rings and brush marks."""
     h, w = 256, 512
     image = t.speckle(t.flat(h, w, (0.72, 0.71, 0.7)), _rng(2), 0.16, (60, 6))
     image = t.paint(image, t.knurl(h, w, 3.0, 20) * t.band(h, w, 0.4, 0.6), (0.3, 0.29, 0.28))
@@ -142,7 +140,6 @@ def snare_shell() -> Surface:
 
 
 def bass_hoops() -> Surface:
-    """Black lacquer with an ivory inlay."""
     image = t.speckle(t.flat(256, 512, (0.13, 0.12, 0.13)), _rng(3), 0.3, (20, 40))
     image = t.paint(image, t.band(256, 512, 0.28, 0.4), (0.8, 0.72, 0.5))
     return Surface("bass_hoops", image, roughness=0.35, coat=0.5)
@@ -156,12 +153,10 @@ def _plating() -> np.ndarray:
 
 
 def chrome(name: str) -> Surface:
-    """Chrome plate with pits and stains."""
     return Surface(name, _plating(), metallic=0.95, roughness=0.2)
 
 
 def cymbal(name: str, number: int, hammered: float, text: str) -> Surface:
-    """Bronze of one cymbal, lathed and hammered in its own way."""
     image, relief = bronze(512, 1024, _rng(20 + number), hammered, text)
     return Surface(name, image, relief, 0.0015, 0.85, 0.34)
 
@@ -175,7 +170,6 @@ def front_head() -> Surface:
 
 
 def resonant() -> Surface:
-    """Clear film over the dark inside, as an opaque grey: seen from below only."""
     image = t.speckle(t.flat(128, 128, (0.5, 0.5, 0.5)), _rng(7), 0.15, (12, 12))
     return Surface("undersides", image, roughness=0.35)
 
@@ -186,7 +180,6 @@ def rubber(name: str) -> Surface:
 
 
 def black(name: str) -> Surface:
-    """Painted castings."""
     image = t.speckle(t.flat(256, 256, (0.2, 0.2, 0.21)), _rng(9), 0.4, (20, 20))
     return Surface(name, image, metallic=0.3, roughness=0.45)
 
@@ -197,7 +190,6 @@ def felt() -> Surface:
 
 
 def leather() -> Surface:
-    """The seat: black leather, creased."""
     h = 512
     creases = np.abs(t.noise(h, h, (18, 18), _rng(11)))
     grain = np.clip(0.25 + 0.5 * creases, 0.0, 1.0)
@@ -213,7 +205,6 @@ def piping() -> Surface:
 
 
 def wood() -> Surface:
-    """Hickory of the sticks and the beater's shaft."""
     grain = t.noise(256, 128, (3, 30), _rng(13))
     image = t.flat(256, 128, (0.8, 0.62, 0.4)) * (1.0 + 0.12 * grain[..., None])
     ink = t.band(256, 128, 0.3, 0.34) + t.band(256, 128, 0.36, 0.37)

@@ -43,7 +43,6 @@ _STEMS = (
 
 
 def build() -> Scene:
-    """The ficus at rest."""
     rng = np.random.default_rng([2032, 0])
     stems = [plants.stem(np.array(points), radii, 0.55, rng) for points, radii, _, _ in _STEMS]
     limbs = []

@@ -106,7 +106,6 @@ _rng = t.seeded(2032)
 
 
 def foliage_strips() -> Surface:
-    """Leaves, stalks and twigs."""
     colour, relief, rough = [], [], []
     for kind, (upper, lower, veins) in enumerate(_GREENS):
         for side, green in enumerate((upper, lower)):
@@ -153,18 +152,15 @@ def pot() -> Surface:
 
 
 def saucer() -> Surface:
-    """Bare clay."""
     return Surface("saucer", terracotta(256, 1024, _rng(93)), roughness=0.8)
 
 
 def soil() -> Surface:
-    """Potting soil, seen from above."""
     image, height = earth(512, _rng(94))
     return Surface("soil", image, height, 0.012, roughness=0.95)
 
 
 def pebbles() -> Surface:
-    """River stones of many greys, whites and browns: the picture is a patchwork, each stone takes a piece."""
     h, w = 512, 512
     tone = np.tanh(t.noise(h, w, (7, 7), _rng(95)))[..., None]
     warm = np.tanh(t.noise(h, w, (7, 7), _rng(96)))[..., None]

@@ -55,7 +55,6 @@ _DOGS = (_Dog("left", 0.37, np.radians(3.5), 1), _Dog("right", -0.37, np.radians
 
 
 def build() -> Scene:
-    """The hot dogs at rest."""
     parts = [part("plate", m.revolve(PLATE, 144), paint.plate(PLATE))]
     for dog in _DOGS:
         parts += _hot_dog(dog)

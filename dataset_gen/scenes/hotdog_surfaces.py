@@ -46,7 +46,6 @@ def bun(texels: np.ndarray, axis_height: float, seed: int) -> Surface:
 
 
 def sausage(radius: float, length: float, seed: int) -> Surface:
-    """Reddish casing with fat, pepper, and dark marks of the grill across it."""
     h, w = 768, 320
     p = unroll.of_tube(radius, length, h, w)
     rough, fine = fractal(p, 6.0, 3, seed + 10), fractal(p, 45.0, 2, seed + 11)
@@ -83,24 +82,20 @@ def _sauce(name: str, number: int, low: tuple, high: tuple, grain: tuple, rough:
 
 
 def mustard() -> Surface:
-    """Yellow with crushed seeds."""
     return _sauce("mustard", 40, (0.82, 0.54, 0.03), (0.99, 0.83, 0.16), (0.5, 0.27, 0.04), 0.35)
 
 
 def ketchup() -> Surface:
-    """Red with pulp."""
     return _sauce("ketchup", 44, (0.5, 0.03, 0.015), (0.83, 0.12, 0.05), (0.96, 0.4, 0.2), 0.25)
 
 
 def sesame() -> Surface:
-    """Toasted ivory, browner at the tip."""
     image = t.speckle(t.flat(64, 128, (0.95, 0.86, 0.64)), _rng(1), 0.2, (4, 12))
     tip = step(np.arange(64.0) / 64.0, 0.55, 1.0)[:, None] * np.ones((1, 128))
     return Surface("sesame", unit(mix(image, (0.66, 0.42, 0.18), 0.8 * tip)), roughness=0.45)
 
 
 def crumb() -> Surface:
-    """Bread, crust on one side."""
     p = unroll.of_ball(64, 128)
     n = fractal(p, 1.6, 4, 50)
     return Surface(
@@ -111,7 +106,6 @@ def crumb() -> Surface:
 
 
 def plate(outline: Sequence[Sequence[float]]) -> Surface:
-    """Cream stoneware with iron specks; on the rim cobalt lines, a row of leaves, dots and scallops."""
     h, w = 640, 1536
     p = unroll.of_revolved(outline, h, w)
     radius, angle = np.hypot(p[..., 0], p[..., 1]), np.arctan2(p[..., 1], p[..., 0])

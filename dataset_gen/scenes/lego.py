@@ -28,7 +28,6 @@ def place() -> np.ndarray:
 
 
 def build() -> Scene:
-    """The bulldozer at rest."""
     model = b.BrickModel(np.random.default_rng([2025, 100]))
     _baseplate(model)
     _chassis(model)

@@ -32,7 +32,6 @@ def _directions() -> np.ndarray:
 def _stuff(
     name: str, pattern: Callable[[np.ndarray, int], Painted], seed: int, depth: float = 0.0, **more: Any
 ) -> Surface:
-    """Of a pattern of the unit ball: colour, relief (left out at a depth of 0) and roughness."""
     image, relief, rough = pattern(_directions(), seed)
     if not depth:
         return Surface(name, image, roughness=rough, **more)
@@ -88,7 +87,6 @@ BALLS: dict[str, Callable[[], Surface]] = {
 
 
 def board(texels: np.ndarray, centres: Sequence[np.ndarray]) -> Surface:
-    """Parquet of light and dark squares, the grain crosswise in turn, with a dark inlaid circle under every ball."""
     x, y = texels[..., 0], texels[..., 1]
     edge = 0.1375  # four squares between two balls
     column, row = np.floor(x / edge + 0.5), np.floor(y / edge + 0.5)
@@ -113,7 +111,6 @@ def board(texels: np.ndarray, centres: Sequence[np.ndarray]) -> Surface:
 
 
 def rim() -> Surface:
-    """Walnut with a row of light lozenges."""
     h, w = 1280, 64
     p = unroll.of_tube(0.04, 7.2, h, w)
     image, pores = wood(p, 30.0, WALNUT, 60)
@@ -126,7 +123,6 @@ def rim() -> Surface:
 
 
 def bead(name: str, turns: float) -> Surface:
-    """Brass, twisted like a rope."""
     h, w = 1024, 48
     rope = np.sqrt(np.abs(2.0 * t.diagonal(h, w, turns, 1) - 1.0))
     image = ramp(rope, [(0.0, (0.30, 0.2, 0.08)), (0.6, (0.78, 0.6, 0.3)), (1.0, (0.98, 0.86, 0.55))])
@@ -158,7 +154,6 @@ def places() -> dict[str, np.ndarray]:
 
 
 def build() -> Scene:
-    """The balls at rest."""
     balls = [_ball(name, place, number) for number, (name, place) in enumerate(places().items())]
     return Scene(
         name="materials",

@@ -9,8 +9,109 @@ from __future__ import annotations
 import numpy as np
 
 from .. import meshes as m
-from ..scene import AreaLight, Gradient, Part, Scene, part
-from . import mic_surfaces as paint
+from .. import textures as t
+from ..scene import AreaLight, Gradient, Part, Scene, Surface, part
+
+_IVORY = (0.93, 0.9, 0.82)
+_RED = (0.82, 0.12, 0.1)
+
+_rng = t.seeded(2025)
+
+
+def body() -> Surface:
+    h, w = 1024, 1536
+    image = t.speckle(t.flat(h, w, (0.34, 0.36, 0.4)), _rng(1), 0.4, (20, 34))
+    image = t.paint(image, t.band(h, w, 0.33, 0.345), _RED)
+    image = t.paint(image, t.band(h, w, 0.80, 0.83), _IVORY)
+    image = t.paint(image, t.band(h, w, 0.80, 0.83) * t.checker(h, w, (h, 48)), (0.1, 0.1, 0.12))
+    ink = t.ticks(h, w, 50, 0.36, (0.025, 0.04, 0.06), 0.3)
+    for u in (0.25, 0.75):
+        ink = t.stamp(ink, t.lettering("TG-4", 13), 0.63, u)
+        ink = t.stamp(ink, t.lettering("STUDIO CONDENSER", 4), 0.52, u)
+    image = t.paint(image, ink, _IVORY)
+    return Surface("body", image, relief=1.0 - ink, relief_depth=0.003, metallic=0.3, roughness=0.5)
+
+
+def brass() -> Surface:
+    h, w = 256, 1024
+    relief = t.knurl(h, w, 4.0, 30)
+    image = t.speckle(t.flat(h, w, (0.80, 0.62, 0.36)), _rng(2), 0.2, (8, 120))
+    return Surface("brass", image * (0.5 + 0.5 * relief[..., None]), relief, 0.005, 0.5, 0.5)
+
+
+def wire() -> Surface:
+    image = t.speckle(t.flat(256, 32, (0.72, 0.72, 0.7)), _rng(3), 0.15, (12, 1))
+    return Surface("wire", image, metallic=0.3, roughness=0.55)
+
+
+def foam() -> Surface:
+    h, w = 384, 384
+    image = t.speckle(t.flat(h, w, (0.42, 0.34, 0.26)), _rng(4), 0.45, (10, 16))
+    return Surface("foam", image, roughness=0.9)
+
+
+def switch() -> Surface:
+    image = t.speckle(t.flat(128, 128, _RED), _rng(5), 0.15, (10, 14))
+    return Surface("switch", t.paint(image, t.band(128, 128, 0.45, 0.55), _IVORY), roughness=0.4)
+
+
+def rod() -> Surface:
+    h, w = 1024, 96
+    image = t.speckle(t.flat(h, w, (0.74, 0.74, 0.76)), _rng(6), 0.12, (200, 4))
+    marks = t.ruler(h, w, 20, 0.2)
+    return Surface("rod", t.paint(image, marks, (0.08, 0.08, 0.1)), 1.0 - marks, 0.002, 0.75, 0.3)
+
+
+def casting() -> Surface:
+    image = t.speckle(t.flat(384, 384, (0.3, 0.31, 0.33)), _rng(7), 0.5, (8, 10))
+    return Surface("casting", image, metallic=0.4, roughness=0.5)
+
+
+def thumb_screw() -> Surface:
+    h, w = 128, 384
+    relief = t.diagonal(h, w, 0.0, 28)
+    image = t.flat(h, w, (0.5, 0.5, 0.52)) * (0.45 + 0.55 * relief[..., None])
+    return Surface("thumb_screw", t.paint(image, t.band(h, w, 0.14, 0.24), _RED), relief, 0.006, 0.5, 0.4)
+
+
+def hub() -> Surface:
+    h, w = 512, 768
+    image = t.speckle(t.flat(h, w, (0.27, 0.28, 0.31)), _rng(8), 0.45, (8, 20))
+    image = t.paint(image, t.ticks(h, w, 36, 0.36, (0.04, 0.06, 0.08), 0.35), _IVORY)
+    return Surface(
+        "hub", t.paint(image, t.band(h, w, 0.56, 0.58), (0.8, 0.62, 0.3)), metallic=0.4, roughness=0.45
+    )
+
+
+def legs() -> Surface:
+    h, w = 512, 128
+    image = t.speckle(t.flat(h, w, (0.3, 0.31, 0.34)), _rng(9), 0.45, (24, 4))
+    for v in (0.3, 0.34, 0.62, 0.66, 0.70):
+        image = t.paint(image, t.band(h, w, v, v + 0.018), _IVORY)
+    return Surface("legs", image, metallic=0.4, roughness=0.45)
+
+
+def rubber() -> Surface:
+    h, w = 128, 256
+    relief = t.diagonal(h, w, 0.0, 24)
+    image = t.speckle(t.flat(h, w, (0.2, 0.2, 0.21)), _rng(10), 0.3, (12, 24)) * (
+        0.6 + 0.6 * relief[..., None]
+    )
+    return Surface("rubber", image, relief, 0.004, 0.0, 0.8)
+
+
+def plug() -> Surface:
+    h, w = 256, 128
+    image = t.speckle(t.flat(h, w, (0.25, 0.25, 0.27)), _rng(11), 0.35, (40, 16))
+    return Surface("plug", t.paint(image, t.ruler(h, w, 14, 0.35), (0.62, 0.62, 0.6)), roughness=0.55)
+
+
+def cable() -> Surface:
+    h, w = 2048, 48
+    strands = np.maximum(t.diagonal(h, w, 55.0, 1) > 0.7, t.diagonal(h, w, -55.0, 1) > 0.88).astype(float)
+    image = t.speckle(t.flat(h, w, (0.26, 0.26, 0.29)), _rng(12), 0.3, (120, 4))
+    return Surface("cable", t.paint(image, 0.8 * strands, (0.78, 0.72, 0.6)), roughness=0.65)
+
 
 FLOOR = -0.86
 ROD_BASE, ROD_TOP = -0.36, 0.10  # the rod is clamped in the hub at its base
@@ -74,7 +175,6 @@ _CABLE = [
 
 
 def build() -> Scene:
-    """The microphone at rest."""
     return Scene(
         name="mic",
         parts=(*_microphone(), *_stand(), *_tripod(), *_cable()),
@@ -89,11 +189,11 @@ def _microphone() -> tuple[Part, ...]:
     on_top = m.frame(PIVOT + at[:3, 0] * (RADIUS - 0.008) + AXIS * 0.02, at[:3, 0], AXIS)
     rings = m.join([m.revolve(_COLLAR, 72), m.revolve(_RIM, 72)])
     return (
-        part("body", m.revolve(_BODY, 72).moved(at), paint.body()),
-        part("collar", rings.moved(at), paint.brass()),
-        part("grille", m.join([*_weave(), *_dome()]).moved(at), paint.wire()),
-        part("core", m.revolve(_CORE, 48).moved(at), paint.foam()),
-        part("switch", m.revolve(_KNOB, 24).moved(on_top), paint.switch()),
+        part("body", m.revolve(_BODY, 72).moved(at), body()),
+        part("collar", rings.moved(at), brass()),
+        part("grille", m.join([*_weave(), *_dome()]).moved(at), wire()),
+        part("core", m.revolve(_CORE, 48).moved(at), foam()),
+        part("switch", m.revolve(_KNOB, 24).moved(on_top), switch()),
     )
 
 
@@ -151,37 +251,36 @@ def _stand() -> tuple[Part, ...]:
     saddle = m.sweep(path, m.rounded_rectangle(0.13, 0.03, 0.012), up=_UP).moved(m.frame(PIVOT, AXIS))
     swivel = m.join([block, ball, m.revolve(_BOLT, 24).moved(screw), saddle])
     return (
-        part("rod", m.revolve(_ROD, 24), paint.rod()),
-        part("swivel", swivel, paint.casting()),
-        part("thumb_screw", m.revolve(_THUMB, 32).moved(screw), paint.thumb_screw()),
+        part("rod", m.revolve(_ROD, 24), rod()),
+        part("swivel", swivel, casting()),
+        part("thumb_screw", m.revolve(_THUMB, 32).moved(screw), thumb_screw()),
     )
 
 
 def _tripod() -> tuple[Part, ...]:
-    legs, feet = [], []
+    bars, feet = [], []
     for heading in LEG_HEADINGS:
         out = np.array([np.cos(heading), np.sin(heading), 0.0])
         start, end = out * 0.09 + [0, 0, -0.49], out * FOOT_RADIUS + [0, 0, FLOOR + 0.035]
         path = start + (end - start) * np.linspace(0.0, 1.0, 18)[:, None]
-        legs.append(m.sweep(path, m.rounded_rectangle(0.05, 0.075, 0.014), np.linspace(1.15, 0.75, 18)))
+        bars.append(m.sweep(path, m.rounded_rectangle(0.05, 0.075, 0.014), np.linspace(1.15, 0.75, 18)))
         feet.append(m.revolve(_FOOT, 28).moved(m.frame(out * FOOT_RADIUS + [0, 0, FLOOR], _UP, out)))
     return (
-        part("hub", m.revolve(_HUB, 48), paint.hub(), 0.0),
-        part("legs", m.join(legs), paint.legs(), 0.0),
-        part("feet", m.join(feet), paint.rubber(), 0.0),
+        part("hub", m.revolve(_HUB, 48), hub(), 0.0),
+        part("legs", m.join(bars), legs(), 0.0),
+        part("feet", m.join(feet), rubber(), 0.0),
     )
 
 
 def _cable() -> tuple[Part, ...]:
-    """Plug and cable. The cable follows the microphone where it leaves it and is held where it lies."""
     run = [-back * _LEVEL - side * _ACROSS + [0.0, 0.0, z] for back, side, z in _CABLE]
     path = m.spline([PIVOT - AXIS * 0.66, PIVOT - AXIS * 0.78, *run], per_span=14)
-    cable = m.sweep(path, m.circle(0.027, 12))
+    tube = m.sweep(path, m.circle(0.027, 12))
     landed = int(np.argmax(path[:, 2] < FLOOR + 0.05))
     hanging = np.clip(1.0 - np.arange(len(path)) / landed, 0.0, 1.0)
     follow = hanging**2 * (3.0 - 2.0 * hanging)  # smooth at both ends
-    nearest = np.argmin(np.linalg.norm(cable.vertices[:, None] - path[None], axis=2), axis=1)
+    nearest = np.argmin(np.linalg.norm(tube.vertices[:, None] - path[None], axis=2), axis=1)
     return (
-        part("plug", m.revolve(_PLUG, 32).moved(m.frame(PIVOT, AXIS)), paint.plug()),
-        part("cable", cable, paint.cable(), follow[nearest]),
+        part("plug", m.revolve(_PLUG, 32).moved(m.frame(PIVOT, AXIS)), plug()),
+        part("cable", tube, cable(), follow[nearest]),
     )

@@ -93,7 +93,6 @@ _LEVEL = _SCALE * WATER
 
 
 def build() -> Scene:
-    """The ship at rest."""
     ship = (*hull.parts(), *fittings.parts(), *rigging.parts())
     return Scene(
         name="ship",

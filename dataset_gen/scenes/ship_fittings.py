@@ -92,7 +92,6 @@ _CAPSTAN = [
 
 
 def parts() -> tuple[Part, ...]:
-    """All fittings."""
     return (*_deck_work(), *_boat(), *_anchors())
 
 

@@ -17,7 +17,6 @@ _BROWN, _GREEN = (0.36, 0.19, 0.11), (0.17, 0.2, 0.16)
 
 
 def parts() -> tuple[Part, ...]:
-    """All parts of the hull."""
     return (*_hull(), *_bulwarks(), *_decks(), *_stern(), *_head(), *_guns())
 
 
@@ -172,7 +171,6 @@ def _gallery() -> list[m.Mesh]:
 
 
 def _head() -> tuple[Part, ...]:
-    """Beakhead with its knee, head rails and gilded figure."""
     knee = m.spline(
         [(0.60, 0, -0.30), (0.67, 0, -0.22), (0.75, 0, -0.145), (0.84, 0, -0.085), (0.885, 0, -0.05)], 8
     )
@@ -218,7 +216,6 @@ def _port_frames() -> list[np.ndarray]:
 
 
 def _guns() -> tuple[Part, ...]:
-    """Gun ports with frames and raised lids, and the guns run out of them."""
     lids, holes, barrels = [], [], []
     for at in _port_frames():
         lids.append(j.window(at, 0.044, 0.042, (1, 1))[0])

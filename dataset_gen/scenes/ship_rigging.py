@@ -20,7 +20,6 @@ _THICK, _MID, _THIN = 0.0042, 0.0032, 0.0025  # radii of ropes
 
 
 def parts() -> tuple[Part, ...]:
-    """All of the rig."""
     return (*_spars(), *_sails(), *_standing(), *_running(), *_flags())
 
 
@@ -112,7 +111,6 @@ def _spars() -> tuple[Part, ...]:
 
 
 def _sails() -> tuple[Part, ...]:
-    """A rolled sail on every yard, tied with gaskets."""
     rng = np.random.default_rng([2031, 70])
     rolls, ties = [], []
     spans = []

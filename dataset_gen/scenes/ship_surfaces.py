@@ -32,7 +32,6 @@ def hull() -> Surface:
 
 
 def upper_works(name: str, ground: Rgb, number: int) -> Surface:
-    """Painted bulwarks: a band of gilt lozenges and rosettes between mouldings on planks."""
     h, w = 192, 2048
     boards = furnishing.planks(h, w, 5, 9.0, _rng(number), 0.1)
     image = furnishing.planked(ground, boards, furnishing.grain(h, w, _rng(number + 1), 60, 40), (0.16, 0.2))
@@ -69,7 +68,6 @@ def transom() -> Surface:
 
 
 def deck() -> Surface:
-    """Scrubbed pine, caulked with pitch; one repeat per 0.5 units of ship."""
     h, w = 512, 768
     boards = furnishing.planks(h, w, 20, 2.0, _rng(11), 0.12)
     image = furnishing.planked(
@@ -79,7 +77,6 @@ def deck() -> Surface:
 
 
 def bulkhead() -> Surface:
-    """Upright boarding of the cabins."""
     h, w = 192, 512
     boards = furnishing.planks(w, h, 18, 1.2, _rng(13), 0.12)
     image = furnishing.planked(
@@ -111,12 +108,10 @@ def joinery() -> Surface:
 
 
 def turned() -> Surface:
-    """Timber of balusters and handrails, swept or revolved."""
     return Surface("turned", furnishing.timber(256, 64, (0.58, 0.37, 0.18), _rng(18), 0.35), roughness=0.5)
 
 
 def mast() -> Surface:
-    """Pine spars with iron hoops and rope wooldings; one repeat per half unit."""
     h, w = 512, 128
     image = furnishing.timber(h, w, (0.52, 0.34, 0.19), _rng(19), 0.42)
     for v in (0.12, 0.62):
@@ -128,7 +123,6 @@ def mast() -> Surface:
 
 
 def gilt(name: str = "gilt") -> Surface:
-    """Worn gold leaf over red ground."""
     h, w = 256, 512
     image = t.speckle(t.flat(h, w, _GILT), _rng(20), 0.35, (14, 28))
     worn = np.clip(t.noise(h, w, (10, 20), _rng(21)) - 1.1, 0.0, 1.0)
@@ -136,19 +130,16 @@ def gilt(name: str = "gilt") -> Surface:
 
 
 def rope(name: str, colour: Rgb, number: int) -> Surface:
-    """Laid rope."""
     image, height = furnishing.laid(128, 32, colour, _rng(number))
     return Surface(name, image, height, 0.002, roughness=0.85)
 
 
 def canvas() -> Surface:
-    """Flax sails, rolled: folds run along the yard."""
     image, height = furnishing.canvas(384, 384, (0.87, 0.80, 0.66), _rng(23), 5, (7, 16))
     return Surface("canvas", image, height, 0.01, roughness=0.85, sheen=0.15)
 
 
 def iron() -> Surface:
-    """Cast guns, anchors and straps with some rust."""
     h, w = 256, 256
     image = t.speckle(t.flat(h, w, (0.2, 0.19, 0.19)), _rng(54), 0.4, (10, 12))
     rust = np.clip(0.7 * t.noise(h, w, (8, 10), _rng(25)) - 0.4, 0.0, 0.8)
@@ -156,20 +147,17 @@ def iron() -> Surface:
 
 
 def port() -> Surface:
-    """Red lids and frames of the gun ports."""
     image = furnishing.timber(128, 96, (0.46, 0.12, 0.08), _rng(26), 0.35).transpose(1, 0, 2)
     return Surface("port", image, roughness=0.5, coat=0.1)
 
 
 def dark() -> Surface:
-    """The inside of gun ports and doorways."""
     return Surface(
         "dark", t.speckle(t.flat(64, 64, (0.06, 0.05, 0.045)), _rng(27), 0.3, (6, 6)), roughness=0.8
     )
 
 
 def glass(name: str, colour: Rgb, number: int) -> Surface:
-    """Leaded panes, opaque: they show the sky, not the cabin."""
     h, w = 128, 128
     image = t.speckle(t.flat(h, w, colour), _rng(number), 0.35, (4, 4))
     lead = np.maximum(t.diagonal(h, w, 6.0, 4) > 0.93, t.diagonal(h, w, -6.0, 4) > 0.93)
@@ -177,7 +165,6 @@ def glass(name: str, colour: Rgb, number: int) -> Surface:
 
 
 def flag(name: str, bands: tuple[Rgb, ...], number: int) -> Surface:
-    """Bunting in bands across the hoist, with a seam every panel."""
     h, w = 192, 384
     weave, height = furnishing.canvas(h, w, (1.0, 1.0, 1.0), _rng(number), 6, (4, 10))
     rows = (np.arange(h) * len(bands) // h)[::-1]
@@ -227,7 +214,6 @@ def cask() -> Surface:
 
 
 def boat() -> Surface:
-    """The ship's boat: clinker strakes, white above, blue sheer strake."""
     h, w = 192, 512
     boards = furnishing.planks(h, w, 8, 2.0, _rng(52), 0.16)
     image = furnishing.planked(

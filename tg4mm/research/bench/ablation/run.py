@@ -13,6 +13,7 @@ from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
 from tg4mm.research.bench import BenchError, StepError
+from tg4mm.research.bench.ablation import sets as changed
 from tg4mm.research.bench.ablation.catalogue import (
     Ablation,
     Row,
@@ -22,15 +23,6 @@ from tg4mm.research.bench.ablation.catalogue import (
     rows_of,
 )
 from tg4mm.research.bench.ablation.page import FILE, ablation_cells, ablation_page, picture
-from tg4mm.research.bench.ablation.sets import (
-    TARGETS_PX,
-    generator_arguments,
-    with_amplitude,
-    with_kind,
-    with_noise,
-    with_timesteps,
-    with_views,
-)
 from tg4mm.research.bench.folder import (
     FORMAT,
     VERSION,
@@ -115,7 +107,7 @@ def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[
     found, first = [], None
     for data in sets:
         try:
-            generator_arguments(data, {}, data.root)
+            changed.generator_arguments(data, {}, data.root)
             found.append(data)
         except BenchError as error:
             first = first or error
@@ -222,21 +214,23 @@ def _job(data: BenchSet, group: tuple[Row, ...], preset: str, plan: Plan, out: P
     ways = tuple(Scoring(r.label, s.method, s.filter) for r in group for s in r.scorings)
     training = Training(row.label, preset, row.settings, ways)
     if row.views and row.views != data.n_views:
-        root = with_views(data, row.views, out / "sets" / data.label / f"views_{row.views:03d}")
+        root = changed.with_views(data, row.views, out / "sets" / data.label / f"views_{row.views:03d}")
         return _Job(open_set(root, data.label), group, training)
     if row.noise or row.timesteps:
         own, name = data, f"noise_{row.noise:g}"
         if row.noise:
-            own = open_set(with_noise(data, row.noise, out / "sets" / data.label / name), data.label)
+            own = open_set(changed.with_noise(data, row.noise, out / "sets" / data.label / name), data.label)
         if row.timesteps and row.timesteps != data.n_timesteps:
             folder = out / "sets" / data.label / f"{name}_timesteps_{row.timesteps:03d}"
-            own = open_set(with_timesteps(own, row.timesteps, folder), data.label)
+            own = open_set(changed.with_timesteps(own, row.timesteps, folder), data.label)
         return _Job(own, group, training)
     if row.amplitude_px:
-        root = with_amplitude(data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}")
+        root = changed.with_amplitude(
+            data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}"
+        )
         return _Job(open_set(root, data.label), group, training)
     if row.kind and not row.kind == data.cameras == "orbit":  # that is the reference as it is
-        root = with_kind(data, row.kind, plan.alphas, out / "sets" / data.label / f"kind_{row.kind}")
+        root = changed.with_kind(data, row.kind, plan.alphas, out / "sets" / data.label / f"kind_{row.kind}")
         return _Job(open_set(root, data.label), group, training)
     return _Job(data, group, training)
 
@@ -278,7 +272,9 @@ def _columns(row: Row, figures: dict[str, Any]) -> dict[str, str]:
     alphas = [a for a in figures["rows"] if float(a) > 0]
     if not row.amplitude_px:
         return {f"α = {a}": a for a in alphas}
-    made = {str(round(target / row.amplitude_px)): f"+{target:g} px" for target in reversed(TARGETS_PX)}
+    made = {
+        str(round(target / row.amplitude_px)): f"+{target:g} px" for target in reversed(changed.TARGETS_PX)
+    }
     return {made[a]: a for a in alphas if a in made}
 
 

@@ -24,15 +24,7 @@ from tg4mm.core.pages.page import (
 )
 from tg4mm.core.pages.page import Table as PageTable
 from tg4mm.research.bench.folder import write_text
-from tg4mm.research.bench.pages.markdown import (
-    about_methods,
-    failures,
-    how,
-    machine,
-    remarks,
-    scenes_page,
-    sets_line,
-)
+from tg4mm.research.bench.pages import markdown
 from tg4mm.research.bench.pages.plots import over_alpha, size_and_speed
 from tg4mm.research.bench.pages.shown import shown_sections
 from tg4mm.research.bench.pages.tables import full_table, groups_of, kinds_tables, sets_in, tables_of
@@ -67,7 +59,7 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
         before.discard(out / "tables" / f"{made.key}.tex")
     for old in before:
         old.unlink()  # of methods or groups that are in the results no more
-    write_text(out / "results.md", scenes_page(results, pictures))
+    write_text(out / "results.md", markdown.scenes_page(results, pictures))
 
 
 _HERE = Path(__file__).parent
@@ -86,20 +78,20 @@ def write_page(
         sections += shown_sections(out, results, group)
     sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
     sections += [_ablation(folder, found) for folder, found in ablations]
-    made = Commands([(machine(results["made"]), results["made"]["command"])])
+    made = Commands([(markdown.machine(results["made"]), results["made"]["command"])])
     page = Page(
         title="3D motion magnification, measured",
         kicker="tg4mm benchmark",
         summary=_summary(results),
         stats=_stats(results),
         lead=[
-            Text(how(results)),
-            Text(_list(about_methods(results)), plain=True),
-            *([Text(_failed(results), plain=True)] if failures(results) else []),
+            Text(markdown.how(results)),
+            Text(_list(markdown.about_methods(results)), plain=True),
+            *([Text(_failed(results), plain=True)] if markdown.failures(results) else []),
         ],
         sections=[
             *sections,
-            *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in remarks(results)),
+            *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in markdown.remarks(results)),
             Section("How it was made", [made]),
         ],
         footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, slices and difference maps in figures/, "
@@ -147,7 +139,9 @@ def _stats(results: Mapping[str, Any]) -> list[Stat]:
 
 
 def _failed(results: Mapping[str, Any]) -> Markup:
-    lines = [line.removeprefix("- ") for line in failures(results).splitlines() if line.startswith("- ")]
+    lines = [
+        line.removeprefix("- ") for line in markdown.failures(results).splitlines() if line.startswith("- ")
+    ]
     return Markup('<p class="note">Left out:</p>{}').format(_list(lines))
 
 
@@ -158,7 +152,7 @@ def _list(lines: Sequence[str]) -> Markup:
 
 
 def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
-    yield Text(sets_line(results, group))
+    yield Text(markdown.sets_line(results, group))
     for svg, caption, width in (
         (over_alpha(results, group), "Means over the sets. Grey: what frames the methods.", "wide"),
         (
@@ -192,5 +186,5 @@ def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
         source = data_uri("image/png", (folder / "slices.png").read_bytes())
         blocks.append(Figure([Panel("img", source=source, alt="space-time slices")], results["slices"]))
     blocks.append(_block(made))
-    blocks.append(Commands([(machine(results["made"]), results["made"]["command"])]))
+    blocks.append(Commands([(markdown.machine(results["made"]), results["made"]["command"])]))
     return Section(results["title"], blocks)
