@@ -1,8 +1,11 @@
-"""Where in its recording a splat object is: the same time as in its node tree (nodes/motion.py, `elapsed`)."""
+"""Time and frequency of a splat object: where in its recording it is; its modes' strengths, peaks and bands."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from .. import compat, names
 
@@ -55,3 +58,52 @@ def pace(speed: float) -> str:
     if size == 1:
         return "backwards"
     return way + (f"{1 / size:.4g} × slower" if size < 1 else f"{size:.4g} × faster")
+
+
+PEAK_ABOVE = 0.05  # of the largest amplitude
+DIP = 0.8  # of a peak: how low it must be between it and a larger one, or it is that one's skirt
+NEIGHBOURS = 1.5  # frequency bins; what is farther apart has a bin without motion between
+MOST_PEAKS = 6
+
+
+def rms_amplitude(amplitudes: np.ndarray, weights: np.ndarray) -> float:
+    """√(Σ w a² / Σ w) of amplitudes [N] with weights [N]: 0 or more; plain rms where all weights are 0."""
+    a, w = np.asarray(amplitudes, np.float64), np.asarray(weights, np.float64)
+    return float(np.sqrt((w * a**2).sum() / w.sum() if w.sum() > 0 else (a**2).mean()))
+
+
+def peaks(freqs_hz: Sequence[float], amplitudes: Sequence[float], bin_hz: float) -> list[int]:
+    """Numbers of the modes that are peaks, by frequency; at most MOST_PEAKS, the largest.
+
+    A recording of T timesteps tells frequencies apart that lie `bin_hz` = fps / T from each other; what vibrates
+    between two bins leaks into all, less the farther they are. So a mode is a peak if on the way to any larger
+    one there is a dip: a mode below DIP times its own amplitude, or a bin without a mode. Of modes alike the
+    lower counts, and none counts that is too small to matter.
+    """
+    order = np.argsort(freqs_hz, kind="stable")
+    f, a = np.asarray(freqs_hz, float)[order], np.asarray(amplitudes, float)[order]
+    large = [i for i in range(len(a)) if a[i] > 0 and a[i] >= PEAK_ABOVE * a.max()]
+    found = [i for i in large if _stands_out(f, a, i, -1, bin_hz) and _stands_out(f, a, i, 1, bin_hz)]
+    return [int(order[i]) for i in sorted(sorted(found, key=lambda i: -a[i])[:MOST_PEAKS])]
+
+
+def _stands_out(f: np.ndarray, a: np.ndarray, i: int, step: int, bin_hz: float) -> bool:
+    """True if going from mode i by `step` (−1 down, +1 up) a dip comes before anything larger, or nothing does."""
+    j = i + step
+    while 0 <= j < len(a) and abs(f[j] - f[j - step]) <= NEIGHBOURS * bin_hz:
+        if a[j] < DIP * a[i]:
+            return True
+        if a[j] > a[i] or (a[j] == a[i] and step < 0):
+            return False
+        j += step
+    return True
+
+
+def band_around(frequency_hz: float, width_hz: float) -> tuple[float, float]:
+    """Low and high, Hz, of a band `width_hz` wide with a frequency in its middle; never below 0."""
+    return max(0.0, frequency_hz - width_hz / 2), frequency_hz + width_hz / 2
+
+
+def whole_band(freqs_hz: Sequence[float], fps: float) -> tuple[float, float]:
+    """0 to half the frame rate, or to the highest frequency where that is above, Hz."""
+    return 0.0, max([fps / 2, *freqs_hz])

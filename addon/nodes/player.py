@@ -13,11 +13,11 @@ import bpy
 
 from .. import compat, names
 from .applied import Applied, applied, at_rest, build_applied, growth, parts, put_back
+from .clock import whole_band
 from .colours import C0, build_colour_map, build_encoded, build_harmonics, camera_place
 from .graph import Graph, Made
 from .motion import Motion, build_motion, build_sequence, use_motion
 from .shapes import DRAW_MODES, USUAL, Materials, available, build_shapes, is_drawn
-from .spectrum import whole_band
 
 MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
 

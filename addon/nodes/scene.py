@@ -15,9 +15,9 @@ from tg4mm.core.splatfile import SplatFile
 from .. import names
 from . import Content, build_player, clock
 from .blending import make_materials
+from .clock import rms_amplitude
 from .graph import Made
 from .points import fill_mesh, fill_references, main_axis, values
-from .spectrum import rms_amplitude
 
 NAME_LENGTH = 40  # of what a name may have, so that what is added to it still fits
 

@@ -19,7 +19,7 @@ from tg4mm.core.colour import STILL_BELOW
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names
-from ..nodes import blending, colours, scene, spectrum
+from ..nodes import blending, clock, colours, scene
 from ..nodes.points import gaussians, shown_size, values
 from ..units import Unit
 from . import plots
@@ -205,4 +205,4 @@ def peaks(obj: Any) -> list[float]:
     """Frequencies, Hz, of the peaks of an object's spectrum."""
     freqs = [float(f) for f in obj[names.FREQUENCIES]]
     bin_hz = float(obj[names.FPS]) / max(int(obj[names.TIMESTEPS]), 1)
-    return [freqs[k] for k in spectrum.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]
+    return [freqs[k] for k in clock.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, FloatProperty
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
-from ..nodes import blending, drawing, scene, shapes, spectrum
+from ..nodes import blending, clock, drawing, scene, shapes
 from ..reporting import reports
 from . import analysis
 
@@ -204,16 +204,16 @@ class TG4MM_OT_band(_OnMotion):
         if not properties.frequency:
             return "Magnify every frequency of the file"
         width = properties.width or preferences.get(context).band_width
-        low, high = spectrum.band_around(properties.frequency, width)
+        low, high = clock.band_around(properties.frequency, width)
         return f"Magnify {low:g} to {high:g} Hz, the band around this peak (its width: see the preferences)"
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
         if self.frequency:
             width = self.width or preferences.get(context).band_width
-            low, high = spectrum.band_around(self.frequency, width)
+            low, high = clock.band_around(self.frequency, width)
         else:
-            low, high = spectrum.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS]))
+            low, high = clock.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS]))
         analysis.set_band(obj, low, high)
         return {"FINISHED"}
 

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from .. import compat, names, preferences
-from ..nodes import blending, clock, drawing, scene, spectrum
+from ..nodes import blending, clock, drawing, scene
 from ..nodes.shapes import DRAW_MODES
 from . import analysis, colour_range, cropping, look, overlay, pictures, plots
 
@@ -182,7 +182,7 @@ def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
     """The function that draws an object's spectrum, and its arguments."""
     measure = overlay.of(context).measure
     freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
-    highest = spectrum.whole_band(freqs, float(obj[names.FPS]))[1]
+    highest = clock.whole_band(freqs, float(obj[names.FPS]))[1]
     strengths = tuple(analysis.mode_strengths(obj, measure))
     title = {"RMS": "Rms", "PEAK": "Largest"}[measure]
     unit = preferences.unit_for(context, obj)

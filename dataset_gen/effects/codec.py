@@ -20,8 +20,8 @@ from tg4mm.core.progress import progress
 
 from .. import png, tree
 from ..cameras import Camera, cameras_at, films
-from ..colour import to_integers
 from ..errors import GenerateError
+from ..pictures import to_integers
 from ..plan import UNCODED, picture_path
 from ..settings import Settings
 

@@ -20,8 +20,8 @@ from tg4mm.core.pictures import exr
 from tg4mm.core.pictures.decode import decode, image_header
 from tg4mm.core.records import Record, read_record
 
-from ..colour import straight, to_display
 from ..errors import GenerateError
+from ..pictures import straight, to_display
 from ..plan import magnified_folder
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")

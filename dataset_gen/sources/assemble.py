@@ -14,11 +14,10 @@ from ..build import Stage, stage_of, trees
 from ..cameras import Camera
 from ..errors import GenerateError
 from ..vibration.fields import Body
-from .anchors import Anchors
 from .bodies_file import Found
 from .copies import MaterialCopies, brighten, glows
 from .gather import Gathered, Lamp
-from .images import list_names
+from .images import Anchors, list_names
 from .realise import realise
 from .strands import rest_positions
 

@@ -9,8 +9,7 @@ import bpy
 from ..build import trees
 from ..build import world as made_world
 from ..scene import Gradient
-from .anchors import Anchors, own_groups
-from .images import list_names, repair_images
+from .images import Anchors, list_names, own_groups, repair_images
 
 _SUFFIX = " tg4mm"  # of our copies of materials while the originals are there
 

@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 
 from ..errors import GenerateError
-from .anchors import Anchors
 from .copies import MaterialCopies
 from .gather import Piece
+from .images import Anchors
 from .strands import rest_positions
 
 _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")

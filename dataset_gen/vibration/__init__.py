@@ -1,6 +1,6 @@
 """Vibration as data: mode shapes as displacement fields on the rest vertices, times a law in time.
 
-numpy only; no Blender. What moves and how is described in YAML (describe.py), solved on meshes (solve.py) into a
+numpy only; no Blender. What moves and how is described in YAML (describe.py), solved on meshes into a
 Motion (motion.py) that is exactly linear in the gain of every mode. The convention of phases: values.py.
 """
 
@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from .describe import MotionDescription, read_motion
 from .fields import Body, Field, Mode
-from .motion import Motion, State
-from .solve import pixel_displacement, reach, solve
+from .motion import Motion, State, pixel_displacement, reach, solve
 from .values import SINE, Ramp, TimeLaw, Vibration
 
 __all__ = [

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dataset_gen import png
-from dataset_gen.colour import over_white, straight, to_display
 from dataset_gen.errors import GenerateError
-from dataset_gen.pictures import PictureFormat
+from dataset_gen.pictures import PictureFormat, over_white, straight, to_display
 from tg4mm.capture.pictures import ImageStack
 from tg4mm.core.pictures.decode import decode
 

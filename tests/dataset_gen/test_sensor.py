@@ -5,9 +5,17 @@ import itertools
 import numpy as np
 import pytest
 
-from dataset_gen.colour import to_display, to_integers, to_linear
 from dataset_gen.errors import GenerateError
-from dataset_gen.pictures import PRESETS, Sensor, capture, expose, generator
+from dataset_gen.pictures import (
+    PRESETS,
+    Sensor,
+    capture,
+    expose,
+    generator,
+    to_display,
+    to_integers,
+    to_linear,
+)
 
 KEY = (0, "train", 3, 1, 0)
 CLEAN = Sensor(full_well=1e7, read_noise=0.0, adc_bits=24)  # shot noise of 1/3000: next to nothing

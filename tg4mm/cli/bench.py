@@ -219,8 +219,7 @@ def _request(
 ) -> ScenesRequest:
     plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
-    from tg4mm.research.bench.methods.external import parse_external
-    from tg4mm.research.bench.methods.known import checked_names
+    from tg4mm.research.bench.methods.known import checked_names, parse_external
     from tg4mm.research.bench.methods.tracking import checked_settings
     from tg4mm.research.bench.request import SCORINGS, settings_by_preset
     from tg4mm.research.bench.scenes import ScenesRequest

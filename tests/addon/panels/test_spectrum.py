@@ -43,9 +43,7 @@ def test_strength_is_the_rms_by_opacity_or_the_largest(extension: ModuleType, sp
 
 
 def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> None:
-    assert extension.nodes.spectrum.rms_amplitude(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(
-        12.5**0.5
-    )
+    assert extension.nodes.clock.rms_amplitude(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(12.5**0.5)
 
 
 @pytest.mark.parametrize(
@@ -68,13 +66,13 @@ def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> N
 def test_peaks_are_apart_by_a_dip_or_an_empty_bin(
     extension: ModuleType, freqs: tuple[float], strengths: tuple[float], bin_hz: float, expected: tuple[float]
 ) -> None:
-    assert tuple(freqs[k] for k in extension.nodes.spectrum.peaks(freqs, strengths, bin_hz)) == expected
+    assert tuple(freqs[k] for k in extension.nodes.clock.peaks(freqs, strengths, bin_hz)) == expected
 
 
 def test_of_many_peaks_the_largest_are_kept(extension: ModuleType) -> None:
     freqs = np.arange(40.0)
     strengths = np.where(freqs % 2 == 1, 50 + freqs, 1.0)
-    found = extension.nodes.spectrum.peaks(freqs, strengths, 1.0)
+    found = extension.nodes.clock.peaks(freqs, strengths, 1.0)
     assert [freqs[k] for k in found] == [29, 31, 33, 35, 37, 39]
 
 

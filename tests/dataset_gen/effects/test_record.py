@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dataset_gen.cameras import CameraSetup, cameras_at, train_cameras
-from dataset_gen.colour import over_white, to_display
 from dataset_gen.effects import record
 from dataset_gen.effects.record import drift_gains, flicker_gains, largest_shift, slow_curve, turned, turns
+from dataset_gen.pictures import over_white, to_display
 from dataset_gen.settings import Quality
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 from tests.helpers.curves import points_of
 from tests.show.view.browser import browser
 from tg4mm.research.bench.ablation.page import picture
-from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.methods.known import External
 from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.bench.pages.shown import write_sheet
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes

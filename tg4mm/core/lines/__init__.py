@@ -13,7 +13,6 @@ This is the one estimate of a frequency in tg4mm: training, sensors, renders and
 """
 
 from tg4mm.core.lines.find import find_lines, fit_lines, projected
-from tg4mm.core.lines.line import Line
-from tg4mm.core.lines.record import FEWEST, Lines
+from tg4mm.core.lines.record import FEWEST, Line, Lines
 
 __all__ = ["FEWEST", "Line", "Lines", "find_lines", "fit_lines", "projected"]

@@ -14,9 +14,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from tg4mm.core.lines.line import Line
 from tg4mm.core.lines.model import Shape, refined, solved
-from tg4mm.core.lines.record import LEAST_CHANGE, Lines, Record, covariances, nothing, wald
+from tg4mm.core.lines.record import LEAST_CHANGE, Line, Lines, Record, covariances, nothing, wald
 from tg4mm.core.lines.search import candidates, without_between
 
 _CHANCE = 0.01  # that noise alone makes a line in a record

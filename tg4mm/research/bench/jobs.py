@@ -23,7 +23,7 @@ from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import claim_set, files_state, filmed_digest, safe_name
 from tg4mm.research.bench.measure import alphas_of
 from tg4mm.research.bench.methods import Method
-from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.methods.known import External
 from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.scored import Checkout, cameras_of, picture_name, score_pictures, video_of
 from tg4mm.research.bench.sets import BenchSet, truth_at, truth_state

@@ -15,8 +15,7 @@ from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.methods.external import parse_external
-from tg4mm.research.bench.methods.known import DEFAULT, methods_of
+from tg4mm.research.bench.methods.known import DEFAULT, methods_of, parse_external
 from tg4mm.research.generator import run_child
 
 Printer = Callable[[str], None]

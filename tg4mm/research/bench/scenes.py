@@ -17,8 +17,7 @@ from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import alphas_of, check_plan, is_measured, warm_up
 from tg4mm.research.bench.methods import Method, Trained
-from tg4mm.research.bench.methods.external import External
-from tg4mm.research.bench.methods.known import DEFAULT, methods_of
+from tg4mm.research.bench.methods.known import DEFAULT, External, methods_of
 from tg4mm.research.bench.pages.write import write_page, write_results
 from tg4mm.research.bench.request import Plan, Training, check_settings, same_time_training
 from tg4mm.research.bench.scored import Checkout, with_closure
