@@ -229,12 +229,6 @@ def test_ground_truth_that_is_not_there(tree, folder):
     refused(folder, "one timestep", "magnified by 5", magnification=5)
 
 
-def test_ground_truth_with_fewer_timesteps_than_the_capture(tree):
-    (tree / "scene.json").write_text('{"fps": 30, "n_timesteps": 3}')
-    shutil.rmtree(tree / "magnified/x005/002")
-    refused(tree, "n_timesteps is 3", "x005 holds 2", magnification=5)
-
-
 @pytest.mark.parametrize("alpha", [2.5, -1, math.nan, math.inf])
 def test_magnification_without_a_folder_name(tree, alpha):
     refused(tree, f"magnification {alpha}", magnification=alpha)

@@ -66,6 +66,19 @@ def test_magnification_reads_the_ground_truth_of_the_test_cameras(tree):
     np.testing.assert_array_equal(capture.viewmats, load_capture(tree, "test").viewmats)
 
 
+@pytest.mark.parametrize("gone", [0, 1, 2])
+def test_ground_truth_may_lack_timesteps(tree, gone):
+    whole = load_capture(tree, magnification=5)
+    pictures = load_images(whole).data
+    shutil.rmtree(tree / f"magnified/x005/{gone:03d}")
+    (tree / "scene.json").write_text('{"fps": 30, "n_timesteps": 3}')
+    capture = load_capture(tree, magnification=5)
+    kept = whole.timesteps != gone
+    assert capture.n_timesteps == 3
+    assert capture.timesteps.tolist() == whole.timesteps[kept].tolist()
+    np.testing.assert_array_equal(load_images(capture).data, pictures[kept])
+
+
 def test_only_train_folders_and_fps_are_needed(tree):
     shutil.rmtree(tree / "magnified")
     for path in tree.glob("*/transforms_test.json"):

@@ -24,9 +24,9 @@ def recognises(root: Path) -> bool:
 
 
 def load(root: Path, split: str, alpha: int) -> Capture:
-    """All timesteps of a split, or of the ground truth in magnified/x<alpha>/ if alpha is not 0.
+    """All timesteps of a split, or those of the ground truth in magnified/x<alpha>/ if alpha is not 0.
 
-    Raises CaptureError for a gap in the timesteps, a missing split, a missing or bad fps, or other bad input.
+    Raises CaptureError for a gap in the timesteps of a split, a missing split, no fps or a bad one, or other bad input.
     """
     scene = read_scene(root, needs_fps=True)
     base = root / "magnified" / f"x{alpha:03d}" if alpha else root
@@ -34,14 +34,17 @@ def load(root: Path, split: str, alpha: int) -> Capture:
         raise CaptureError(
             f"{base}: does not exist: no ground truth for α = {alpha}; the dataset has {_present(root)}"
         )
-    folders = _timestep_folders(root, base)
-    if scene.n_timesteps is not None and scene.n_timesteps != len(folders):
+    folders = _timestep_folders(root, base, gaps=bool(alpha))
+    count = max(folders) + 1
+    if alpha:
+        count = max(count, scene.n_timesteps or 0)
+    elif scene.n_timesteps is not None and scene.n_timesteps != count:
         raise CaptureError(
             f"{root / 'scene.json'}: n_timesteps is {scene.n_timesteps}, "
-            f"but {base} holds {len(folders)} timestep folders, {folders[0].name} to {folders[-1].name}"
+            f"but {base} holds {count} timestep folders, {folders[0].name} to {folders[count - 1].name}"
         )
-    views = [view for t, folder in enumerate(folders) for view in read_views(root, folder, split, t)]
-    return assemble(root, split, views, scene, len(folders))
+    views = [view for t, folder in folders.items() for view in read_views(root, folder, split, t)]
+    return assemble(root, split, views, scene, count)
 
 
 def _numbered(base: Path) -> dict[int, Path]:
@@ -56,17 +59,18 @@ def _numbered(base: Path) -> dict[int, Path]:
     return found
 
 
-def _timestep_folders(root: Path, base: Path) -> list[Path]:
-    found = _numbered(base)
+def _timestep_folders(root: Path, base: Path, gaps: bool) -> dict[int, Path]:
+    """By timestep, rising."""
+    found = dict(sorted(_numbered(base).items()))
     if not found:
         raise CaptureError(f"{base}: holds no timestep folders 000, 001, …")
-    for t in range(len(found)):
+    for t in found if gaps else range(len(found)):
         if t not in found:
             raise CaptureError(
                 f"{base}: timestep {t:03d} is missing, though there are {len(found)} up to {max(found):03d}"
             )
         inside(root, found[t], "timestep folder")
-    return [found[t] for t in range(len(found))]
+    return found
 
 
 def _present(root: Path) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 import tg4mm.research.evaluate.run as module
 from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import psnr
@@ -122,6 +123,19 @@ def test_the_file_is_what_is_returned_and_strict_json(half) -> None:
     assert metrics["metrics"] == ["psnr_db", "ssim", "flip"]
     assert [e["alpha"] for e in metrics["alphas"]] == [0, 5]
     assert sorted(p.name for p in half.path.iterdir() if p.name.startswith(".")) == []
+
+
+def test_what_is_there_of_the_ground_truth_is_scored(scene, tmp_path) -> None:
+    root, gaussians, motion = scene
+    part = tmp_path / "part"
+    shutil.copytree(root, part, ignore=shutil.ignore_patterns("truth"))
+    first, *_, last = sorted((part / "magnified" / "x005").iterdir())
+    shutil.rmtree(first)
+    shutil.rmtree(last)
+    metrics = evaluate_run(make_run(tmp_path, part, gaussians, motion), alphas=[5])
+    count = load_capture(part).n_timesteps
+    assert metrics["absent"]["α = 5, part of it"] == f"2 of {count} timesteps"
+    assert metrics["alphas"][-1]["n_images"] == len(load_capture(part, magnification=5))
 
 
 def test_what_is_absent_is_said(scene, tmp_path) -> None:

@@ -91,7 +91,13 @@ def image_metrics(
 
 def capture_with_truth(root: Path, alpha: int, absent: dict[str, str]) -> Capture | None:
     if alpha:
-        return load_capture(root, split="test", magnification=alpha)
+        capture = load_capture(root, split="test", magnification=alpha)
+        there = len(set(capture.timesteps.tolist()))
+        if there < capture.n_timesteps:
+            absent[f"α = {alpha}, part of it"] = (
+                f"{capture.n_timesteps - there} of {capture.n_timesteps} timesteps"
+            )
+        return capture
     try:
         return load_capture(root, split="test")
     except CaptureError as error:
