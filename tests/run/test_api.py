@@ -123,8 +123,14 @@ def test_bad_input(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
         tg4mm.fit_space(capture, device="tpu")
     with pytest.raises(tg4mm.CaptureError, match="reaches past half the frame rate"):
         tg4mm.animate(fit, 0, tg4mm.Magnification((tg4mm.BandGain(4.0, 40.0, 5),)))
-    with pytest.raises(tg4mm.Tg4mmError, match="alpha is nan"):
-        tg4mm.animate(fit, 0, float("nan"))
+    for t, alpha, said in (
+        (0, float("nan"), "magnification is nan, expected a finite number"),
+        (0, "20", "magnification is '20', expected a finite number"),
+        (float("inf"), 20, "t is inf, expected a finite number"),
+        (0, 1e12, "alpha is 1e"),
+    ):
+        with pytest.raises(tg4mm.Tg4mmError, match=said):
+            tg4mm.animate(fit, t, alpha)  # type: ignore[arg-type]
     with pytest.raises(tg4mm.RunError, match="method 'phase'"):
         tg4mm.animate(fit, 0, tg4mm.Magnification(method="phase"))
     still = replace(capture, n_timesteps=1)

@@ -19,7 +19,15 @@ def lazily(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
     def get(name: str) -> Any:
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(f"{package}.{where[name]}")
+        try:
+            module = importlib.import_module(f"{package}.{where[name]}")
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.split(".")[0] == "tg4mm":
+                raise
+            hint = "pip install '.[core]' in a copy of the repository"
+            raise ModuleNotFoundError(
+                f"{package}.{name} needs {error.name}: {hint}", name=error.name
+            ) from error
         return module if where[name] == name else getattr(module, name)
 
     return get

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, pictures_for
-from tg4mm.core.errors import RunError
+from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.magnification import Magnification
+from tg4mm.core.values import Number, require
 from tg4mm.fit.device import check_device
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import animate as motion_animate
@@ -97,11 +98,13 @@ def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0
         N Gaussians, scene units.
 
     Raises:
-        Tg4mmError: α is not finite, bands overlap, or the plan has another method or a filter.
+        Tg4mmError: α or t is no finite number, bands overlap, or the plan has another method or a filter.
         CaptureError: a band does not satisfy 0 ≤ low < high < fps / 2.
     """
+    require("t", t, Number(), Tg4mmError)
     plan = magnification
     if not isinstance(plan, Magnification):
+        require("magnification", plan, Number(), Tg4mmError)
         plan = Magnification(everywhere=float(plan))
     plan.checked(fit.motion.fps)
     if plan.method not in (None, "modal") or plan.filter is not None:

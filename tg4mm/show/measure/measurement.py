@@ -56,7 +56,7 @@ class Measurement:
         for result in self.sensors:
             if result.name == name:
                 return result
-        raise KeyError(name)
+        raise KeyError(f"no sensor {name!r}; there are: {', '.join(s.name for s in self.sensors)}")
 
 
 def measure(
