@@ -127,7 +127,7 @@ def test_bad_input(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
         (0, float("nan"), "magnification is nan, expected a finite number"),
         (0, "20", "magnification is '20', expected a finite number"),
         (float("inf"), 20, "t is inf, expected a finite number"),
-        (0, 1e12, "alpha is 1e"),
+        (0, 1e12, "alpha is 1000000000000.0, expected"),
     ):
         with pytest.raises(tg4mm.Tg4mmError, match=said):
             tg4mm.animate(fit, t, alpha)  # type: ignore[arg-type]
