@@ -21,8 +21,9 @@ CLIPS = 7  # places that one camera films from, where --views does not say it
 DEFAULTS: dict[str, Any] = {
     "size": 128, "timesteps": 30, "fps": 30.0, "cameras": "orbit", "views": 30, "test_views": 5,
     "clock_offsets": 0.0, "shake": 0.0, "exposure_drift": 0.0, "flicker": 0.0, "flicker_hz": 100.0,
-    "codec": "none", "crf": 20, "samples": 96, "seed": 0, "points": 20000, "alphas": ALPHAS, "truth": "test",
-    "engine": "cycles", "device": "cpu", "images": "png8", "background": "transparent",
+    "codec": "none", "crf": 20, "readout": 0.0, "samples": 96, "seed": 0, "points": 20000,
+    "alphas": ALPHAS, "truth": "test", "engine": "cycles", "device": "cpu", "images": "png8",
+    "background": "transparent",
 }  # fmt: skip
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
@@ -140,6 +141,7 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
                 "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
                 "flicker": "flicker of the light, percent peak to peak",
                 "flicker_hz": "with --flicker: its frequency, Hz",
+                "readout": "rolling shutter of fixed cameras: milliseconds from the first row to the last",
             }),
             "--codec": _choice("codec", CODECS, "each camera's pictures go through a video"),
             **_numbers({"crf": "with --codec: rate factor, 0 … 51; larger is worse"}),

@@ -105,6 +105,7 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
             codec=values["codec"],
             crf=values["crf"],
             keep_video=options.keep_video,
+            readout_ms=values["readout"],
         ),
         **{key: values[key] for key in _AS_THEY_ARE},
     )
@@ -125,7 +126,7 @@ def _sensor(options: argparse.Namespace) -> Sensor | None:
 # What an animation, which is not rendered, has no use for.
 _OF_PICTURES = (
     "samples", "points", "engine", "device", "images", "background", "sensor", "jpeg", "alphas", "truth",
-    "shake", "exposure_drift", "flicker", "flicker_hz", "codec", "crf", "keep_video",
+    "shake", "exposure_drift", "flicker", "flicker_hz", "readout", "codec", "crf", "keep_video",
 )  # fmt: skip
 _OF_WORK = ("out", "prepare", "part", "finish", "parts", "processes")
 

@@ -239,8 +239,8 @@ class PictureFormat:
         """The numbers that the file will hold, [H, W, C]: uint8 or uint16 for PNG, float32 for EXR.
 
         Parameters: `linear` [H, W, 4] float32, linear Rec.709 and premultiplied, row 0 on top; `sensor`, and
-        the key of its noise: what no other picture has, (seed, split, timestep, view, α) say; `gain` [3], factors
-        on red, green and blue before the sensor, background and all.
+        the key of its noise: what no other picture has, (seed, split, timestep, view, α) say; `gain` [3] or [H, 1, 3],
+        factors on red, green and blue before the sensor, background and all.
         """
         if linear.ndim != 3 or linear.shape[2] != 4:
             raise ValueError(f"linear has shape {linear.shape}, expected (H, W, 4)")

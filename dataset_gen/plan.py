@@ -21,6 +21,7 @@ from pathlib import PurePosixPath
 
 from .cameras import Camera, CameraSetup, cameras_at, films, scene_time
 from .effects import Record
+from .effects.rows import bands
 from .settings import Settings
 from .vibration import Motion, State
 
@@ -29,6 +30,8 @@ RESEEDED = "report/reseeded"  # the truth once more with other noise: what a per
 _OTHER_SEED = 1_000_003  # added to the seed there
 UNCODED = ".uncoded"  # working folder: pictures before they go through a video
 _PAINTERS = 60  # views that colour the points, at most about so many
+
+_Key = tuple[State, str, Camera, tuple[State, ...]]  # state, split, camera, `Shot.rows`
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Shot:
     truth: tuple[str, ...]  # EXR files, relative; empty where no truth is wanted
     paints: bool = False  # its colours go to points3d.ply
     seed_offset: int = 0
+    rows: tuple[State, ...] = ()  # of the bands of `effects.rows`, read in turn; empty: all rows show `state`
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -74,17 +78,18 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
     The truth of a camera that shakes is what it saw where it really was: shots without pictures.
     """
     record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
-    pictures: dict[tuple[State, str, Camera], list[Picture]] = defaultdict(list)
-    truth: dict[tuple[State, str, Camera], list[str]] = defaultdict(list)
+    pictures: dict[_Key, list[Picture]] = defaultdict(list)
+    truth: dict[_Key, list[str]] = defaultdict(list)
     for t in range(settings.timesteps):
         for split, cameras in cameras_at(settings.cameras, t).items():
             for alpha in (0, *(settings.alphas if split == "test" else ())):
                 for camera in cameras:
                     state = _state(settings.cameras, motion, split, camera, t, alpha)
                     where = _folder(settings, split, camera, alpha) + picture_path(settings, t, camera, split)
-                    pictures[state, split, camera].append(Picture(where, t, alpha))
+                    rows = _rows(settings, motion, split, camera, t, state)
+                    pictures[state, split, camera, rows].append(Picture(where, t, alpha))
                     if not alpha and settings.truth in (split, "all"):
-                        seen = state, split, record.true_camera(split, camera, t)
+                        seen = state, split, record.true_camera(split, camera, t), rows
                         truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
     ordered = sorted({**pictures, **truth}, key=_order)
     painters = _painters(sorted(pictures, key=_order)) if settings.points else set()
@@ -96,6 +101,7 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
             pictures=tuple(pictures.get(key, ())),
             truth=tuple(truth.get(key, ())),
             paints=key in painters,
+            rows=key[3],
         )
         for key in ordered
     ]
@@ -120,19 +126,30 @@ def _state(
     return motion.rest if time_s is None else motion.state(time_s * setup.fps, alpha)
 
 
-def _order(key: tuple[State, str, Camera]) -> tuple[bool, tuple[float, ...], bool, int]:
-    state, split, camera = key
-    return not state.at_rest, state.gains, split != "train", camera.index
+def _rows(
+    settings: Settings, motion: Motion, split: str, camera: Camera, timestep: int, middle: State
+) -> tuple[State, ...]:
+    """What bands of rows that are read in turn see; empty where all see the same."""
+    readout_s, setup = settings.effects.readout_ms / 1e3, settings.cameras
+    if not readout_s or split == "test" or (time_s := scene_time(setup, camera, timestep)) is None:
+        return ()
+    states = tuple(motion.state((time_s + delay) * setup.fps) for _, delay in bands(settings.size, readout_s))
+    return () if set(states) == {middle} else states
 
 
-def _painters(keys: Sequence[tuple[State, str, Camera]]) -> set[tuple[State, str, Camera]]:
+def _order(key: _Key) -> tuple[bool, tuple[float, ...], bool, int, tuple[tuple[float, ...], ...]]:
+    state, split, camera, rows = key
+    return not state.at_rest, state.gains, split != "train", camera.index, tuple(r.gains for r in rows)
+
+
+def _painters(keys: Sequence[_Key]) -> set[_Key]:
     """Of every training camera the picture nearest to rest: the points are those of the rest scene.
 
     Of very many cameras (each frame of a hand-held one is a camera) some, evenly spread.
     """
-    nearest: dict[Camera, tuple[State, str, Camera]] = {}
+    nearest: dict[Camera, _Key] = {}
     for key in keys:
-        state, split, camera = key
+        state, split, camera, _ = key
         if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0])):
             nearest[camera] = key
     found = list(nearest.values())

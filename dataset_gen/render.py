@@ -15,6 +15,7 @@ import importlib.util
 import re
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -148,6 +149,20 @@ def data_passes(stage: Stage) -> dict[str, np.ndarray]:
         raw = Path(scratch) / "passes.exr"
         _render_to(stage, raw)
         return read_passes(raw)
+
+
+@contextmanager
+def rows_alone(stage: Stage, rows: slice, size: int) -> Iterator[None]:
+    """Cycles renders these rows of a picture and one more on either side; the others are 0. EEVEE renders all."""
+    render = stage.scene.render
+    render.use_border, render.use_crop_to_border = render.engine == "CYCLES", False
+    render.border_min_x, render.border_max_x = 0.0, 1.0
+    render.border_min_y = max(1 - (rows.stop + 1) / size, 0.0)
+    render.border_max_y = min(1 - (rows.start - 1) / size, 1.0)
+    try:
+        yield
+    finally:
+        render.use_border = False
 
 
 def _render_to(stage: Stage, path: Path) -> None:

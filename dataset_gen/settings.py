@@ -68,6 +68,7 @@ class Settings:
         check_choice("--device", self.device, DEVICES)
         self.pictures.check_sensor(self.sensor)
         self.effects.check(self.pictures, self.size, self.timesteps)
+        self.effects.check_rows(self.fps, self.cameras.kind == "handheld")
         passing = next((mode for mode in self.motion.modes if not mode.steady), None)
         if self.cameras.kind == "clips" and passing is not None:
             raise GenerateError(

@@ -24,6 +24,7 @@ from . import build, points, render, tree, truth
 from .cameras import cameras_at
 from .compat import use_device
 from .effects import Record, record
+from .effects.rows import bands
 from .errors import GenerateError
 from .pictures import straight, to_display
 from .plan import Picture, Shot, shots
@@ -31,7 +32,7 @@ from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .settings import Quality, Settings, Source
 from .sources.assemble import Loaded
-from .vibration import Body
+from .vibration import Body, State
 
 
 class Painter:
@@ -163,11 +164,15 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
     if settings.device != "cpu":
         report.write(f"{NOTE}Cycles renders on {device}\n")
     every = shots(settings, motion)
-    photographer = _Photographer(stage, settings, quality, root, Painter(bodies, settings, root))
+
+    def move(state: State) -> None:
+        build.move(stage, [motion.displacement(i, state) for i in range(len(bodies))])
+
+    photographer = _Photographer(stage, settings, quality, root, Painter(bodies, settings, root), move)
     todo = [every[i] for i in job["shots"]]
     for (state, _), group in groupby(todo, key=lambda shot: (shot.state, shot.seed_offset)):
         batch = list(group)
-        build.move(stage, [motion.displacement(i, state) for i in range(len(bodies))])
+        move(state)
         for take in (photographer.picture, photographer.truth):
             for shot in batch:
                 if take(shot):
@@ -177,14 +182,21 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
 
 # Linear light [H, W, 4] of one of a shot's pictures; of None, as the camera stands.
 Take = Callable[[Picture | None], np.ndarray]
+_Rasters = dict[str, np.ndarray]  # [H, W, ...]
 
 
 class _Photographer:
     def __init__(
-        self, stage: build.Stage, settings: Settings, quality: Quality, root: Path, painter: Painter
+        self,
+        stage: build.Stage,
+        settings: Settings,
+        quality: Quality,
+        root: Path,
+        painter: Painter,
+        move: Callable[[State], None],
     ) -> None:
         self._stage, self._settings, self._quality = stage, settings, quality
-        self._root, self._painter = root, painter
+        self._root, self._painter, self._move = root, painter, move
         self._record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
 
     def picture(self, shot: Shot) -> bool:
@@ -226,8 +238,23 @@ class _Photographer:
     def _steady(self, shot: Shot) -> Take:
         build.set_view(self._stage, shot.camera)
         render.use_picture(self._stage, self._quality, shot.seed_offset)
-        linear = render.linear_picture(self._stage)
+        linear = self._seen(shot, lambda: {"": render.linear_picture(self._stage)})[""]
         return lambda picture: linear
+
+    def _seen(self, shot: Shot, render_once: Callable[[], _Rasters]) -> _Rasters:
+        """What the shot's rows see, each in the state of its own time; the stage is in the shot's state again then."""
+        if not shot.rows:
+            return render_once()
+        size = self._settings.size
+        out: _Rasters = {}
+        parts = bands(size, self._settings.effects.readout_ms / 1e3)
+        for (rows, _), state in zip(parts, shot.rows, strict=True):
+            self._move(state)
+            with render.rows_alone(self._stage, rows, size):
+                for name, raster in render_once().items():
+                    out.setdefault(name, np.zeros_like(raster))[rows] = raster[rows]
+        self._move(shot.state)
+        return out
 
     def _shaken(self, shot: Shot) -> Take:
         camera, size = shot.camera, self._settings.size
@@ -246,7 +273,7 @@ class _Photographer:
     def _encode(self, shot: Shot, picture: Picture, take: Take) -> bytes:
         # The key names the frame, so that its noise is the same whichever process takes it, and when.
         key = (self._settings.seed + shot.seed_offset, shot.split, picture.timestep, shot.camera.name)
-        gain = self._record.gain(shot.split, shot.camera, picture.timestep)
+        gain = self._record.row_gains(shot.split, shot.camera, picture.timestep)
         pictures, sensor = self._settings.pictures, self._settings.sensor
         return pictures.encode(take(picture), sensor, (*key, int(picture.alpha)), gain)
 
@@ -260,7 +287,7 @@ class _Photographer:
             build.set_view(self._stage, shot.camera)
             render.set_size(self._stage, self._quality)
             render.use_data(self._stage)
-            truth.write_exr(self._root / source, render.data_passes(self._stage))
+            truth.write_exr(self._root / source, self._seen(shot, lambda: render.data_passes(self._stage)))
         tree.link(self._root / source, (self._root / name for name in shot.truth))
         return True
 

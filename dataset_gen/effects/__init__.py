@@ -1,4 +1,4 @@
-"""What a real camera adds to a record: shake, drifting exposure, flickering light, a video codec. All seeded."""
+"""What a real camera adds to a record: shake, drifting exposure, flicker, rows in turn, a codec. All seeded."""
 
 from __future__ import annotations
 

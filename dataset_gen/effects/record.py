@@ -21,6 +21,7 @@ from ..cameras import Camera, CameraSetup, cameras_at, clock_offsets, films
 from ..cameras.paths import Tremor, rotation_matrix
 from ..errors import GenerateError, check_choice, check_whole, check_within
 from ..pictures import PictureFormat
+from .rows import row_delays
 
 CODECS = ("none", "h264")
 _MOST_SHAKE = 20.0  # pixels
@@ -44,6 +45,7 @@ class Effects:
     codec: str = "none"  # what the pictures of each camera go through as one video
     crf: int = 20  # x264's constant rate factor: 0 keeps everything, 51 almost nothing
     keep_video: bool = False
+    readout_ms: float = 0.0  # rolling shutter of fixed cameras: from a picture's first row to its last
 
     def __post_init__(self) -> None:
         check_within("--shake", self.shake_px, 0, _MOST_SHAKE, "pixels")
@@ -52,6 +54,7 @@ class Effects:
         check_within("--flicker-hz", self.flicker_hz, 0, 1e6, "Hz", above=True)
         check_choice("--codec", self.codec, CODECS)
         check_whole("--crf", self.crf, 0, 51)
+        check_within("--readout", self.readout_ms, 0, 1e3, "milliseconds")
 
     @property
     def gain(self) -> bool:
@@ -65,7 +68,19 @@ class Effects:
 
     @property
     def any(self) -> bool:
-        return self.gain or self.coded or self.shake_px > 0
+        return self.gain or self.coded or self.shake_px > 0 or self.readout_ms > 0
+
+    def check_rows(self, fps: float, is_moving: bool) -> None:
+        """Raises GenerateError where rows cannot be read at times of their own."""
+        if self.readout_ms > 1e3 / fps:
+            raise GenerateError(
+                f"--readout {self.readout_ms:g} is more than the {1e3 / fps:.4g} ms of a frame at --fps {fps:g}"
+            )
+        if self.readout_ms and (is_moving or self.shake_px):
+            other = "--cameras handheld" if is_moving else f"--shake {self.shake_px:g}"
+            raise GenerateError(
+                f"--readout {self.readout_ms:g} is for cameras that stand still, not with {other}"
+            )
 
     def check(self, pictures: PictureFormat, size: int, timesteps: int) -> None:
         """Raises GenerateError where such a record cannot be, one line with the option and what to do."""
@@ -74,7 +89,9 @@ class Effects:
             "--exposure-drift" if self.exposure_drift else "--flicker",
         )
         if self.any and timesteps < 2:
-            raise GenerateError("--timesteps 1: shake, drift, flicker and a codec need at least 2 timesteps")
+            raise GenerateError(
+                "--timesteps 1: shake, drift, flicker, readout and a codec need at least 2 timesteps"
+            )
         if self.gain and not white:
             raise GenerateError(f"{option} acts on the whole picture: use --background white")
         if self.coded and (not white or pictures.images != "png8"):
@@ -83,7 +100,10 @@ class Effects:
             raise GenerateError(f"--size {size}: --codec {self.codec} at 4:2:0 needs an even number")
 
     def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+        data = asdict(self)
+        if not self.readout_ms:  # as in sets that were made before there was one
+            del data["readout_ms"]
+        return data
 
 
 FINENESS = 2  # fine pixels per pixel along an edge
@@ -190,6 +210,22 @@ class Record:
             self._gains[camera.index] = self._all_gains(camera)
         return np.asarray(self._gains[camera.index][timestep])
 
+    def row_gains(self, split: str, camera: Camera, timestep: int) -> np.ndarray | None:
+        """The same of every row where rows are read in turn and the light flickers: [size, 1, 3]."""
+        gain, effects = self.gain(split, camera, timestep), self.effects
+        if gain is None or not (effects.flicker and effects.readout_ms):
+            return gain
+        middle = timestep / self.setup.fps + clock_offsets(self.setup)[camera.index]
+        delays = row_delays(self.size, effects.readout_ms / 1e3)
+        light = flicker_gains(
+            effects.flicker, effects.flicker_hz, middle + np.append(delays, 0.0), self._lamp_phase()
+        )
+        return np.asarray(gain * (light[:-1] / light[-1])[:, None, None])
+
+    def _lamp_phase(self) -> float:
+        """One lamp for all cameras."""
+        return float(np.random.default_rng([self.seed, 0xF11C]).uniform(0.0, 2 * np.pi))
+
     def _all_turns(self, camera: Camera) -> np.ndarray:
         if camera.index not in self._turns:
             first = next(c for c in cameras_at(self.setup, 0)["train"] if c.index == camera.index)
@@ -204,9 +240,8 @@ class Record:
             rng = np.random.default_rng([self.seed, 0xE805, camera.index])
             gains *= drift_gains(effects.exposure_drift, n, fps, rng)
         if effects.flicker:
-            phase = np.random.default_rng([self.seed, 0xF11C]).uniform(0.0, 2 * np.pi)  # one lamp for all
             times_s = np.arange(n) / fps + clock_offsets(self.setup)[camera.index]
-            gains *= flicker_gains(effects.flicker, effects.flicker_hz, times_s, phase)[:, None]
+            gains *= flicker_gains(effects.flicker, effects.flicker_hz, times_s, self._lamp_phase())[:, None]
         return gains
 
 
@@ -240,7 +275,7 @@ def slow_curve(n_timesteps: int, fps: float, rng: np.random.Generator) -> np.nda
 def flicker_gains(percent: float, hz: float, times_s: np.ndarray, phase: float) -> np.ndarray:
     """Gains [T] of light that flickers by `percent` peak to peak, at times on the scene's clock.
 
-    The shutter is short and global: no bands run over the picture.
+    The shutter is short. Without a readout it is global: no bands run over the picture.
     """
     turns = (hz * np.asarray(times_s, np.float64)) % 1.0
     return 1.0 - 0.005 * percent * (1.0 - np.cos(2 * np.pi * turns + phase))

@@ -79,6 +79,18 @@ def test_a_part_of_the_video(
     assert "holds 15 pictures; at least 24 are needed" in capsys.readouterr().err
 
 
+def test_a_readout_is_taken_into_account_and_handed_on(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["look", str(video), "--out", str(tmp_path), "--readout", "12.5"]) == 0
+    assert "--kind flat --readout 12.5 --out" in capsys.readouterr().out
+    assert from_record(json.loads((tmp_path / "look.json").read_text())).rows_s == 0.0125
+    assert main(["look", str(video), "--readout", "40"]) == 2
+    assert (
+        "--readout is 40, expected at most the 33.33 ms of a frame of my pump.mp4" in capsys.readouterr().err
+    )
+
+
 def test_a_folder_of_numbered_pictures_needs_its_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,6 +128,8 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         (["noise.mp4"], "noise.mp4: is not a video that can be decoded"),
         (["empty"], "empty: holds no pictures"),
         (["noise.mp4", "--fps", "0"], "--fps is 0; expected pictures a second, more than 0"),
+        (["noise.mp4", "--readout", "-1"], "--readout is -1.0, expected"),
+        (["noise.mp4", "--readout", "nan"], "--readout is nan, expected"),
         (["noise.mp4", "--from", "3", "--until", "2"], "--from 3 --until 2: holds nothing"),
         (["empty", "--from", "3"], "--from and --until are of videos"),
         (["noise.mp4", "--png", "a.jpg"], "--png a.jpg: expected a name that ends in .png"),

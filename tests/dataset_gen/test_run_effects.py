@@ -173,6 +173,29 @@ def test_truth_of_a_shaking_camera_is_what_it_saw_where_it_was(tmp_path):
 
 
 @pytest.mark.slow
+def test_rows_of_a_rigid_thing_have_the_phases_of_a_readout(tmp_path):
+    (tmp_path / "m.yaml").write_text(
+        "modes:\n  - {name: a, kind: translate, frequency: 6, amplitude: 0.02, direction: [1, 0, 0]}\n"
+    )
+    options = (
+        f"--cameras flat --readout 20 --flicker 10 --background white --truth all --motion {tmp_path}/m.yaml"
+    )
+    root = made(tmp_path, options)
+    assert json.loads((root / "scene.json").read_text())["readout_s"] == 0.02
+    seen = [read_exr(root / f"truth/train/{t:03d}/r_000.exr") for t in range(5)]
+    rows = [r for r in range(32) if (seen[0]["Depth"][r] < 1e9).any() and r < 16]  # its head, above the stand
+    moved = np.array([[e["Displacement"][r][e["Depth"][r] < 1e9][:, 0].mean() for r in rows] for e in seen])
+    turns = 2 * np.pi * 6 * np.arange(5) / 30
+    fit = np.linalg.lstsq(np.stack([np.cos(turns), np.sin(turns)], 1), moved, rcond=None)[0]
+    phases = np.unwrap(np.arctan2(fit[0], fit[1]))
+    readout_s = np.polyfit((np.array(rows) + 0.5) / 32, phases, 1)[0] / (2 * np.pi * 6)
+    assert readout_s == pytest.approx(0.02, rel=0.05)
+    background = pixels(root / "000/train/r_000.png")[:, 0].mean(-1)  # white, under a lamp of 100 Hz
+    assert np.ptp(background) > 5
+    assert np.ptp(pixels(root / "000/test/r_000.png")[:, 0]) == 0
+
+
+@pytest.mark.slow
 def test_a_complete_set_is_left_alone_and_a_damaged_one_is_mended(every):
     seen = io.StringIO()
     settings = tiny("--views 3", EVERY)

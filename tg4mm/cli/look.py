@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.values import NOT_NEGATIVE, Maybe, require
 
 
 def look(
@@ -24,6 +25,14 @@ def look(
         typer.Option(
             help="Pictures a second at which it was filmed, where the file says another rate (slow motion) or none "
             "(a folder). [default: the file's own times]"
+        ),
+    ] = None,
+    readout: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MS",
+            help="Rolling shutter: milliseconds from a picture's first row to its last. [default: all rows are taken "
+            "to be read at once]",
         ),
     ] = None,
     start: Annotated[
@@ -52,6 +61,7 @@ def look(
     """
     if fps is not None and not 0 < fps < 1e6:
         raise Tg4mmError(f"--fps is {fps:g}; expected pictures a second, more than 0")
+    require("--readout", readout, Maybe(NOT_NEGATIVE), Tg4mmError)
     if png is not None and png.suffix.lower() != ".png":
         raise Tg4mmError(f"--png {png}: expected a name that ends in .png")
     stop = math.inf if until is None else until
@@ -60,13 +70,25 @@ def look(
     if video.is_dir() and (start or until is not None):
         raise Tg4mmError("--from and --until are of videos; leave out files of the folder")
     from tg4mm.capture.look import look as looked
+    from tg4mm.capture.look.rows import with_rows
     from tg4mm.capture.sfm.clip import Window
+    from tg4mm.capture.video import VIDEO_SUFFIXES, turns_of
     from tg4mm.show.look import Words, write_json_file, write_page, write_picture
 
     if out is not None and out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder")
     window = Window(start, stop)
-    words = Words(looked(video, fps, window), video, fps, window)
+    if readout and video.is_file() and video.suffix.lower() in VIDEO_SUFFIXES and turns_of(video):
+        raise Tg4mmError(
+            f"--readout is for pictures whose rows are read from top to bottom, but those of {video.name} are turned "
+            "when they are shown"
+        )
+    found = looked(video, fps, window)
+    if (readout or 0) > (frame_ms := 1e3 / found.rate):
+        raise Tg4mmError(
+            f"--readout is {readout:g}, expected at most the {frame_ms:.4g} ms of a frame of {video.name}"
+        )
+    words = Words(with_rows(found, (readout or 0) / 1e3), video, fps, window)
     target = png or (Path(f"{video.resolve().stem}-look.png") if out is None else out / "look.png")
     for folder in (out, target.parent):
         if folder is not None:

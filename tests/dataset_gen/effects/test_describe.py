@@ -36,7 +36,15 @@ def settings(*options):
         ("--keep-video", r"--keep-video goes with --codec"),
         (
             "--shake 1 --timesteps 1",
-            r"--timesteps 1: shake, drift, flicker and a codec need at least 2 timesteps",
+            r"--timesteps 1: shake, drift, flicker, readout and a codec need at least 2 timesteps",
+        ),
+        ("--readout 40", r"--readout 40 is more than the 33.33 ms of a frame at --fps 30"),
+        ("--readout -1", r"--readout -1.0 is not in 0 … 1000 milliseconds"),
+        ("--readout nan", r"--readout nan is not in"),
+        ("--readout 12 --shake 1", r"--readout 12 is for cameras that stand still, not with --shake 1"),
+        (
+            "--readout 12 --cameras handheld",
+            r"--readout 12 is for cameras that stand still, not with --cameras handheld",
         ),
         ("--cameras flat --views 3", r"--views 3: with --cameras flat there is one camera"),
         ("--cameras flat --test-views 2", r"--test-views 2: --cameras flat has one at most"),

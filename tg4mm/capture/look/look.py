@@ -17,6 +17,7 @@ from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
 from tg4mm.capture.look.recording import read_recording
+from tg4mm.capture.look.rows import by_light
 from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
@@ -99,8 +100,9 @@ def _line(search: Search, line: Line) -> LookLine:
         cells=grid.picture(np.isin(np.arange(len(grid)), cells)),
         region=grid.picture(np.isin(np.arange(len(grid)), where.region)),
         statistic=line.statistic,
-        readout_s=where.readout_s,
+        readout_s=None if where.readout is None else where.readout.seconds,
         mark="",
+        readout_deviation_s=None if where.readout is None else where.readout.deviation_s,
     )
 
 
@@ -160,4 +162,5 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         smallest=search.smallest(),
         first=series.first,
         without_between=scene.treats_apart,
+        light_readout=by_light(series.row_means, series.times_s),
     )

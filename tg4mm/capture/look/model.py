@@ -10,6 +10,15 @@ Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
 
 
 @dataclass(frozen=True)
+class Readout:
+    """How long it takes from a picture's first row to its last; below 0: from its last to its first."""
+
+    seconds: float
+    deviation_s: float
+    light_hz: float = 0.0  # of the lamps that tell; 0: phases of what vibrates do
+
+
+@dataclass(frozen=True)
 class LookLine:
     """One vibration: how fast, how much, where."""
 
@@ -29,11 +38,12 @@ class LookLine:
     cells: np.ndarray  # [rows, columns] bool: those that show it
     region: np.ndarray  # [rows, columns] bool: those that the amplitude is of
     statistic: float  # power over noise where it is strongest, mean 2 where nothing vibrates
-    readout_s: float | None  # from the first row to the last, where phases rise with the row
+    readout_s: float | None  # that would make its phases alike at all heights
     mark: str  # why it may be no vibration of its own; empty: it is one
     kept: float | None = None  # share of the amplitude that compression let through; None: not known
     kept_deviation: float | None = None
     lost: str = ""  # why the true amplitude is larger than said, by more than the ±; empty: no test says so
+    readout_deviation_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,10 +65,6 @@ class Tone:
     hz: float
     hz_deviation: float
     amplitude: float  # relative, of light; pixels, of the whole picture
-
-
-# cameras that read rows one after another take 8 to 25 ms; less may be a phase of the scene's own
-LEAST_READOUT_S = 0.004
 
 
 @dataclass(frozen=True)
@@ -87,17 +93,13 @@ class Found:
     without_between: bool = field(
         default=False, kw_only=True
     )  # amplitudes are mostly of pictures other than B
+    light_readout: Readout | None = field(default=None, kw_only=True)  # by lamps that flicker
+    rows_s: float = field(default=0.0, kw_only=True)  # the readout that phases take into account
 
     @property
     def vibrations(self) -> tuple[LookLine, ...]:
         """The lines without a mark."""
         return tuple(line for line in self.lines if not line.mark)
-
-    @property
-    def readout_s(self) -> float | None:
-        """Seconds over which a picture's rows seem to be read, by the strongest line that tells; None: at once."""
-        found = next((line.readout_s for line in self.vibrations if line.readout_s is not None), 0.0)
-        return found if abs(found) >= LEAST_READOUT_S else None
 
     def mask(self) -> np.ndarray:
         """[H, W] bool: the pixels of what moves by itself."""

@@ -16,8 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import Pool
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
+from tg4mm.capture.look.rows import by_phases
+from tg4mm.capture.look.scene import PATTERNS
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import LOG2, spectrum
 
@@ -34,8 +37,7 @@ _GROWS = 4  # times
 _SEEN = 0.04  # of the region's information squared that a picture must have
 _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P pictures' lack of detail
-_READOUT_S, _READOUT_STEPS = 0.045, 181
-_READOUT_CELLS, _READOUT_STATISTIC, _READOUT_GAIN = 5, 25.0, 8.0
+_READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Placed:
     centre_px: tuple[float, float]
     region: np.ndarray  # indices of the grid's cells that the amplitude is of
     moving: np.ndarray  # indices of the grid's cells that show the line
-    readout_s: float | None  # from the first row to the last, where phases rise with the row
+    readout: Readout | None  # that would make phases alike at all heights
 
 
 @dataclass(frozen=True)
@@ -239,21 +241,23 @@ class _Placing:
             return 0.0
         return max(0.0, 1 - float(np.median(series.misfit[forward]) / np.median(series.misfit[intra])))
 
-    def _readout(self, direction: np.ndarray) -> float | None:
-        """Seconds over which rows are read, where phases rise with the row: the likeliest, if likelier than none."""
+    def _readout(self, direction: np.ndarray) -> Readout | None:
+        """The readout that the cells' phases along the direction tell."""
         statistic = self.cells.statistic
         cells = np.flatnonzero(statistic > _READOUT_STATISTIC)
-        if len(cells) <= _READOUT_CELLS:
+        if len(cells) <= _READOUT_CELLS or self._meets_image():
             return None
         values = np.einsum("icx,x->ic", self.cells.fit[:, cells], direction)
-        turned = statistic[cells] * np.exp(2j * np.angle(values[0] - 1j * values[1]))
-        rows = self.cells.pool.centre[cells, 1] / self.search.scene.series.size[1]
-        tried = np.linspace(-_READOUT_S, _READOUT_S, _READOUT_STEPS)
-        turns = np.exp(-4j * np.pi * self.line.vibration.hz * np.outer(tried, rows))
-        likely = np.abs(turns @ turned)
-        best, none = int(likely.argmax()), len(tried) // 2
-        at_end = best in (0, len(tried) - 1)
-        return None if at_end or (likely[best] - likely[none]) / 2 < _READOUT_GAIN else float(tried[best])
+        heights = self.cells.pool.centre[cells, 1] / self.search.scene.series.size[1]
+        angles = np.angle(values[0] - 1j * values[1])
+        return by_phases(angles, statistic[cells], heights, self.line.vibration.hz)
+
+    def _meets_image(self) -> bool:
+        """Whether images that a codec makes of the line, at j / p of the rate less its frequency, lie on it."""
+        scene, hz = self.search.scene, self.line.vibration.hz
+        images = [j / p / scene.dt - hz for p in PATTERNS for j in range(1, p)]
+        is_coded = bool((scene.series.kinds != INTRA).any())
+        return is_coded and min(abs(image - hz) for image in images) < 2 / scene.duration
 
 
 def _along(fit: np.ndarray, noise: np.ndarray, inverse: np.ndarray) -> tuple[float, float, np.ndarray, float]:

@@ -52,13 +52,17 @@ class CellSeries:
     grid: Grid
     size: tuple[int, int]  # width and height, pixels
     first: np.ndarray  # [H, W] uint8: the first picture
+    row_means: np.ndarray  # [F, H] grey levels
 
     def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> CellSeries:
         """Those pictures alone, with these times."""
         return replace(
             self,
             times_s=times_s,
-            **{name: getattr(self, name)[which] for name in ("kinds", "shift", "gain", "misfit", "place")},
+            **{
+                name: getattr(self, name)[which]
+                for name in ("kinds", "shift", "gain", "misfit", "place", "row_means")
+            },
         )
 
 
@@ -67,6 +71,7 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
     reader = _Reader()
     times: list[float] = []
     kinds: list[int] = []
+    row_means: list[np.ndarray] = []
     waiting: list[np.ndarray] = []
     shape: tuple[int, ...] | None = None
     first: np.ndarray | None = None
@@ -79,6 +84,7 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
         first = np.array(picture.grey).astype(np.uint8) if first is None else first
         times.append(picture.time_s)
         kinds.append(picture.kind)
+        row_means.append(picture.grey.mean(1, dtype=np.float32))
         waiting.append(picture.grey.copy())
         if len(waiting) == (
             _AT_ONCE if reader.templates else max(FEWEST, min(_FIRST, _FIRST_BYTES // picture.grey.size))
@@ -106,7 +112,7 @@ def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> Cel
             reader.grid,
             (shape[1], shape[0]),
         ),
-        first,
+        *(first, np.stack(row_means)),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look.model import Found, LookLine, Mover, Tone
+from tg4mm.capture.look.model import Found, LookLine, Mover, Readout, Tone
 
 
 def to_record(found: Found) -> dict[str, Any]:
@@ -29,6 +29,8 @@ def to_record(found: Found) -> dict[str, Any]:
         "cell_px": found.cell_px,
         "size": list(found.size),
         "without_between": found.without_between,
+        "light_readout": None if found.light_readout is None else asdict(found.light_readout),
+        "rows_s": found.rows_s,
     }
 
 
@@ -57,6 +59,8 @@ def from_record(values: Mapping[str, Any]) -> Found:
         cell_px=values["cell_px"],
         size=tuple(values["size"]),
         without_between=values.get("without_between", False),
+        light_readout=Readout(**values["light_readout"]) if values.get("light_readout") else None,
+        rows_s=values.get("rows_s", 0.0),
     )
 
 

@@ -12,6 +12,7 @@ from tg4mm.capture.look import Found, Picture, look_at_pictures
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import FEWEST, INTRA
 from tg4mm.capture.look.record import from_record, to_record
+from tg4mm.capture.look.rows import with_rows
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.capture.scene import picture_kinds, video_file
 from tg4mm.core.progress import progress
@@ -31,12 +32,7 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
         if (video := video_file(capture.root)) is not None:
             lines = with_losses(kept, video.path, kept.rate, video.from_s, video.repeats)
             kept = replace(kept, lines=lines)
-        if capture.rows_s:  # what is left to explain
-            lines = tuple(
-                line if line.readout_s is None else replace(line, readout_s=line.readout_s - capture.rows_s)
-                for line in kept.lines
-            )
-            kept = replace(kept, lines=lines)
+        kept = with_rows(kept, capture.rows_s)
         run.record(_STAGE, to_record(kept))
     return kept
 

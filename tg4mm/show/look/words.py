@@ -13,6 +13,7 @@ import numpy as np
 from tg4mm.capture.look import Look, LookLine, Mover
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
+from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.digits import value_with_deviation
 from tg4mm.core.files import write_json
@@ -118,17 +119,13 @@ class Words:
             )
         if (share := float(f.usable.mean())) < _TEXTURE:
             out.append(f"what moves where there is no texture: {share:.0%} of the picture can be used")
-        if f.readout_s is not None:
-            out.append(
-                f"phases at different heights: they rise with the row as if a picture were read over "
-                f"{1e3 * f.readout_s:.1f} ms"
-            )
-        return out
+        return out + [note for note in [row_note(f)] if note]
 
     def commands(self) -> list[tuple[str, str]]:
         """(command, what it does) to go on with."""
         name = shlex.quote(self.source.stem)
         asked = f" --fps {self.fps:g}" if self.fps is not None else ""
+        asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
         asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
         asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
         if not self.found.vibrations:

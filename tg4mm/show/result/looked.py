@@ -9,6 +9,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
+from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.scene import video_file
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
@@ -74,12 +75,7 @@ def looked_notes(found: Found) -> list[str]:
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
-    if found.readout_s is not None:
-        out.append(
-            f"phases at different heights to better than the readout: they rise with the row as if a picture were read "
-            f"over {1e3 * found.readout_s:.1f} ms"
-        )
-    return out
+    return out + [note for note in [row_note(found)] if note]
 
 
 def _moves(mover: Mover) -> str:

@@ -1,0 +1,108 @@
+"""How long rows take to be read: told by phases and by light, with a ± that is true, offered and never applied."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.film import Film, Layer, Mode, texture
+from tests.helpers.look import found
+from tg4mm.capture.look import Look, Picture, look_at_pictures
+from tg4mm.capture.look.model import Readout
+from tg4mm.capture.look.record import from_record, to_record
+from tg4mm.capture.look.rows import by_light, by_phases, readout_of, row_note, with_rows
+
+WIDTH, HEIGHT, FPS, FRAMES, HZ, READOUT_S = 96, 128, 30, 120, 6.3, 0.02
+POST = (32, 8, 64, 120)
+
+
+def swaying(readout_s: float) -> Iterator[Picture]:
+    """A rigid post; every sixteen rows are read at the time of their middle."""
+    films = []
+    for top in range(0, HEIGHT, 16):
+        rng, delay = np.random.default_rng(4), readout_s * ((top + 8) / HEIGHT - 0.5)
+        wall, post = (texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2))
+        mode = Mode(
+            np.broadcast_to([0.15, 0.05], (HEIGHT, WIDTH, 2)),
+            lambda t, d=delay: float(np.cos(2 * np.pi * HZ * (t + d))),
+        )
+        film = Film([Layer(wall, None, [], 0.6), Layer(post, POST, [mode], 0.6)], FPS, FRAMES, 3.0, seed=4)
+        films.append(film.pictures())
+    for k, parts in enumerate(zip(*films, strict=True)):
+        rows = [np.asarray(p)[16 * i : 16 * i + 16] for i, p in enumerate(parts)]
+        yield Picture(np.concatenate(rows), k / FPS)
+
+
+@pytest.fixture(scope="module")
+def post() -> Look:
+    return look_at_pictures(swaying(READOUT_S), "a post")
+
+
+def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post: Look) -> None:
+    told = readout_of(post)
+    assert told is not None
+    assert abs(told.seconds - READOUT_S) < 2.5 * told.deviation_s < 0.006
+    note = row_note(post)
+    assert f"--readout {1e3 * told.seconds:.1f} would explain it, ± " in note
+    assert note.endswith("if what vibrates moves at the same time at all heights")
+    assert post.rows_s == 0  # never applied
+    assert row_note(with_rows(post, READOUT_S)) == ""
+    assert "other than the readout that was given" in row_note(with_rows(post, READOUT_S - 0.012))
+
+
+def test_a_phase_is_that_of_the_frames_time_where_the_readout_is_given(post: Look) -> None:
+    (line,) = post.vibrations
+    upper = replace(line, centre_px=(48.0, 16.0), phase_rad=-2 * np.pi * HZ * READOUT_S * 0.375)
+    (given,) = with_rows(replace(post, lines=(upper,)), READOUT_S).lines
+    assert given.phase_rad == pytest.approx(0, abs=0.01)
+
+
+def test_deviations_by_phases_cover_the_truth() -> None:
+    rng, off, answered = np.random.default_rng(1), [], 0
+    for _ in range(200):
+        hz, readout, weight = rng.uniform(2, 20), rng.uniform(0.006, 0.03), np.exp(rng.uniform(3.5, 6))
+        heights = np.repeat(np.linspace(0.1, 0.9, 10), 3)
+        angles = 2 * np.pi * hz * readout * heights + rng.normal(size=30) / weight**0.5
+        angles += np.pi * (heights > rng.uniform(0, 2))  # beyond a node
+        told = by_phases(angles, np.full(30, weight), heights, hz)
+        if told is not None:
+            answered += 1
+            off.append(abs(told.seconds - readout) / told.deviation_s)
+    assert answered > 100
+    assert np.mean(np.array(off) < 2) > 0.93
+    assert np.mean(np.array(off) < 1) < 0.95  # and not by being far too wide
+
+
+def bands_of_light(rate: float, mains: float, depth: float, rng: np.random.Generator) -> np.ndarray:
+    times, rows = np.arange(int(4 * rate)) / rate, 0.015 * (np.arange(120) + 0.5) / 120
+    level = 100 + 20 * np.sin(np.arange(120) / 9)
+    turns = mains * (times[:, None] + rows) + 0.3
+    return level * (1 + depth * np.cos(2 * np.pi * turns)) + rng.normal(size=(len(times), 120)) * 0.3
+
+
+@pytest.mark.parametrize(("rate", "mains"), [(30, 100), (24, 100.02), (60, 99.97), (25, 120), (50, 120)])
+def test_a_lamp_tells_the_readout(rate: float, mains: float) -> None:
+    rows = bands_of_light(rate, mains, 0.01, np.random.default_rng(2))
+    told = by_light(rows, np.arange(len(rows)) / rate)
+    assert told is not None
+    assert told.light_hz == round(mains / 20) * 20
+    assert abs(told.seconds - 0.015) < max(3 * told.deviation_s, 1e-5) < 1e-3
+    light = replace(found(), light_readout=told)
+    assert f"if lamps flicker at {told.light_hz:g} Hz" in row_note(light)
+    assert from_record(to_record(light)).light_readout == told
+
+
+@pytest.mark.parametrize(("rate", "mains", "depth"), [(30, 120, 0.05), (25, 100, 0.05), (30, 100, 0.0)])
+def test_light_that_stands_or_is_steady_tells_nothing(rate: float, mains: float, depth: float) -> None:
+    rows = bands_of_light(rate, mains, depth, np.random.default_rng(3))
+    assert by_light(rows, np.arange(len(rows)) / rate) is None
+
+
+@pytest.mark.parametrize("seconds", [-0.012, 0.06])
+def test_what_no_readout_explains_is_offered_none(seconds: float) -> None:
+    note = row_note(replace(found(), light_readout=Readout(seconds, 0.001)))
+    assert "which no readout of 0 to 33.33 ms from top to bottom explains" in note
+    assert "--readout" not in note
