@@ -18,20 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.colour import to_display, to_linear
+
 from . import exr, png
 from .errors import GenerateError, check_choice, check_whole, check_within
-
-
-def to_display(linear: np.ndarray) -> np.ndarray:
-    """Linear light to sRGB (IEC 61966-2-1), clipped to 0 … 1, of any shape; float in, the same float out."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(x.dtype)
-
-
-def to_linear(display: np.ndarray) -> np.ndarray:
-    """sRGB in 0 … 1 to linear light, of any shape; the inverse of `to_display`."""
-    x = np.clip(display, 0.0, 1.0)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(x.dtype)
 
 
 def to_integers(values: np.ndarray, bits: int) -> np.ndarray:

@@ -229,16 +229,9 @@ def _ended(job: Job, splat: Path) -> None:
 
 
 _CLASSES = (
-    TG4MM_OT_use_selection,
-    TG4MM_OT_move_everything,
-    TG4MM_OT_fit_mode,
-    TG4MM_OT_mode_from_cursor,
-    TG4MM_OT_preview_start,
-    TG4MM_OT_preview_stop,
-    TG4MM_OT_generate,
-    TG4MM_OT_train,
-    TG4MM_OT_cancel_job,
-)
+    TG4MM_OT_use_selection, TG4MM_OT_move_everything, TG4MM_OT_fit_mode, TG4MM_OT_mode_from_cursor,
+    TG4MM_OT_preview_start, TG4MM_OT_preview_stop, TG4MM_OT_generate, TG4MM_OT_train, TG4MM_OT_cancel_job,
+)  # fmt: skip
 
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

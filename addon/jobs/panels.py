@@ -207,11 +207,8 @@ def wrapped(text: str, width: int) -> list[str]:
 
 
 _CLASSES = (
-    VIEW3D_PT_tg4mm_generate,
-    VIEW3D_PT_tg4mm_mode,
-    VIEW3D_PT_tg4mm_views,
-    VIEW3D_PT_tg4mm_train,
-)
+    VIEW3D_PT_tg4mm_generate, VIEW3D_PT_tg4mm_mode, VIEW3D_PT_tg4mm_views, VIEW3D_PT_tg4mm_train,
+)  # fmt: skip
 
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from tg4mm.core.progress import clock_text
+
 _MARK = '{"tg4mm": '  # how an event begins
 _LONGEST_EVENT = 20_000  # characters
 _LONGEST = 400  # characters of a line that is shown
@@ -42,7 +44,7 @@ class Progress:
         """For a progress bar."""
         if not self.total:
             return self.label
-        left = "" if self.left_s is None else f", {_clock(self.left_s)} left"
+        left = "" if self.left_s is None else f", {clock_text(self.left_s)} left"
         return f"{self.label} {self.done}/{self.total}{left}"
 
 
@@ -100,12 +102,6 @@ def _count(value: Any) -> int:
 
 def _seconds(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and 0 <= value < math.inf else None
-
-
-def _clock(seconds: float) -> str:
-    minutes, s = divmod(round(seconds), 60)
-    hours, m = divmod(minutes, 60)
-    return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"
 
 
 PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one

@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from tg4mm.core.colour import STILL_BELOW
+from tg4mm.core.colour import STILL_BELOW, to_display
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names
@@ -86,9 +86,9 @@ def work_out(name: str, encoded: bool = False) -> None:
     maps = colours.amplitude_map(), colours.phase_and_still()
     emitted = np.concatenate(maps)
     try:
-        rows = through_view(colours.display(emitted) if encoded else emitted, scene)
+        rows = through_view(to_display(emitted) if encoded else emitted, scene)
     except (OSError, RuntimeError):  # no room for the picture
-        rows = colours.display(emitted)
+        rows = to_display(emitted)
     as_rows = [tuple(map(tuple, part.tolist())) for part in np.split(rows, [len(maps[0])])]
     _known[key] = as_rows[0], as_rows[1]
     for window in bpy.context.window_manager.windows:

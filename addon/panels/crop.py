@@ -183,13 +183,9 @@ class VIEW3D_PT_tg4mm_crop(_SplatTab, bpy.types.Panel):
 
 
 _CLASSES = (
-    TG4MM_OT_crop,
-    TG4MM_OT_remove_floaters,
-    TG4MM_OT_crop_outliers,
-    TG4MM_OT_add_crop_box,
-    TG4MM_OT_make_mesh,
-    VIEW3D_PT_tg4mm_crop,
-)
+    TG4MM_OT_crop, TG4MM_OT_remove_floaters, TG4MM_OT_crop_outliers, TG4MM_OT_add_crop_box,
+    TG4MM_OT_make_mesh, VIEW3D_PT_tg4mm_crop,
+)  # fmt: skip
 
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

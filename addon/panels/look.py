@@ -219,16 +219,9 @@ class TG4MM_OT_band(_OnMotion):
 
 
 _CLASSES = (
-    TG4MM_OT_true_colours,
-    TG4MM_OT_restore_picture,
-    TG4MM_OT_exact_look,
-    TG4MM_OT_blend_as_trained,
-    TG4MM_OT_solid_colours,
-    TG4MM_OT_one_mesh,
-    TG4MM_OT_file_units,
-    TG4MM_OT_fit_colour_range,
-    TG4MM_OT_band,
-)
+    TG4MM_OT_true_colours, TG4MM_OT_restore_picture, TG4MM_OT_exact_look, TG4MM_OT_blend_as_trained,
+    TG4MM_OT_solid_colours, TG4MM_OT_one_mesh, TG4MM_OT_file_units, TG4MM_OT_fit_colour_range, TG4MM_OT_band,
+)  # fmt: skip
 
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -232,13 +232,9 @@ def _shading(context: Any) -> str | None:
 
 
 _CLASSES = (
-    VIEW3D_PT_tg4mm,
-    VIEW3D_PT_tg4mm_motion,
-    VIEW3D_PT_tg4mm_band,
-    VIEW3D_PT_tg4mm_frequencies,
-    VIEW3D_PT_tg4mm_look,
-    VIEW3D_PT_tg4mm_details,
-)
+    VIEW3D_PT_tg4mm, VIEW3D_PT_tg4mm_motion, VIEW3D_PT_tg4mm_band, VIEW3D_PT_tg4mm_frequencies,
+    VIEW3D_PT_tg4mm_look, VIEW3D_PT_tg4mm_details,
+)  # fmt: skip
 
 
 def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:

@@ -17,6 +17,8 @@ import blf
 import imbuf
 import numpy as np
 
+from tg4mm.core.colour import to_display
+
 from ..nodes import blending, colours
 from ..units import Unit
 
@@ -38,7 +40,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 92.0, 312.0  # of the plot's area
 
 def standard_rows(linear: np.ndarray) -> Rows:
     """Linear colours [K, 3] as the view transform Standard shows them."""
-    return tuple((float(r), float(g), float(b)) for r, g, b in colours.display(linear))
+    return tuple((float(r), float(g), float(b)) for r, g, b in to_display(linear))
 
 
 STANDARD_AMPLITUDE, STANDARD_PHASE = map(standard_rows, (colours.amplitude_map(), colours.phase_and_still()))

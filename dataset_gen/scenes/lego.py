@@ -57,14 +57,9 @@ def _baseplate(model: b.BrickModel) -> None:
     model.brick("base", (-13, -8, -0.5), (26, 16, 0.515))
 
 
-def _mirror_y(model: b.BrickModel, part: str, mesh: Mesh) -> None:
-    model.add(part, mesh)
-    model.add(part, s.mirrored(mesh, 1))
-
-
 def _chassis(model: b.BrickModel) -> None:
     beam = b.beam(16).moved(m.frame((-8.0, 2.5, 2.5), (0, 1, 0), (1, 0, 0)))
-    _mirror_y(model, "chassis", beam)
+    gear.mirror(model, "chassis", beam)
     for x in (-8, -4, 0, 4):
         model.brick("frame", (x, -2, 1.9), (4, 4, 0.8), studs=False)
     for x, n in ((-8, 4), (-4, 6), (2, 6)):
@@ -81,7 +76,7 @@ def _chassis(model: b.BrickModel) -> None:
         model.brick("lights", (-8, 4 * side - (side < 0), 5.5), (1, 1, 0.4))
     _tank(model)
     for x in (-5, -3, -2, 1, 2, 3, 4, 7):
-        _mirror_y(model, "pins", b.pin().moved(m.frame((x, 2.988, 2.5), (0, 1, 0))))
+        gear.mirror(model, "pins", b.pin().moved(m.frame((x, 2.988, 2.5), (0, 1, 0))))
 
 
 def _mudguard(x: float, side: int) -> Mesh:
@@ -157,8 +152,8 @@ def _engine(model: b.BrickModel) -> None:
     cap = m.revolve([(0.0, 1.06), (0.3, 1.06), (0.3, 1.24), (0.22, 1.3), (0.0, 1.3)], 16)
     for x in (2.8, 4.3, 5.8):
         at = m.frame((x, 1.98, 5.35), (0, 1, -0.35))
-        _mirror_y(model, "engine", cylinder.moved(at))
-        _mirror_y(model, "red", cap.moved(at))
+        gear.mirror(model, "engine", cylinder.moved(at))
+        gear.mirror(model, "red", cap.moved(at))
     model.brick("grey", (7, -2, 3.5), (1, 4, 2.8), studs=False)
     for z in np.arange(3.75, 6.1, 0.42):
         model.add("engine", s.block((7.9, -1.6, z), (8.12, 1.6, z + 0.22), 0.04))
@@ -177,7 +172,7 @@ def _cab(model: b.BrickModel) -> None:
         for z in (6.5, 8.5, 10.5):
             model.add("cab_pins", b.pin().moved(m.frame((x + 0.488, y, z), (1, 0, 0))))
     rail = b.beam(5, height=1.0).moved(m.frame((-5.0, 2.5, 9.95), (0, 1, 0), (1, 0, 0)))
-    _mirror_y(model, "cab", rail)
+    gear.mirror(model, "cab", rail)
     for x, n in ((-6, 4), (-2, 3)):
         model.brick("cab", (x, -3, 11.5), (n, 3, 0.4))
         model.brick("cab", (x, 0, 11.5), (n, 3, 0.4))

@@ -18,7 +18,7 @@ _BLADE = (12.7, 3.2, 3.4)  # centre x, centre z and radius of the mouldboard's f
 _PISTON = (np.array([3.2, 2.95, 6.9]), np.array([9.0, 2.95, 4.7]))  # from the bonnet to the blade's back
 
 
-def _mirror(model: b.BrickModel, part: str, mesh: Mesh) -> None:
+def mirror(model: b.BrickModel, part: str, mesh: Mesh) -> None:
     model.add(part, mesh)
     model.add(part, s.mirrored(mesh, 1))
 
@@ -54,19 +54,19 @@ def running_gear(model: b.BrickModel) -> None:
     for (x, z), a in zip(places, headings, strict=True):
         out = (np.sin(a), 0.0, -np.cos(a))
         forward = (np.cos(a), 0.0, np.sin(a))
-        _mirror(model, "tracks", link.moved(m.frame((x, _TRACK_Y, z), out, forward)))
+        mirror(model, "tracks", link.moved(m.frame((x, _TRACK_Y, z), out, forward)))
     for x, teeth in zip(_WHEELS, (16, 22), strict=True):
         wheel = b.gear(teeth, _BELT - 0.06, 1.1, spokes=6 if teeth == 16 else 5)
-        _mirror(model, "wheels", wheel.moved(m.frame((x, _TRACK_Y, _AXLE_Z), (0, 1, 0))))
-        _mirror(model, "axles", b.axle(4.5).moved(m.frame((x, 1.9, _AXLE_Z), (0, 1, 0))))
-        _mirror(model, "wheels", b.bush(0.5, 0.6).moved(m.frame((x, 5.35, _AXLE_Z), (0, 1, 0))))
+        mirror(model, "wheels", wheel.moved(m.frame((x, _TRACK_Y, _AXLE_Z), (0, 1, 0))))
+        mirror(model, "axles", b.axle(4.5).moved(m.frame((x, 1.9, _AXLE_Z), (0, 1, 0))))
+        mirror(model, "wheels", b.bush(0.5, 0.6).moved(m.frame((x, 5.35, _AXLE_Z), (0, 1, 0))))
     beam = b.beam(6).moved(m.frame((-3.5, _TRACK_Y, _AXLE_Z + 0.2), (0, 1, 0), (1, 0, 0)))
-    _mirror(model, "frame", beam)
+    mirror(model, "frame", beam)
     for x in (-3.2, -1.4, 0.4, 2.2):
-        _mirror(model, "wheels", b.wheel(0.62, 1.5).moved(m.frame((x, _TRACK_Y, 1.55), (0, 1, 0))))
+        mirror(model, "wheels", b.wheel(0.62, 1.5).moved(m.frame((x, _TRACK_Y, 1.55), (0, 1, 0))))
     for x in (-2.5, 1.5):
-        _mirror(model, "wheels", b.wheel(0.4, 1.5).moved(m.frame((x, _TRACK_Y, 3.56), (0, 1, 0))))
-    _mirror(model, "axles", b.axle(5.4).moved(m.frame((HINGE[0], 1.9, HINGE[2]), (0, 1, 0))))
+        mirror(model, "wheels", b.wheel(0.4, 1.5).moved(m.frame((x, _TRACK_Y, 3.56), (0, 1, 0))))
+    mirror(model, "axles", b.axle(5.4).moved(m.frame((HINGE[0], 1.9, HINGE[2]), (0, 1, 0))))
 
 
 def _face(angles: np.ndarray, radius: float) -> np.ndarray:
@@ -135,27 +135,27 @@ def _ribs(model: b.BrickModel) -> None:
 def arms(model: b.BrickModel) -> None:
     """Push arms outside the tracks, hinged at the track frames, and the two lift pistons."""
     arm = b.beam(10).moved(m.frame((-1.5, 6.7, 2.5), (0, 1, 0), (1, 0, 0)))
-    _mirror(model, "arms", arm)
+    mirror(model, "arms", arm)
     for x in (1.5, 3.5, 5.5, 7.5):
-        _mirror(model, "blade_pins", b.pin().moved(m.frame((x, 7.188, 2.5), (0, 1, 0))))
-    _mirror(model, "wheels", b.bush(0.46, 0.3).moved(m.frame((HINGE[0], 6.0 - 0.15, HINGE[2]), (0, 1, 0))))
+        mirror(model, "blade_pins", b.pin().moved(m.frame((x, 7.188, 2.5), (0, 1, 0))))
+    mirror(model, "wheels", b.bush(0.46, 0.3).moved(m.frame((HINGE[0], 6.0 - 0.15, HINGE[2]), (0, 1, 0))))
     foot, head = _PISTON
     along = (head - foot) / np.linalg.norm(head - foot)
     length = float(np.linalg.norm(head - foot))
     barrel = [(0.0, 0.0), (0.42, 0.0), (0.5, 0.06), *((0.5, z) for z in np.linspace(0.4, 3.4, 9)),
               (0.58, 3.42), (0.58, 3.8), (0.5, 3.88), (0.3, 3.88)]  # fmt: skip
-    _mirror(model, "pistons", m.revolve(barrel, 24).moved(m.frame(foot, along)))
+    mirror(model, "pistons", m.revolve(barrel, 24).moved(m.frame(foot, along)))
     rod = [
         (0.0, 3.0),
         (0.26, 3.0),
         *((0.26, z) for z in np.linspace(3.3, length - 0.1, 10)),
         (0.0, length - 0.1),
     ]
-    _mirror(model, "rods", m.revolve(rod, 20).moved(m.frame(foot, along)))
+    mirror(model, "rods", m.revolve(rod, 20).moved(m.frame(foot, along)))
     eye = m.revolve([(0.0, -0.26), (0.36, -0.26), (0.42, -0.2), (0.42, 0.2), (0.36, 0.26), (0.0, 0.26)], 20)
-    _mirror(model, "rods", eye.moved(m.frame(head - 0.02 * along, (0, 1, 0))))
-    _mirror(model, "pins", eye.moved(m.frame(foot, (0, 1, 0))))
-    _mirror(model, "axles", b.axle(1.6, 0.22).moved(m.frame(foot - [0, 1.1, 0], (0, 1, 0))))
+    mirror(model, "rods", eye.moved(m.frame(head - 0.02 * along, (0, 1, 0))))
+    mirror(model, "pins", eye.moved(m.frame(foot, (0, 1, 0))))
+    mirror(model, "axles", b.axle(1.6, 0.22).moved(m.frame(foot - [0, 1.1, 0], (0, 1, 0))))
 
 
 def follow_of_pistons(name: str, vertices: np.ndarray) -> np.ndarray:

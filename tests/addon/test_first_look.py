@@ -54,7 +54,7 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
     np.testing.assert_allclose(shown, amount_colours(amplitude / top), atol=0.01)
     put(names.COLOUR_BY, names.PHASE_COLOUR)
     share = phase_share(amplitude / top)[:, None]
-    linear = share * colours.linear(phase_colours(2 * np.pi * turns)) + (1 - share) * colours.linear(
+    linear = share * colours.to_linear(phase_colours(2 * np.pi * turns)) + (1 - share) * colours.to_linear(
         np.array(STILL)
     )
     np.testing.assert_allclose(shown_colours(obj), linear, atol=0.01)

@@ -1,4 +1,4 @@
-"""Colour maps of even lightness, made in OKLab: one for amounts, one that closes on itself for phases.
+"""sRGB and linear light; colour maps of even lightness by OKLab, for amounts and, closing on itself, for phases.
 
 The report, the viewer and the extension for Blender all take theirs from here. Needs numpy alone.
 
@@ -36,12 +36,23 @@ _STOPS = np.array(
 )
 
 
+def to_display(linear: np.ndarray) -> np.ndarray:
+    """Linear light to sRGB (IEC 61966-2-1), clipped to 0 … 1, of any shape; float in, the same float out."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(x.dtype)
+
+
+def to_linear(display: np.ndarray) -> np.ndarray:
+    """sRGB in 0 … 1 to linear light, of any shape; the inverse of `to_display`."""
+    x = np.clip(display, 0.0, 1.0)
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(x.dtype)
+
+
 def srgb_of_oklch(lightness: np.ndarray, chroma: np.ndarray, hue_deg: np.ndarray) -> np.ndarray:
     """Display-referred sRGB [..., 3] in 0..1 of OKLCH coordinates, clipped to the gamut."""
     hue = np.radians(hue_deg)
     lab = np.stack(np.broadcast_arrays(lightness, chroma * np.cos(hue), chroma * np.sin(hue)), axis=-1)
-    linear = np.clip(((lab @ _LMS_FROM_LAB.T) ** 3) @ _RGB_FROM_LMS.T, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return to_display(((lab @ _LMS_FROM_LAB.T) ** 3) @ _RGB_FROM_LMS.T)
 
 
 def amount_colours(values: np.ndarray) -> np.ndarray:

@@ -241,8 +241,10 @@ def test_colours_seen_by_the_camera_are_those_of_the_harmonics(
         srgb = np.clip(
             0.5 + np.einsum("nk,nkc->nc", harmonics(toward)[:, : (degree + 1) ** 2], splat.sh), 0, 1
         )
-        np.testing.assert_allclose(shown_colours(obj, frame), extension.nodes.colours.linear(srgb), atol=3e-3)
+        np.testing.assert_allclose(
+            shown_colours(obj, frame), extension.nodes.colours.to_linear(srgb), atol=3e-3
+        )
     put(names.VIEW_COLOUR, False)
     rest = extension.nodes.colours.rest_colours(splat.sh)[:, :3]
     assert np.abs(shown_colours(obj, 8) - rest).max() < 1e-5
-    assert np.abs(extension.nodes.colours.linear(srgb) - rest).max() > 0.1
+    assert np.abs(extension.nodes.colours.to_linear(srgb) - rest).max() > 0.1

@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 import re
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -43,15 +42,19 @@ _CONTEXT: dict[Any, Any] = {
 }
 
 
-def chart(
-    draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3), columns: int = 1
-) -> Markup:
-    """An inline SVG of what `draw` puts on a matplotlib axes (with `columns` > 1 a list of them), `size` in inches.
+def chart(draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3)) -> Markup:
+    """An inline SVG of what `draw` puts on a matplotlib axes, `size` in inches.
 
     `label` says what it shows to those who do not see it.
     """
-    with _figure(size, columns) as (figure, axes):
-        draw(axes)
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_CONTEXT):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure.subplots())
         for one in figure.axes:
             one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED)
             if (legend := one.get_legend()) is not None:  # over the drawing, not on it
@@ -60,19 +63,6 @@ def chart(
         data = io.StringIO()
         figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(data.getvalue(), label)
-
-
-@contextmanager
-def _figure(size: tuple[float, float], columns: int) -> Iterator[tuple[Any, Any]]:
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(_CONTEXT):
-        figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasSVG(figure)
-        axes = figure.subplots(1, columns)
-        yield figure, axes
 
 
 def _inline(text: str, label: str) -> Markup:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.colour import to_display
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.png16 import MAX_PIXELS
 
@@ -48,8 +49,7 @@ def decode(path: Path) -> np.ndarray:
     rgba = linear(path)
     alpha = np.clip(rgba[..., 3:], 0, 1)
     colour = np.clip(np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0), 0, 1)
-    srgb = np.where(colour <= 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
-    return np.floor(np.concatenate([srgb, alpha], axis=-1) * 65535 + 0.5).astype(np.uint16)
+    return np.floor(np.concatenate([to_display(colour), alpha], axis=-1) * 65535 + 0.5).astype(np.uint16)
 
 
 def linear(path: Path) -> np.ndarray:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import json_digest
 from tg4mm.core.pictures.frames import to_bytes, write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed, write_sealed
@@ -163,7 +162,7 @@ def _found(
     method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: Plan
 ) -> tuple[str, dict[str, Any] | None]:
     """(the digest of all that the pictures depend on, their record where they are there)."""
-    recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
+    recipe = json_digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})[:20]
     folder, truth = picture_folder(place, row), truth_at(data, alpha)
     old = _read(_record_of(folder, alpha), _RECORD)
     there = old is not None and old["recipe"] == recipe
@@ -218,8 +217,4 @@ def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[
         "vqa": [[c.metric, c.python, str(c.folder), files_state([c.program], c.folder)] for c in vqa],
         "truth": truth_state(data, alpha),
     }
-    return _digest(asked)
-
-
-def _digest(value: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:20]
+    return json_digest(asked)[:20]

@@ -55,9 +55,9 @@ def mean_of_all(values: Iterable[float | None]) -> float | None:
     return None if None in known else mean(known)
 
 
-def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") -> float | None:
-    """How much a way's SSIM (or PSNR) lies below the ceiling of the same Gaussians."""
-    ours, best = (row.get(name, {}).get(metric) for name in (way, CEILING))
+def gap(row: Mapping[str, Mapping[str, Any]], way: str) -> float | None:
+    """How much a way's SSIM lies below the ceiling of the same Gaussians."""
+    ours, best = (row.get(name, {}).get("ssim") for name in (way, CEILING))
     return None if ours is None or best is None else best - ours
 
 
@@ -68,11 +68,18 @@ def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) 
     of different scenes must not stand in one line. For the same reason a scalar that a set has for no row is the mean
     of the other sets in every row, and one that only this row lacks somewhere is None.
     """
-    runs, found = list(runs), dict[tuple[str, str], list[Mapping[str, Any]]]()
-    for run in runs:
-        found.setdefault((group_of[run["set"]], run["row"]), []).append(run)
+    runs = list(runs)
     measured = {(run["set"], k) for run in runs for k, value in scalars(run).items() if value is not None}
-    return [_group_mean(group, row, some, measured) for (group, row), some in found.items()]
+    return [_group_mean(group, row, some, measured) for (group, row), some in _grouped(runs, group_of)]
+
+
+def _grouped(
+    entries: list[Mapping[str, Any]], group_of: Mapping[str, str]
+) -> Iterable[tuple[tuple[str, str], list[Mapping[str, Any]]]]:
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        found.setdefault((group_of[entry["set"]], entry["row"]), []).append(entry)
+    return found.items()
 
 
 def _group_mean(
@@ -102,9 +109,7 @@ def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) 
     As in `group_means` an α counts where every set that has the row has it. A metric that a set has for no row (nothing
     moves there, say) is the mean of the other sets in every row; one that only this row lacks somewhere is None.
     """
-    lines, found = list(lines), dict[tuple[str, str], list[Mapping[str, Any]]]()
-    for line in lines:
-        found.setdefault((group_of[line["set"]], line["row"]), []).append(line)
+    lines = list(lines)
     scored = {
         (line["set"], alpha, metric)
         for line in lines
@@ -112,7 +117,7 @@ def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) 
         for metric, value in scores.items()
         if value is not None
     }
-    return [_line_mean(group, row, some, scored) for (group, row), some in found.items()]
+    return [_line_mean(group, row, some, scored) for (group, row), some in _grouped(lines, group_of)]
 
 
 def _line_mean(

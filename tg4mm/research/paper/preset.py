@@ -9,8 +9,6 @@ not what was written is made anew. The latest four are kept.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import warnings
 import zlib
@@ -25,7 +23,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from tg4mm.capture import Capture, load_images
-from tg4mm.core.files import give_back, write_json
+from tg4mm.core.files import give_back, json_digest, write_json
 from tg4mm.core.filters import bins
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.memory import reserve
@@ -98,7 +96,7 @@ def series_of(run: Run, method: str, plan: Magnification, device: str = "cpu") -
 def digest(run: Run, method: str, plan: Magnification) -> str:
     """What the magnified embeddings depend on, as a file name."""
     parts = [_VERSION, model_hash(run.path), method, asdict(plan) | {"method": None}, asdict(PyramidConfig())]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+    return json_digest(parts)[:20]
 
 
 def _stored(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.files import json_digest
 from tg4mm.core.progress import progress
 from tg4mm.core.records import write_sealed
 from tg4mm.research.bench import BenchError, StepError
@@ -239,7 +239,7 @@ def _place_name(job: _Job, data: BenchSet) -> str:
     """A folder's name: what is varied, and a digest, since a run belongs to its settings."""
     row = job.rows[0]
     key = [job.training.preset, dict(job.training.settings), *row.changed_data, data.digest]
-    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:8]
+    digest = json_digest(key)[:8]
     return f"{safe_name(row.label)}_{digest}"
 
 

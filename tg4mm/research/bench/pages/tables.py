@@ -13,17 +13,9 @@ from tg4mm.research.text import NOTHING, Table, shown
 Results = Mapping[str, Any]
 # Picture metrics that have a table of their own, methods down and α across.
 PIVOTS = (
-    "ssim",
-    "closure",
-    "gain",
-    "residual",
-    "ssim_moving",
-    "psnr_moving_db",
-    "flip",
-    "lpips",
-    "md_vqa",
+    "ssim", "closure", "gain", "residual", "ssim_moving", "psnr_moving_db", "flip", "lpips", "md_vqa",
     "fast_vqa",
-)
+)  # fmt: skip
 _SAYS = {
     "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, so that a "
     "still picture scores high.",
