@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tg4mm import __version__
 from tg4mm.core import events
 
 from . import processes, tree, truth
@@ -61,7 +62,7 @@ def claim(job: Job) -> Job:
     settings, root, bodies, motion = job.settings, job.root, job.bodies, job.motion
     amplitude = max(float(reach(shape[0]).max(initial=0.0)) for shape in motion.shapes)
     description = tree.describe(settings, amplitude, job.unit_scale_m, Quality.of(settings).describe())
-    description |= {"blender_version": blender_version(), "package_version": _package_version()}
+    description |= {"blender_version": blender_version(), "package_version": __version__}
     if settings.source.path:
         source = {**asdict(settings.source), "path": Path(settings.source.path).name}
         description["source"] = {**source, "sha256": _digest(Path(settings.source.path))}
@@ -158,12 +159,6 @@ def blender_version() -> str:
             f"bpy (Blender as a Python module) is not installed: {blender_remedy()}, or run this with "
             "blender --background --python dataset_gen/blender_main.py -- …"
         ) from None
-
-
-def _package_version() -> str:
-    from tg4mm import __version__
-
-    return __version__
 
 
 def _digest(path: Path) -> str:

@@ -20,7 +20,7 @@ from .errors import GenerateError
 from .plan import RANGE, UNCODED, Shot, ranges
 from .prepare import Job, claim, placed, plan
 from .processes import RunFailed
-from .report import write_overview, write_report
+from .report import write_report
 from .settings import Settings
 
 Timing = dict[str, Any]  # pictures, seconds, processes
@@ -206,8 +206,3 @@ def save_animation(settings: Settings, path: Path) -> Path:
         {"task": "animate", "settings": settings.to_json(), "path": str(path.resolve())}, "saving"
     )
     return path
-
-
-def overview(out: Path) -> Path:
-    """The page that shows all sets of a folder side by side."""
-    return write_overview(out)

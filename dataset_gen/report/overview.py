@@ -50,13 +50,15 @@ def write_overview(parent: Path) -> Path:
 
 def overview(entries: list[Entry]) -> page.Page:
     """The page."""
+    caption = "A training view of each; its name leads to its report."
+    grid = page.Figure([_panel(entry) for entry in entries], caption, 4)
     return page.Page(
         title="Vibrating scenes with exact motion",
         kicker="vibration datasets, an overview",
         summary=f"{_count(len(entries))} in this folder, with cameras, pictures and exact ground truth.",
         stats=_stats(entries),
         lead=[],
-        sections=[page.Section("The scenes", [_grid(entries), _table(entries), *_unreported(entries)])],
+        sections=[page.Section("The scenes", [grid, _table(entries), *_unreported(entries)])],
         footer=f"tg4mm {__version__}. Written from the reports of the sets.",
     )
 
@@ -85,12 +87,6 @@ def _stats(entries: list[Entry]) -> list[page.Stat]:
         between = f"{number(min(pixels), 2)} … {number(max(pixels), 2)}"
         stats.insert(1, page.Stat("Largest motion in a picture", between, "px", "from set to set, at α = 0"))
     return stats
-
-
-def _grid(entries: list[Entry]) -> page.Figure:
-    return page.Figure(
-        [_panel(entry) for entry in entries], "A training view of each; its name leads to its report.", 4
-    )
 
 
 def _panel(entry: Entry) -> page.Panel:

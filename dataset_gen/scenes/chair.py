@@ -172,7 +172,7 @@ def _back() -> list[Part]:
     middle = _on_back(flat)
     texels = of_grid(puff_points(middle, above, below), 768, 448)
     lifted, _ = _raised(BACK.rim(300, -0.012), 0.038)
-    cord = c.moulding(lifted, *_directions(BACK.rim(300, -0.012)), m.circle(0.0155, 12))
+    cord = c.moulding(lifted, *c.frames_on(_on_back, BACK.rim(300, -0.012))[1:], m.circle(0.0155, 12))
     nails, facing = _raised(BACK.rim(96, 0.021), 0.04)
     nearest = [np.unravel_index(np.argmin(np.linalg.norm(flat - b, axis=-1)), share.shape) for b in buttons]
     spots, outward = _raised(buttons, np.array([above[k] for k in nearest]) + 0.003)
@@ -198,10 +198,6 @@ def _back() -> list[Part]:
         part("back_buttons", _nails(spots, outward, 0.019), paint.button()),
         part("back_crest", _crest(), paint.gilt("back_crest", 2)),
     ]
-
-
-def _directions(rim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return c.frames_on(_on_back, rim)[1:]
 
 
 def _raised(points: np.ndarray, by: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

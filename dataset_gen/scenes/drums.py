@@ -112,7 +112,7 @@ def _snare() -> list[tuple[str, Mesh, Surface]]:
     for x, heading in ((-0.06, 0.3), (0.06, 0.4)):
         # The butt lies on the head, the neck on the hoop.
         out, start = (np.sin(heading), np.cos(heading), 0.065), (x, -0.18, 0.0105)
-        sticks.append(hw.stick().moved(m.frame(start, out)).moved(_flat_on(where, normal)))
+        sticks.append(hw.stick().moved(m.frame(start, out)).moved(m.frame(where, normal, (1.0, 0.0, 0.0))))
     strainer = [
         s.block((drum.radius - 0.002, -0.03, -0.12), (drum.radius + 0.03, 0.03, -0.05), 0.006).moved(at),
         tb.wing_nut((drum.radius + 0.028, 0.0, -0.085), (1, 0, 0), 0.05).moved(at),
@@ -130,11 +130,6 @@ def _snare() -> list[tuple[str, Mesh, Surface]]:
         ("snare_rubber", s.cube_mapped(rubber, 0.2), paint.rubber("snare_rubber")),
         ("sticks", m.join(sticks), paint.wood()),
     ]
-
-
-def _flat_on(where: tuple, normal: tuple) -> np.ndarray:
-    """Frame on a head with x to the drummer's right and y to the audience."""
-    return m.frame(where, normal, (1.0, 0.0, 0.0))
 
 
 def _rug() -> tuple[str, Mesh, Surface]:

@@ -51,7 +51,8 @@ def cymbals() -> list[Named]:
     for number, c in enumerate((*CYMBALS, HIHAT)):
         mesh = d.cymbal(c.radius, *_bell(c.radius)).moved(m.frame(c.pivot, c.normal, (1, 0, 0)))
         out.append((c.name, mesh, paint.cymbal(c.name, number, c.hammered, c.text)))
-    low = s.turned(_upside_down(d.cymbal(HIHAT.radius, *_bell(HIHAT.radius))))
+    high = d.cymbal(HIHAT.radius, *_bell(HIHAT.radius))
+    low = s.turned(Mesh(high.vertices * [1.0, 1.0, -1.0], high.triangles, high.uv))
     bell, bow = _bell(HIHAT.radius)
     drop = 2.0 * (0.32 * bell + bow) + 0.02
     at = np.asarray(HIHAT.pivot) - [0.0, 0.0, drop]
@@ -59,10 +60,6 @@ def cymbals() -> list[Named]:
         ("hihat_bottom", low.moved(m.frame(at, (0, 0, 1))), paint.cymbal("hihat_bottom", 9, 0.5, "HIHAT"))
     )
     return out
-
-
-def _upside_down(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.vertices * [1.0, 1.0, -1.0], mesh.triangles, mesh.uv)
 
 
 def _column(foot: np.ndarray, top: np.ndarray) -> list[Mesh]:

@@ -29,7 +29,7 @@ def place() -> np.ndarray:
 
 def build() -> Scene:
     model = b.BrickModel(np.random.default_rng([2025, 100]))
-    _baseplate(model)
+    model.brick("base", (-13, -8, -0.5), (26, 16, 0.515))  # the treads stand on its studs
     _chassis(model)
     _hood(model)
     _engine(model)
@@ -50,11 +50,6 @@ def build() -> Scene:
         lights=(AreaLight((2.6, 3.2, 3.8), 3.0, 190.0, (1.0, 0.95, 0.87), (0.0, 0.0, -0.1)),),
         sky=Gradient(((0.3, 0.28, 0.26), (0.55, 0.54, 0.54), (0.85, 0.95, 1.12))),
     )
-
-
-def _baseplate(model: b.BrickModel) -> None:
-    """26 × 16 studs; those under the tracks stay: the treads stand on them."""
-    model.brick("base", (-13, -8, -0.5), (26, 16, 0.515))
 
 
 def _chassis(model: b.BrickModel) -> None:

@@ -148,10 +148,6 @@ def _label() -> Surface:
     return Surface("label", image, roughness=0.35, coat=0.3)
 
 
-def _stripes() -> Surface:
-    return Surface("stripes", hazard(160, 512, _rng(3), 5), roughness=0.4)
-
-
 def _chrome(name: str) -> Surface:
     image = t.speckle(t.flat(256, 256, (0.74, 0.74, 0.75)), _rng(4), 0.22, (18, 10))
     return Surface(name, image, metallic=0.85, roughness=0.32)
@@ -167,7 +163,8 @@ def surfaces() -> dict[str, Surface]:
     """Surface by part name."""
     out = {name: _plastic(name) for name in _PLASTIC}
     out |= {f"{name}_studs": _studs(name) for name in _STUDS}
-    out |= {"label": _label(), "stripes": _stripes(), "chrome": _chrome("chrome"), "rods": _chrome("rods")}
+    stripes = Surface("stripes", hazard(160, 512, _rng(3), 5), roughness=0.4)
+    out |= {"label": _label(), "stripes": stripes, "chrome": _chrome("chrome"), "rods": _chrome("rods")}
     out |= {
         "lens": _lens("lens", (0.93, 0.92, 0.84)),
         "cab_lens": _lens("cab_lens", (0.93, 0.92, 0.84)),

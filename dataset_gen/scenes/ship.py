@@ -93,17 +93,14 @@ _LEVEL = _SCALE * WATER
 
 
 def build() -> Scene:
-    ship = (*hull.parts(), *fittings.parts(), *rigging.parts())
+    plan = (*hull.parts(), *fittings.parts(), *rigging.parts())
+    ship = (replace(p, mesh=replace(p.mesh, vertices=(p.mesh.vertices + _SHIFT) * _SCALE)) for p in plan)
     return Scene(
         name="ship",
-        parts=(*_sea(), *(_placed(part) for part in ship)),
+        parts=(*_sea(), *ship),
         lights=(AreaLight((2.6, -3.2, 3.8), 3.0, 190.0, (1.0, 0.93, 0.82)),),
         sky=Gradient(((0.16, 0.14, 0.13), (0.55, 0.55, 0.56), (0.75, 0.92, 1.2))),
     )
-
-
-def _placed(part: Part) -> Part:
-    return replace(part, mesh=replace(part.mesh, vertices=(part.mesh.vertices + _SHIFT) * _SCALE))
 
 
 def _sea() -> tuple[Part, ...]:

@@ -88,12 +88,8 @@ def planking(hull: Hull, stations: int = 120, strakes: int = 40) -> Mesh:
     """The skin from keel to sheer, both sides and the transom. u runs along the ship, v from keel to sheer."""
     u = 1.0 - (1.0 - np.linspace(0.0, 1.0, stations)) ** 1.4  # closer at the bluff bow
     s = np.linspace(0.0, 1.0, strakes)
-    side = patch(hull.side(u[None], s[:, None]), _uv(u, s))
+    side = patch(hull.side(u[None], s[:, None]), np.stack(np.broadcast_arrays(u[None], s[:, None]), -1))
     return join([side, mirrored(side)])
-
-
-def _uv(u: np.ndarray, s: np.ndarray) -> np.ndarray:
-    return np.stack(np.broadcast_arrays(u[None], s[:, None]), -1)
 
 
 def transom(hull: Hull, top: float, columns: int = 24, rows: int = 32) -> Mesh:

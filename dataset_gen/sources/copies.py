@@ -42,7 +42,7 @@ class MaterialCopies:
         material.animation_data_clear()
         if not has_nodes(material) or material.node_tree is None:
             _from_viewport(material)
-        elif any(map(_is_lost, trees([material.node_tree]))):
+        elif any(tree.is_missing for tree in trees([material.node_tree])):
             _from_viewport(material)
             self._lost.add(original.name)
         tree = material.node_tree
@@ -95,10 +95,6 @@ class MaterialCopies:
             self._warnings.append(
                 f"materials read {list_names(self._anchors.unanchored)}: what that gives may differ"
             )
-
-
-def _is_lost(tree: bpy.types.NodeTree) -> bool:
-    return bool(tree.is_missing)
 
 
 def _plain(name: str) -> bpy.types.Material:
