@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
+from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share, to_display
 from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
@@ -26,7 +26,7 @@ def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
     linear = shown_colours(first)
     assert bpy.ops.tg4mm.blend_as_trained(on=True) == {"FINISHED"}
     assert scene.view_settings.view_transform == "Raw"
-    np.testing.assert_allclose(shown_colours(first), extension.nodes.colours.display(linear), atol=2e-5)
+    np.testing.assert_allclose(shown_colours(first), to_display(linear), atol=2e-5)
     second = import_splat(splat_path)
     assert scene.view_settings.view_transform == "Raw"
     modifiers = [extension.nodes.scene.splat_modifier(obj) for obj in (first, second)]
@@ -50,7 +50,7 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
     top = float(amplitude.max())
     put(names.COLOUR_RANGE, top)
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
-    shown = colours.display(shown_colours(obj))
+    shown = to_display(shown_colours(obj))
     np.testing.assert_allclose(shown, amount_colours(amplitude / top), atol=0.01)
     put(names.COLOUR_BY, names.PHASE_COLOUR)
     share = phase_share(amplitude / top)[:, None]
@@ -69,7 +69,7 @@ def test_legend_is_of_the_palette_where_splats_blend_as_trained(
     before = extension.panels.analysis.legend_picture(obj, unit, scene)
     bpy.ops.tg4mm.blend_as_trained(on=True)
     assert extension.panels.analysis.legend_picture(obj, unit, scene) == before
-    encoded = extension.nodes.colours.display(extension.nodes.colours.amplitude_map())
+    encoded = to_display(extension.nodes.colours.amplitude_map())
     np.testing.assert_allclose(seen.through_view(encoded, scene), encoded, atol=2e-3)
     scene.view_settings.exposure = -1.0
     seen.work_out(scene.name, True)
@@ -82,7 +82,7 @@ def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, tr
     scene.view_settings.view_transform = transform
     linear = extension.nodes.colours.amplitude_map()
     found = seen.through_view(linear, scene)
-    standard = extension.nodes.colours.display(linear)
+    standard = to_display(linear)
     if transform == "Standard":
         np.testing.assert_allclose(found, standard, atol=2e-3)
     else:

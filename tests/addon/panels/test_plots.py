@@ -7,6 +7,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from tg4mm.core.colour import to_display
+
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 
@@ -65,7 +67,7 @@ def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleTy
     plots, colours = extension.panels.plots, extension.nodes.colours
     picture = plots.amplitude_legend(0.02, extension.units.unit_of(0.1))
     column = picture[:, 60, :3]
-    rows = colours.display(colours.amplitude_map())
+    rows = to_display(colours.amplitude_map())
     np.testing.assert_allclose(column[100], rows[-1], atol=0.02)
     np.testing.assert_allclose(column[375], rows[0], atol=0.02)
     np.testing.assert_allclose(column[238], rows[12], atol=0.02)
@@ -74,7 +76,7 @@ def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleTy
 
 def test_the_wheel_has_the_colours_of_the_phases(extension: ModuleType) -> None:
     picture = extension.panels.plots.phase_legend(0.001, extension.units.unit_of(None))
-    rows = extension.nodes.colours.display(extension.nodes.colours.phase_map())
+    rows = to_display(extension.nodes.colours.phase_map())
     for turn in (0.0, 0.25, 0.5, 0.75, 0.125):
         x = int(200 + 75 * np.cos(2 * np.pi * turn))
         y = int(204 - 75 * np.sin(2 * np.pi * turn))
