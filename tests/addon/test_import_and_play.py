@@ -153,10 +153,6 @@ def test_hidden_modes_contribute_nothing(extension: ModuleType, splat_path: Path
         np.testing.assert_allclose(places(obj, 7.5), expected, atol=1e-3)
 
 
-def test_modes_of_one_frequency_have_inputs_of_their_own(extension: ModuleType) -> None:
-    assert extension.names.toggles([5.0, 3.0, 5.0]) == ["5 Hz (1)", "3 Hz", "5 Hz (2)"]
-
-
 def test_faint_gaussians_are_left_out(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     splat = read_splat(splat_path)
@@ -252,9 +248,3 @@ def test_many_modes_are_one_group_used_many_times(extension: ModuleType, tmp_pat
     trees = [tree for tree in bpy.data.node_groups if tree.bl_idname == "GeometryNodeTree"]
     assert max(len(tree.nodes) for tree in trees) < 64 + 40
     assert sum(tree.name.endswith(" Mode") for tree in trees) == 1
-
-
-def test_dropped_files_go_to_the_importer(extension: ModuleType) -> None:
-    handler = bpy.types.IO_FH_tg4mm_splat
-    assert {".ply", ".spz", ".sog", ".splat", ".glb"} <= set(handler.bl_file_extensions.split(";"))
-    assert handler.bl_import_operator == "import_scene.tg4mm_splat"

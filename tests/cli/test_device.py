@@ -17,7 +17,7 @@ from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
-from tg4mm.fit.device import check_device, full_precision, gpu_figures
+from tg4mm.fit.device import check_device, full_precision
 from tg4mm.run import Run
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.render.sequence import RenderRequest, render_sequence
@@ -27,11 +27,6 @@ from tg4mm.show.render.sequence import RenderRequest, render_sequence
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     root = tmp_path_factory.mktemp("device")
     return moving_run(root, n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
-
-
-def test_the_cpu_can_always_be_used() -> None:
-    assert check_device("cpu") == "cpu"
-    assert gpu_figures("cpu") == {}
 
 
 def test_an_unknown_device_is_named() -> None:

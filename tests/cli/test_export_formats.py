@@ -164,7 +164,9 @@ def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, op
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("name", "format", "kind"), [("a.glb", "gltf", "GLB"), ("a.usda", "usd", "USDA")])
+@pytest.mark.parametrize(
+    ("name", "format", "kind"), [("a.ply", "ply", "PLY"), ("a.glb", "gltf", "GLB"), ("a.usda", "usd", "USDA")]
+)
 def test_a_file_of_another_kind_is_not_replaced(run, tmp_path, capsys, name, format, kind) -> None:
     (tmp_path / name).write_text("mine")
     assert export(run, tmp_path / name, format) == 2

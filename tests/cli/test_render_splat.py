@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
 from tg4mm.run import Run
-
-
-@pytest.fixture(scope="module")
-def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run whose model is the one its dataset was rendered from: 5 Hz at 15 Hz."""
-    root = tmp_path_factory.mktemp("splat")
-    return moving_run(root, n_views=3, n_timesteps=4, size=48, freqs=(5.0,), fps=15.0, n_test=2).path
 
 
 def cameras_of(run_path: Path) -> Path:

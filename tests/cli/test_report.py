@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
-
-
-@pytest.fixture(scope="module")
-def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("cli_report")
-    return moving_run(root, n_views=3, n_timesteps=12, size=32, freqs=(5.0,)).path
 
 
 def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, capsys, monkeypatch):
@@ -32,9 +23,12 @@ def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, caps
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--band", "11", "12"], "no motion was found there"),
+        (["--band", "6.4", "7"], "no motion was found there"),
         (["--band", "1", "2", "--band", "4", "6"], "--band is given 2 times"),
+        (["--band", "4", "40"], "half the frame rate"),
+        (["--alpha", "nan"], "--alpha nan"),
         (["--sensor", "a=cube:1"], "'cube'"),
+        (["--sensor", "far=sphere:99,0,0,.1"], "far"),
         (["--sensor", "a=all", "--sensor", "a=all"], "two sensors are called"),
         (["--alpha", "x"], "x"),
     ],

@@ -14,14 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
-
-
-@pytest.fixture(scope="module")
-def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("cli")
-    return moving_run(root, n_views=3, n_timesteps=6, size=32, freqs=(5.0,), n_test=2).path
 
 
 @contextmanager
@@ -65,7 +58,7 @@ def test_a_port_in_use_is_one_line(run_path: Path, capsys: pytest.CaptureFixture
     [
         (["--alpha", "nan"], "--alpha nan: expected a finite number"),
         (["--band", "3", "5", "--band", "6", "7"], "--band is given 2 times"),
-        (["--band", "5", "90"], "reaches past half the frame rate, 15 Hz"),
+        (["--band", "5", "90"], "reaches past half the frame rate, 7.5 Hz"),
         (["--port", "70000"], "--port 70000: expected 0 … 65535"),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,20 +34,6 @@ TEST_8 = (2.96205878, -2.39862895, 1.31254947)
 def test_known_positions_of_the_published_set():
     np.testing.assert_allclose(train_cameras(30)[29].camera_to_world[:3, 3], TRAIN_29, atol=1e-5)
     np.testing.assert_allclose(views.test_cameras(5)[4].camera_to_world[:3, 3], TEST_8, atol=1e-5)
-
-
-@pytest.mark.skipif(not PUBLISHED.exists(), reason="the published data is not here")
-@pytest.mark.parametrize(
-    ("split", "cameras"), [("train", train_cameras(30)), ("test", views.test_cameras(5))]
-)
-def test_poses_equal_the_published_ones(split, cameras):
-    published = json.loads((PUBLISHED / f"transforms_{split}.json").read_text())
-    assert published["camera_angle_x"] == CAMERA_ANGLE_X
-    assert len(published["frames"]) == len(cameras)
-    for frame, camera in zip(published["frames"], cameras, strict=True):
-        assert frame["file_path"] == f"./{split}/{camera.name}"
-        assert frame["rotation"] == pytest.approx(camera.rotation, abs=1e-7)
-        np.testing.assert_allclose(camera.camera_to_world, frame["transform_matrix"], atol=1e-5)
 
 
 def test_intrinsics_stand_in_every_frame_and_at_the_top_where_all_agree():

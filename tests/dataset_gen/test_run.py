@@ -17,13 +17,10 @@ pytest.importorskip("OpenEXR")
 from dataset_gen import png
 from dataset_gen.errors import GenerateError
 from dataset_gen.options import parser, request_from
-from dataset_gen.prepare import builtin_bodies, motion_of, plan
+from dataset_gen.prepare import plan
 from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
-from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
-from dataset_gen.tree import work_folder
-from tg4mm.core.errors import RunError
 from tg4mm.core.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
@@ -84,23 +81,6 @@ def test_timesteps_of_one_state_are_one_file_and_others_are_not(made):
     assert inode(4) == inode(5)
     assert len({inode(0), inode(1), inode(4)}) == 3
     assert os.stat(made / "magnified/x005/000/test/r_000.png").st_ino == inode(0, "test")
-
-
-def test_a_linked_frame_is_what_rendering_it_gives(made):
-    """Timestep 2 is a link to timestep 1; rendered on its own, in this process, it has the same bytes."""
-    from dataset_gen import build, render
-    from dataset_gen.cameras import train_cameras
-    from dataset_gen.settings import Quality
-
-    motion = motion_of(TINY, builtin_bodies("mic"))
-    quality = Quality.of(TINY)
-    stage = build.build(SCENES["mic"]())
-    render.configure(stage, quality)
-    build.move(stage, [motion.displacement(i, motion.state(2)) for i in range(len(stage.objects))])
-    build.set_view(stage, train_cameras(3)[1])
-    render.use_picture(stage, quality)
-    own = TINY.pictures.encode(render.linear_picture(stage))
-    assert own == (made / "002/train/r_001.png").read_bytes()
 
 
 def test_resuming_renders_only_what_is_missing(made):
@@ -178,7 +158,7 @@ def test_with_a_part_missing_it_is_not_complete(tmp_path):
         render_part(TINY, tmp_path, (3, 2), 1, io.StringIO())
 
 
-@pytest.mark.parametrize("kind", ["rig", "sweep", "handheld"])
+@pytest.mark.parametrize("kind", ["handheld"])
 def test_every_kind_of_cameras_makes_a_set_that_reads(tmp_path, kind):
     capture = pytest.importorskip("tg4mm.capture")
     options = ("--cameras", kind, "--timesteps", "3", "--truth", "none", "--points", "100", "--size", "24")
@@ -252,12 +232,3 @@ def test_a_worker_of_one_thread_has_no_second_one_that_looks_for_work():
         return int(out.split("threads ")[1])
 
     assert threads(1) < threads(0)
-
-
-def test_two_processes_do_not_make_one_dataset(made):
-    with (
-        work_folder(made).held("busy"),
-        pytest.raises(RunError, match="in use: another process makes this dataset"),
-    ):
-        generate(TINY, made.parent)
-    assert not (made / ".lock").exists()

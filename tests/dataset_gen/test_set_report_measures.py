@@ -13,7 +13,7 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 
 from dataset_gen.report import write_report
 from dataset_gen.report.dataset import read_dataset
-from dataset_gen.report.modes import phasor_maps, spectrum, summarise, together, track_point
+from dataset_gen.report.modes import phasor_maps, together, track_point
 from dataset_gen.report.noise_floor import noise_floor
 from dataset_gen.report.pixels import (
     motion_from_truth,
@@ -83,17 +83,6 @@ def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
     assert "does not tell the modes apart" in words(text)
 
 
-def test_the_modes_are_summed_up(plane: Path) -> None:
-    motion = read_dataset(plane).motion
-    assert motion is not None
-    sway, heave = summarise(motion)
-    assert (sway.frequency_hz, heave.frequency_hz) == (3.0, 6.0)
-    assert sway.amplitude == pytest.approx(SWAY, rel=1e-6)
-    assert heave.amplitude == pytest.approx(HEAVE, rel=1e-6)
-    assert sway.parts[0][0] == "square"
-    assert sway.moving_area == pytest.approx(1.0 / 1.9, abs=0.05)
-
-
 def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
     dataset = read_dataset(plane)
     made = Plane(plane)
@@ -103,13 +92,6 @@ def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
         assert track.view == ("r_000" if seen else "")
         expected = np.column_stack([made.displaced[0], 0 * made.displaced[0], made.displaced[1]])
         np.testing.assert_allclose(track.displacement, expected, atol=1e-6)
-
-
-def test_the_spectrum_of_a_sine_is_its_amplitude_at_its_frequency() -> None:
-    frequencies, amplitudes = spectrum(0.3 * np.sin(2 * np.pi * 5 * np.arange(30) / 30), 30.0)
-    assert frequencies[np.argmax(amplitudes)] == 5
-    assert amplitudes.max() == pytest.approx(0.3)
-    assert spectrum(np.array([2.0, -2.0]), 30.0)[1][-1] == pytest.approx(2)  # at half the frame rate
 
 
 def test_a_perfect_method_scores_what_the_noise_says(plane: Path) -> None:

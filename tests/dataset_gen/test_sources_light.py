@@ -1,4 +1,4 @@
-"""How a user's .blend file looks once it is opened: lights, exposure, sky, and what cameras see."""
+"""How a user's .blend file looks once opened: lights, exposure, sky, cameras; what is lost is replaced and named."""
 
 import math
 
@@ -117,3 +117,139 @@ def test_all_cameras_are_found_and_see_what_they_saw(tmp_path):
     assert any("plan are not perspective" in line for line in loaded.warnings)
     assert [obj.name for obj in loaded.stage.scene.objects if obj.type == "CAMERA"] == ["camera"]
     assert loaded.stage.scene.camera == loaded.stage.camera
+
+
+FIVE = bpy.app.version >= (5, 0, 0)
+
+
+def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_grey(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron()
+
+    def lost_texture(tree):
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image = bpy.data.images.new("wood", 4, 4)
+        node.image.filepath, node.image.source = "//textures/wood.png", "FILE"
+        return node.outputs[0]
+
+    mesh.materials.append(emission("paint", lost_texture))
+    link("part", mesh)
+    scene.world = bpy.data.worlds.new("outdoors")
+    scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    sky = tree.nodes.new("ShaderNodeTexEnvironment")
+    sky.image = bpy.data.images.new("sky", 8, 4)
+    sky.image.filepath, sky.image.source = "//hdri/forest.exr", "FILE"
+    background = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Strength"].default_value = 0.5
+    tree.links.new(sky.outputs[0], background.inputs["Color"])
+    loaded = open_blend(save(tmp_path))
+    assert any("forest.exr is missing: a grey sky" in line for line in loaded.warnings)
+    assert any("wood.png is missing: plain grey" in line for line in loaded.warnings)
+    loaded.stage.scene.render.film_transparent = False
+    picture = render_stage(loaded.stage, tmp_path / "a.exr", POSE)
+    assert np.ptp(picture[..., :3], axis=2).max() < 0.02  # no pink anywhere
+    loaded.stage.camera.data.angle = 2.0
+    scene = loaded.stage.scene
+    assert scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value == 0.5
+    assert np.isclose(picture[16, 16, 0], 0.5, atol=0.02)  # the neutral texture, shining with strength 1
+
+
+def test_an_image_that_cannot_be_read_is_replaced_and_packed_ones_stay(tmp_path):
+    new_scene()
+    (tmp_path / "broken.png").write_bytes(b"no picture at all")
+    packed = bpy.data.images.new("packed", 4, 4)
+    packed.pixels.foreach_set(np.tile(np.float32([0.2, 0.4, 0.6, 1.0]), 16))
+    packed.pack()
+    broken = bpy.data.images.new("broken", 4, 4)
+    broken.filepath, broken.source = str(tmp_path / "broken.png"), "FILE"
+    for i, image in enumerate((packed, broken)):
+        mesh = tetrahedron()
+
+        def texture(tree, image=image):
+            node = tree.nodes.new("ShaderNodeTexImage")
+            node.image = image
+            return node.outputs[0]
+
+        mesh.materials.append(emission(image.name, texture))
+        link(image.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
+    loaded = open_blend(save(tmp_path))
+    assert sum("image" in line for line in loaded.warnings) == 1
+    assert any("broken.png cannot be read" in line for line in loaded.warnings)
+    nodes = loaded.stage.scene.objects["packed"].data.materials[0].node_tree.nodes
+    assert next(node for node in nodes if node.bl_idname == "ShaderNodeTexImage").image.name == "packed"
+
+
+def test_an_image_of_another_machine_is_found_by_its_name_near_the_file(tmp_path):
+    """The original NeRF-synthetic files name their HDRs by absolute paths of their makers' machines."""
+    scene = new_scene()
+    (tmp_path / "user" / "hdri").mkdir(parents=True)
+    real = bpy.data.images.new("real", 8, 4, float_buffer=True)
+    real.pixels.foreach_set(np.tile(np.float32([0.2, 0.9, 0.3, 1.0]), 32))
+    real.filepath_raw, real.file_format = str(tmp_path / "user" / "hdri" / "Forest.HDR"), "HDR"
+    real.save()
+    bpy.data.images.remove(real)
+    link("part", tetrahedron())
+    scene.world = bpy.data.worlds.new("outdoors")
+    scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    sky = tree.nodes.new("ShaderNodeTexEnvironment")
+    sky.image = bpy.data.images.new("sky", 8, 4)
+    sky.image.filepath, sky.image.source = "C:\\Users\\maker\\hdris\\forest.hdr", "FILE"
+    background = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    tree.links.new(sky.outputs[0], background.inputs["Color"])
+    loaded = open_blend(save(tmp_path / "user"))
+    assert loaded.warnings == (
+        "images found by their names near the file: Forest.HDR",
+        *(line for line in loaded.warnings if "view transform" in line),
+    )
+    loaded.stage.scene.render.film_transparent = False
+    colour = render_stage(loaded.stage, tmp_path / "a.exr", POSE, samples=8)[10:20, 10:20, :3].mean((0, 1))
+    assert colour[1] > 2 * colour[0] > 0
+
+
+def test_a_material_whose_nodes_are_lost_with_a_library_gets_its_viewport_colour(tmp_path):
+    new_scene()
+    group = bpy.data.node_groups.new("stone", "ShaderNodeTree")
+    group.use_fake_user = True
+    library = save(tmp_path, "nodes.blend")
+    new_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (source, target):
+        target.node_groups = source.node_groups
+    mesh = tetrahedron()
+    mesh.materials.append(principled("rock"))
+    mesh.materials[0].diffuse_color = (0.1, 0.5, 0.2, 1.0)
+    mesh.materials[0].node_tree.nodes.new("ShaderNodeGroup").node_tree = target.node_groups[0]
+    link("part", mesh)
+    path = save(tmp_path)
+    assert not any("lost" in line for line in open_blend(path).warnings)
+    library.unlink()
+    loaded = open_blend(path)
+    assert any("materials rock: part of their nodes is lost" in line for line in loaded.warnings)
+    nodes = loaded.stage.objects[0].data.materials[0].node_tree.nodes
+    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert np.allclose(shader.inputs["Base Color"].default_value, (0.1, 0.5, 0.2, 1.0))
+
+
+@pytest.mark.skipif(FIVE, reason="from 5.0 on every material has nodes")
+def test_materials_and_worlds_without_nodes_look_like_their_viewport_colour(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron()
+    mesh.materials.append(bpy.data.materials.new("old"))
+    mesh.materials[0].diffuse_color = (0.7, 0.2, 0.1, 1.0)
+    mesh.materials[0].roughness = 0.25
+    link("part", mesh)
+    scene.world = bpy.data.worlds.new("old")
+    scene.world.color = (0.1, 0.2, 0.9)
+    loaded = open_blend(save(tmp_path))
+    nodes = loaded.stage.objects[0].data.materials[0].node_tree.nodes
+    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert np.allclose(shader.inputs["Base Color"].default_value, (0.7, 0.2, 0.1, 1.0))
+    assert np.isclose(shader.inputs["Roughness"].default_value, 0.25)
+    loaded.stage.scene.render.film_transparent = False
+    picture = render_stage(loaded.stage, tmp_path / "a.exr", POSE)
+    loaded.stage.scene.render.film_transparent = False
+    background = loaded.stage.scene.world.node_tree.nodes["Background"].inputs["Color"].default_value
+    assert np.allclose(background[:3], (0.1, 0.2, 0.9))
+    assert not any("sky" in line for line in loaded.warnings)
+    assert picture[..., 2].max() > 2 * picture[..., 0].max() > 0

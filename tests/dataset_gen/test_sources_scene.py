@@ -1,4 +1,4 @@
-"""A user's .blend file as a whole: libraries, which scene, its size, refusals, and the same in every process."""
+"""A user's .blend file as a whole: libraries, which scene, refusals; instances, joined parts, and what is left out."""
 
 import subprocess
 import sys
@@ -110,3 +110,158 @@ def test_opening_is_the_same_in_every_process(tmp_path):
     digests = [[line for line in run.splitlines() if line.startswith("digest")] for run in runs]
     assert digests[0]
     assert digests[0] == digests[1]
+
+
+ODD = Matrix.LocRotScale((1.0, -2.0, 0.5), Matrix.Rotation(0.7, 3, "X"), (0.5, 2.0, 1.5))
+
+
+def test_instances_of_collections_and_of_faces_are_realised(tmp_path):
+    new_scene()
+    group = bpy.data.collections.new("group")
+    group.objects.link(bpy.data.objects.new("chair", tetrahedron()))
+    for i in range(2):
+        empty = link(f"place {i}", None, matrix=Matrix.Translation((4 * i, 0, 1)))
+        empty.instance_type, empty.instance_collection = "COLLECTION", group
+    emitter = link(
+        "emitter",
+        mesh_of(
+            "quads",
+            [(0, 8, 0), (1, 8, 0), (1, 9, 0), (0, 9, 0), (3, 8, 0), (3, 9, 0)],
+            [(0, 1, 2, 3), (1, 4, 5, 2)],
+        ),
+    )
+    emitter.instance_type = "FACES"
+    emitter.show_instancer_for_render = False
+    leaf = link("leaf", tetrahedron("leaf", 0.1))
+    leaf.parent = emitter
+    bodies = bodies_of(open_blend(save(tmp_path)))
+    assert set(bodies) == {"place 0/chair", "place 1/chair", "emitter/leaf"}
+    shift = bodies["place 1/chair"].vertices - bodies["place 0/chair"].vertices
+    assert np.allclose(shift, (4, 0, 0))
+    assert len(bodies["emitter/leaf"].vertices) == 8  # both leaves in one part
+    assert len(bodies["emitter/leaf"].triangles) == 8
+
+
+def test_instances_made_by_geometry_nodes_are_realised(tmp_path):
+    new_scene()
+    tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    nodes = tree.nodes
+    kinds = (
+        "GeometryNodeMeshCube",
+        "GeometryNodeInstanceOnPoints",
+        "NodeGroupOutput",
+        "GeometryNodeSetMaterial",
+    )
+    cube, place, out, paint = (nodes.new(kind) for kind in kinds)
+    tree.links.new(nodes.new("NodeGroupInput").outputs[0], place.inputs["Points"])
+    paint.inputs["Material"].default_value = emission(
+        "gold", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]
+    )
+    tree.links.new(cube.outputs["Mesh"], paint.inputs["Geometry"])
+    tree.links.new(paint.outputs["Geometry"], place.inputs["Instance"])
+    tree.links.new(place.outputs["Instances"], out.inputs[0])
+    obj = link("field", tetrahedron(size=5.0))
+    obj.modifiers.new("scatter", "NODES").node_group = tree
+    loaded = open_blend(save(tmp_path))
+    (body,) = loaded.bodies
+    assert body.name == "field/instances"
+    mesh = loaded.stage.objects[0].data
+    assert {mesh.materials[face.material_index].name for face in mesh.polygons} == {"gold"}
+    centres = body.vertices.reshape(4, 8, 3).mean(1)
+    assert np.allclose(
+        sorted(map(tuple, centres)), sorted([(0, 0, 0), (5, 0, 0), (0, 10, 0), (0, 0, 15)]), atol=1e-5
+    )
+
+
+def test_only_what_renders_is_taken_from_all_view_layers(tmp_path):
+    scene = new_scene()
+    for name in ("shown", "hidden"):
+        link(name, tetrahedron())
+    bpy.data.objects["hidden"].hide_render = True
+    link("viewport hidden", tetrahedron()).hide_viewport = True
+    for name in ("excluded", "other layer"):
+        collection = bpy.data.collections.new(name)
+        scene.collection.children.link(collection)
+        collection.objects.link(bpy.data.objects.new(name, tetrahedron()))
+    second = scene.view_layers.new("second")
+    for layer in scene.view_layers:
+        layer.layer_collection.children["excluded"].exclude = True
+    scene.view_layers[0].layer_collection.children["other layer"].exclude = True
+    assert not second.layer_collection.children["other layer"].exclude
+    loaded = open_blend(save(tmp_path))
+    assert set(bodies_of(loaded)) == {"shown", "viewport hidden", "other layer"}
+    assert len(loaded.bodies) == 3  # the second layer shows "shown" too
+    assert len(loaded.stage.scene.view_layers) == 1
+
+
+def test_vertex_group_weights_follow_through_modifiers_and_joins(tmp_path):
+    new_scene()
+    obj = link("tongue", tetrahedron())
+    weights = np.array([0.25, 0.0, 1.0, 0.5])
+    tip = obj.vertex_groups.new(name="tip ü")
+    for index in (0, 2, 3):
+        tip.add([index], float(weights[index]), "REPLACE")
+    obj.vertex_groups.new(name="nobody")
+    array = obj.modifiers.new("twice", "ARRAY")
+    array.count = 2
+    array.relative_offset_displace = (2, 0, 0)
+    link("bare", tetrahedron())
+    bodies = bodies_of(open_blend(save(tmp_path)))
+    assert list(bodies["tongue"].groups) == ["tip ü", "nobody"]
+    assert not bodies["tongue"].groups["nobody"].any()
+    assert np.allclose(bodies["tongue"].groups["tip ü"], np.tile(weights, 2))
+    assert bodies["bare"].groups == {}
+
+
+def test_uv_maps_colours_smoothness_and_slots_are_kept(tmp_path):
+    new_scene()
+    mesh = tetrahedron()
+    uv = mesh.uv_layers.new(name="map")
+    coordinates = np.arange(24, dtype=np.float32) / 24
+    uv.data.foreach_set("uv", coordinates)
+    colour = mesh.color_attributes.new("paint", "FLOAT_COLOR", "POINT")
+    colour.data.foreach_set("color", np.arange(16, dtype=np.float32) / 16)
+    mesh.polygons.foreach_set("use_smooth", [True, False, True, False])
+    for name in ("wood", "steel"):
+        mesh.materials.append(emission(name, lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]))
+    mesh.polygons.foreach_set("material_index", [0, 1, 1, 0])
+    obj = link("part", mesh, matrix=ODD)
+    obj.material_slots[1].link = "OBJECT"
+    obj.material_slots[1].material = emission(
+        "brass", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]
+    )
+    found = open_blend(save(tmp_path)).stage.objects[0].data
+    got = np.empty(24, np.float32)
+    found.uv_layers["map"].data.foreach_get("uv", got)
+    assert np.array_equal(got, coordinates)
+    got = np.empty(16, np.float32)
+    found.color_attributes["paint"].data.foreach_get("color", got)
+    assert np.array_equal(got, np.arange(16, dtype=np.float32) / 16)
+    assert [face.use_smooth for face in found.polygons] == [True, False, True, False]
+    assert [face.material_index for face in found.polygons] == [0, 1, 1, 0]
+    assert [material.name for material in found.materials] == ["wood", "brass"]
+
+
+def test_what_the_camera_does_not_see_lights_but_is_no_part(tmp_path):
+    new_scene()
+    link("part", tetrahedron())
+    link("reflector", tetrahedron(size=20.0)).visible_camera = False
+    link("catcher", tetrahedron(size=30.0)).is_shadow_catcher = True
+    loaded = open_blend(save(tmp_path))
+    assert [body.name for body in loaded.bodies] == ["part"]
+    assert not loaded.stage.scene.objects["reflector"].visible_camera
+    assert "catcher" not in loaded.stage.scene.objects
+    assert any("shadow catcher or holdout: catcher" in line for line in loaded.warnings)
+    assert loaded.radius < 3
+
+
+def test_volumes_and_grease_pencil_are_named_in_a_warning(tmp_path):
+    new_scene()
+    link("part", tetrahedron())
+    link("smoke", bpy.data.volumes.new("smoke"))
+    link("dots", bpy.data.pointclouds.new("dots"))
+    warnings = open_blend(save(tmp_path)).warnings
+    assert "left out, volume: smoke" in warnings
+    assert "left out, pointcloud: dots" in warnings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -27,7 +26,6 @@ from tests.dataset_gen.trust import (  # noqa: E402
     Surface,
     displacement_errors,
     expected_flow,
-    rounding,
     unprojected,
 )
 
@@ -89,24 +87,6 @@ def pixels(path: Path) -> np.ndarray:
     return np.asarray(Image.open(path)).astype(int)
 
 
-def test_a_plain_loader_reads_it(world: World) -> None:
-    """As the loaders of NeRF-synthetic do: json, file_path + .png, RGBA over white, focal from camera_angle_x."""
-    for t in range(world.settings.timesteps):
-        for split, count in (("train", 4), ("test", 2)):
-            folder = world.root / f"{t:03d}"
-            meta = json.loads((folder / f"transforms_{split}.json").read_text())
-            assert len(meta["frames"]) == count
-            for frame in meta["frames"]:
-                rgba = pixels(folder / (frame["file_path"] + ".png")) / 255.0
-                rgb = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])
-                pose = np.array(frame["transform_matrix"], dtype=np.float32)
-                assert rgb.shape == (96, 96, 3)
-                assert pose.shape == (4, 4)
-                assert np.linalg.norm(pose[:3, 3]) == pytest.approx(4.0311, abs=1e-3)
-                assert rgb.std() > 0.05  # there is something to be seen
-    assert 0 < meta["camera_angle_x"] < 1
-
-
 def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
     data = world.exr(NOW)
     points = unprojected(data["Depth"], world.camera)
@@ -120,19 +100,6 @@ def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
     assert (elsewhere.distance(points) > 1e-3).mean() > 0.1
 
 
-def test_position_is_depth_and_pose(world: World) -> None:
-    data = world.exr(NOW)
-    seen = data["Depth"] < 1e9
-    position = data["Position"][seen].astype(float)
-    xy, depth = world.camera.project(position, 96, 96)
-    row, column = np.nonzero(seen)
-    np.testing.assert_allclose(depth, data["Depth"][seen], atol=1e-6)
-    off = np.abs(xy - np.column_stack([column + 0.5, row + 0.5])).max(1)
-    here = Surface.of(world.bodies, world.displacements(world.motion.state(NOW)))
-    assert (off < 1.5 * rounding(here, position, world.camera, 96)).all()
-    assert np.percentile(off, 99) < 3e-4  # px
-
-
 def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
     data = world.exr(NOW)
     seen = data["Depth"] < 1e9
@@ -144,14 +111,6 @@ def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
     assert errors.max() < 3e-7  # every pixel; 2.5 units in the last place of a position
     wrong = displacement_errors(position, 1.1 * moved, rest, displacements)
     assert np.percentile(wrong, 98) > 1e-5
-
-
-def test_the_motion_file_says_the_same(world: World) -> None:
-    with np.load(world.root / "truth/motion.npz", allow_pickle=False) as data:
-        gains = data["gains"][:, NOW]
-        for i, moved in enumerate(world.displacements(world.motion.state(NOW))):
-            stored = np.einsum("kvc,k->vc", data[f"mode_{i}"].astype(complex), gains).real
-            np.testing.assert_allclose(stored, moved, atol=1e-8)
 
 
 def test_optical_flow_is_the_projected_displacement(world: World, tmp_path: Path) -> None:
@@ -200,22 +159,3 @@ def _flow_to_next(world: World, states: dict[int, list[np.ndarray]], path: Path)
             if match := re.search(r"(?:^|\.)Vector\.([A-Z])$", name):
                 found[match.group(1)] = channel.pixels
     return np.stack([-found["Z"], found["W"]], -1)  # now − next, y up
-
-
-def test_magnified_is_the_mode_scaled_by_hand(world: World) -> None:
-    t, alpha = NOW, 50.0
-    file = pixels(world.root / f"magnified/x050/{t:03d}/test/{world.camera.name}.png")
-    gains = world.motion.gains(t + 1)[:, t]
-    factor = np.where(world.motion.magnified, 1 + alpha, 1.0)
-    by_hand = [np.einsum("kvc,k->vc", shape, factor * gains).real for shape in world.motion.shapes]
-    taken = world.settings.pictures.pixels(world.take(by_hand)).astype(int)
-    # A vertex in the last bit may send a light path elsewhere.
-    assert (np.abs(taken - file).max(-1) > 2).mean() < 0.01
-    unmagnified = pixels(world.root / f"{t:03d}/test/{world.camera.name}.png")
-    assert (np.abs(taken - unmagnified).max(-1) > 2).mean() > 0.02
-
-
-def test_the_same_seed_gives_the_same_bytes(world: World) -> None:
-    linear = world.take(world.displacements(world.motion.state(NOW)))
-    file = world.root / f"{NOW:03d}/test/{world.camera.name}.png"
-    assert world.settings.pictures.encode(linear) == file.read_bytes()

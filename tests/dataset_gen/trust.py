@@ -79,23 +79,6 @@ def _nearest(point: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.nda
     return every[which, face], away[which, face]
 
 
-def rounding(surface: Surface, points: np.ndarray, camera: Camera, size: int) -> np.ndarray:
-    """[P] pixels by which points seen on a surface may lie off their ray, from float32 alone.
-
-    The renderer finds the point by barycentric weights: areas between the ray and two corners, over the triangle's
-    projected area A. Those areas are of the order edge times distance, rounded to 2^-24 of it, and the weights are
-    multiplied by the edge L again: 2^-24 · distance · L² / 2A along the triangle. A spar's sliver, 0.96 units by
-    0.0034, seen at 7°, makes 0.018 px of that; a common triangle 1e-5 px, which is the position's own rounding.
-    """
-    corners = surface.vertices[surface.foot(points)[0]]
-    edges = corners[:, [1, 2, 0]] - corners
-    ray = points - camera.position
-    distance = np.linalg.norm(ray, axis=1)
-    twice_area = np.abs(np.einsum("pc,pc->p", np.cross(edges[:, 0], -edges[:, 2]), ray)) / distance
-    longest = np.einsum("pkc,pkc->pk", edges, edges).max(1)
-    return 1e-5 + 2.0**-24 * longest / twice_area * camera.focal(size)
-
-
 def unprojected(depth: np.ndarray, camera: Camera) -> np.ndarray:
     """World points [P, 3] of the seen pixels of a planar depth map [H, W], row by row, from pose and lens alone."""
     height, width = depth.shape

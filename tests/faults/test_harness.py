@@ -81,16 +81,3 @@ def test_a_refusal_in_one_line_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> N
     tally = harness.run_reader("right", 50, 0)
     assert (tally.count, tally.faults) == (50, [])
     assert tally.refused > 40
-
-
-@pytest.mark.parametrize("name", ["scene.json", "motion YAML", "truth motion.npz", "PNG, 8 bits"])
-def test_the_same_seed_gives_the_same_mutations_at_any_time(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sample = READERS[name].make(tmp_path).read_bytes()
-    one = [harness.mutated(name, 3, i, sample) for i in range(40)]
-    later = time.time() + 60
-    monkeypatch.setattr(time, "time", lambda: later)
-    assert one == [harness.mutated(name, 3, i, sample) for i in range(40)]
-    assert len(set(one)) > 30
-    assert one != [harness.mutated(name, 4, i, sample) for i in range(40)]

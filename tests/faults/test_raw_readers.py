@@ -124,8 +124,3 @@ def test_only_checked_readers_read_files(repo_root: Path) -> None:
 )
 def test_a_raw_reader_is_found(source: str, found: str) -> None:
     assert raw_readers(source) == {found}
-
-
-def test_what_only_writes_or_names_one_is_none() -> None:
-    source = "import json\nimport numpy as np\nfrom PIL import Image\njson.dumps(1)\nnp.savez(p)\nImage.fromarray(a)"
-    assert raw_readers(source) == set()

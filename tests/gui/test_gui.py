@@ -74,11 +74,6 @@ def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pict
     assert not looking.is_blank(view_of(blender, blender.picture(pictures / "02_imported.png")))
 
 
-def test_what_is_imported_is_active_and_has_no_outline(blender: Session) -> None:
-    assert blender.value(f"{ACTIVE}.name") == Path(SPLAT).stem
-    assert blender.value("list(bpy.context.selected_objects)") == []
-
-
 def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
     sidebar.open_tab(blender)
     time.sleep(0.5)
@@ -143,16 +138,6 @@ def test_a_band_that_is_typed_magnifies_what_is_in_it(
     blender.wait(lambda: blender.ask("inputs")["Band High"] > 5, "the whole band")
 
 
-def test_a_frequency_is_switched_off(blender: Session, splat: SplatFile, pictures: Path) -> None:
-    blender.click(*sidebar.find(blender, "5 Hz"))
-    blender.wait(lambda: blender.ask("inputs")["5 Hz"] is False, "the 5 Hz mode to be off")
-    alone = SplatFile(**{**vars(splat), "displacement": splat.displacement * [[[1]], [[0]]]})
-    np.testing.assert_allclose(blender.places(), expected(blender, alone), atol=SAME)
-    blender.picture(pictures / "08_one_frequency.png")
-    blender.click(*sidebar.find(blender, "5 Hz"))
-    blender.wait(lambda: blender.ask("inputs")["5 Hz"] is True, "the 5 Hz mode to be on")
-
-
 def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
     blender.ask("shading", kind="SOLID")  # an import leaves it, and the button with it
     grey = still_view(blender, pictures / "09_grey.png")
@@ -183,13 +168,6 @@ def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> N
     assert looking.changed(shots[0], shots[1]) > 0.02
     assert looking.changed(shots[1], shots[2]) > 0.02
     sidebar.choose(blender, "Colour By", "File")
-
-
-def test_material_preview_shows_the_colours_of_the_file(blender: Session, pictures: Path) -> None:
-    blender.ask("shading", kind="MATERIAL")
-    shown = still_view(blender, pictures / "13_material.png")
-    assert looking.coloured(shown) > 0.05
-    assert not looking.is_blank(shown)
 
 
 def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile, pictures: Path) -> None:

@@ -61,62 +61,19 @@ def test_the_demo_makes_everything_and_a_second_call_makes_nothing(quick, tmp_pa
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_after_a_kill_it_goes_on_with_the_step_that_was_not_finished(quick, tmp_path, monkeypatch):
-    def killed(places):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(demo, "_evaluate", killed)
-        with pytest.raises(KeyboardInterrupt):
-            demo.run_demo(tmp_path, 32, Said())
-    demo.run_demo(tmp_path, 32, said := Said())
-    assert said.count("already done") == 4
-    assert (tmp_path / "report.html").exists()
-
-
-def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch):
-    demo.run_demo(tmp_path, 32, Said())
-    run = Run.open(tmp_path / "run")
-    space = run.load_space()
-    (tmp_path / "run" / "motion.safetensors").unlink()
-    old = (tmp_path / "magnified" / "003" / "r_000.png").read_bytes()
-    make = demo._train
-
-    def darker(places):
-        make(places)
-        run.save_space(
-            type(space)(space.means, space.quats, space.scales, space.opacities * 0.5, space.sh), {}
-        )
-
-    monkeypatch.setattr(demo, "_train", darker)
-    mine = tmp_path / "magnified" / "notes.txt"
-    mine.write_text("mine")
-    demo.run_demo(tmp_path, 32, Said())
-    assert (tmp_path / "magnified_1" / "notes.txt").read_text() == "mine"
-    assert (tmp_path / "magnified" / "003" / "r_000.png").read_bytes() != old
-
-
 def test_another_size_or_a_foreign_folder_is_refused(quick, tmp_path):
     demo.run_demo(tmp_path / "a", 32, Said())
     with pytest.raises(Tg4mmError, match=r"was made with size = 32, asked is 48"):
         demo.run_demo(tmp_path / "a", 48, Said())
     with pytest.raises(Tg4mmError, match="is a file"):
         demo.run_demo(tmp_path / "a" / "splat.ply", 32, Said())
+    (tmp_path / "mine" / "data").mkdir(parents=True)
+    with pytest.raises(Tg4mmError, match=r"is not empty and holds no demo\.json"):
+        demo.run_demo(tmp_path / "mine", 32, Said())
     for size in (4, 100_000):
         with pytest.raises(Tg4mmError, match=f"--size {size}: expected 16 … 4096 pixels"):
             demo.run_demo(tmp_path / "c", size, Said())
     assert not (tmp_path / "c").exists()
-
-
-@pytest.mark.parametrize("name", ["thesis.txt", "data/thesis.txt", "magnified/thesis.txt"])
-def test_a_folder_that_holds_anything_but_a_demo_is_left_alone(quick, tmp_path, name):
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_text("mine")
-    with pytest.raises(Tg4mmError, match=r"is not empty and holds no demo\.json"):
-        demo.run_demo(tmp_path, 32, Said())
-    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [path]
-    assert path.read_text() == "mine"
 
 
 def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):

@@ -181,23 +181,3 @@ def test_disabling_the_extension_ends_the_run(extension: ModuleType, settings: A
     assert job.state.value == "cancelled"
     assert job._program.process.poll() is not None
     extension.register()
-
-
-def test_panels_offer_every_field_of_every_kind(extension: ModuleType, settings: Any) -> None:
-    for kind in extension.jobs.kinds.KINDS:
-        settings.kind = kind
-        shown = drawn(extension)
-        assert {row.setting for row in extension.jobs.kinds.rows(settings)} <= set(shown)
-        assert {"frequency", "amplitude", "fps", "tg4mm.preview_start", "out", "cameras", "size"} <= set(
-            shown
-        )
-    assert said(shown, "Truth per pixel needs the core's Python")
-    assert "Moves: Cube [a]" in shown
-    bpy.ops.tg4mm.move_everything()
-    assert "Moves: everything" in drawn(extension)
-    settings.kind = "rock"
-    bpy.ops.tg4mm.preview_start()
-    shown = drawn(extension, "Motion")
-    assert {"gain", "tg4mm.preview_stop"} <= set(shown)
-    assert said(shown, "The timeline plays it 0.8 times as fast")
-    bpy.ops.tg4mm.preview_stop()

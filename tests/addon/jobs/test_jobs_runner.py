@@ -110,18 +110,6 @@ def test_other_lines_say_nothing(jobs: Any, line: str) -> None:
     assert (read.error, read.warning, read.result, read.progress) == ("", "", "", None)
 
 
-def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
-    progress = jobs.runner.Progress
-    assert (progress("a").factor, progress("a", 5, 4).factor, progress("a", 1, 4).factor) == (0, 1, 0.25)
-    assert progress("a").text == "a"
-    assert progress("a", 1, 2, 3723.4).text == "a 1/2, 1:02:03 left"
-    odd = event("progress", label=7, done=-1, total=1e99, left_s="soon")
-    assert jobs.runner.read_line(odd).progress == progress("")
-    assert jobs.runner.read_line(
-        event("progress", label="a", done=True, total=2, left_s=float("nan"))
-    ).progress == (progress("a", 0, 2))
-
-
 def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
     first = step("import time\nfrom tg4mm.core import events\nfor i in range(3):\n"
                  "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"

@@ -120,15 +120,6 @@ def test_arrows_run_from_rest_along_the_magnified_displacement(
     assert still is None or len(still.points) == 0
 
 
-def test_arrow_reaches_from_its_origin_to_one(extension: ModuleType, moving: Any) -> None:
-    put, names = setter(extension, moving), extension.names
-    put(names.DRAW, "Arrows")
-    geometry = evaluated(moving, 6)
-    references = geometry.instance_references()
-    z = np.array([vertex.co.z for vertex in references[0].mesh.vertices])
-    assert (z.min(), z.max()) == (pytest.approx(0, abs=1e-6), pytest.approx(1))
-
-
 def test_dots_sit_where_the_gaussians_are(extension: ModuleType, moving: Any, splat_path: Path) -> None:
     put, names = setter(extension, moving), extension.names
     put(names.DRAW, "Points")
@@ -212,11 +203,6 @@ def test_a_range_is_fitted_only_to_what_moves(extension: ModuleType, moving: Any
     with pytest.raises(RuntimeError, match="'mode_1_amplitude' of the points is gone; import the file again"):
         bpy.ops.tg4mm.fit_colour_range()
     assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == before
-
-
-def test_items_of_a_menu_are_checked(extension: ModuleType, moving: Any) -> None:
-    with pytest.raises(ValueError, match="Draw As is 'Cubes'; expected one of Ellipsoids, Splats"):
-        setter(extension, moving)(extension.names.DRAW, "Cubes")
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

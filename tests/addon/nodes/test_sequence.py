@@ -111,11 +111,3 @@ def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames
     assert missing(frames[3]) == [9]
     loaded = extension.io.loading.load([frames[2]], bpy.context.collection, True, 1000, lambda part: None)
     assert loaded.message == "2 frames of up to 9 Gaussians; there is no file number 9"
-
-
-def test_run_ends_at_a_gap(extension: ModuleType, frames: list[Path]) -> None:
-    run = extension.io.loading.run_around(frames[1])
-    assert run == frames
-    lonely = frames[0].with_name("beat_0013.ply")
-    assert extension.io.loading.run_around(lonely) == [lonely]
-    assert extension.io.loading.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -15,7 +14,6 @@ from tests.addon.conftest import some_splat
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
-import bmesh  # noqa: E402
 
 from tests.addon.playing import Layout, import_splat, setter  # noqa: E402
 
@@ -41,11 +39,6 @@ def drawn(extension: ModuleType, obj: Any) -> list[str]:
     return laid_out(extension, obj).drawn
 
 
-def test_without_a_splat_it_offers_the_import(extension: ModuleType) -> None:
-    shown = drawn(extension, None)
-    assert shown == ["import_scene.tg4mm_splat", "Import Splats", "Select imported splats"]
-
-
 def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path, colours=False)
     names, put = extension.names, setter(extension, obj)
@@ -58,45 +51,6 @@ def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) 
     shown = drawn(extension, obj)
     assert {names.ARROW_LENGTH, names.ARROW_EVERY} <= set(shown)
     assert not {"tg4mm.true_colours", "Radius (σ)"} & set(shown)
-
-
-def test_splats_can_be_blended_as_trained_and_only_they_are_offered_it(
-    extension: ModuleType, splat_path: Path
-) -> None:
-    obj = import_splat(splat_path)
-    names, put = extension.names, setter(extension, obj)
-    assert "tg4mm.blend_as_trained" not in drawn(extension, obj)
-    put(names.DRAW, "Splats")
-    assert "tg4mm.blend_as_trained" in drawn(extension, obj)
-    bpy.ops.tg4mm.blend_as_trained(on=True)
-    put(names.DRAW, "Ellipsoids")  # and where it is on it can be ended
-    shown = drawn(extension, obj)
-    assert "tg4mm.blend_as_trained" in shown
-    assert "tg4mm.true_colours" not in shown
-    bpy.context.scene.view_settings.view_transform = "Standard"
-    assert "tg4mm.true_colours" in drawn(extension, obj)
-
-
-def test_peaks_have_buttons(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    shown = drawn(extension, obj)
-    peaks = ("3 Hz", "5 Hz", "7.5 Hz", "All")  # fps / T is 0.5 Hz: they are far apart
-    start = shown.index("tg4mm.band")
-    assert shown[start : start + 8] == [text for peak in peaks for text in ("tg4mm.band", peak)]
-
-
-def test_the_button_for_solid_view_is_there_where_it_does_something(
-    extension: ModuleType, splat_path: Path
-) -> None:
-    obj = import_splat(splat_path)
-    assert "tg4mm.solid_colours" not in drawn(extension, obj)
-    for on in (True, False):
-        asked = [
-            given for name, given in laid_out(extension, obj, "SOLID").asked if name == "tg4mm.solid_colours"
-        ]
-        assert [given.on for given in asked] == [on]
-        bpy.ops.tg4mm.solid_colours(on=on)
-        assert ("tg4mm.solid_colours" in drawn(extension, obj)) is on  # in any view it can be ended
 
 
 @pytest.mark.parametrize(
@@ -117,11 +71,6 @@ def test_colour_range_is_shown_in_its_unit_with_four_digits(
     setattr(obj, field, 2 * shown)
     modifier = extension.nodes.scene.splat_modifier(obj)
     assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == pytest.approx(2 * shown / factor)
-
-
-def test_as_many_decimals_as_four_digits_need(extension: ModuleType) -> None:
-    lengths = {250.0: 2, 12.5: 2, 1.5: 3, 0.2283: 4, 0.02: 5, 0.002283: 6, 1e-9: 6, 0.0: 6}
-    assert {x: extension.panels.colour_range.decimals_for(x) for x in lengths} == lengths
 
 
 def test_colours_by_motion_come_with_a_legend(
@@ -208,20 +157,6 @@ def test_static_file_has_no_motion_controls(extension: ModuleType, tmp_path: Pat
     assert "This file holds no motion" in shown
     assert not {extension.names.ALPHA, "View Colours", extension.names.COLOUR_BY} & set(shown)
     assert not {"tg4mm.band", "tg4mm.probe"} & set(shown)
-
-
-def test_lost_references_are_told_in_the_panel(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    told = textwrap.wrap(extension.nodes.applied.LOST, 34)
-    assert not set(told) & set(drawn(extension, obj))
-    edited = bmesh.new()
-    edited.from_mesh(obj.data)
-    edited.verts.ensure_lookup_table()
-    edited.verts.remove(edited.verts[-1])
-    edited.to_mesh(obj.data)
-    edited.free()
-    bpy.context.view_layer.update()
-    assert set(told) <= set(drawn(extension, obj))
 
 
 def test_what_makes_native_splats_coarse_is_told_and_goes(

@@ -301,20 +301,6 @@ def test_curve_marks_the_current_frame(extension: ModuleType, moving: Any) -> No
     np.testing.assert_array_equal(function(*arguments), extension.panels.plots.mark_time(expected, 0.5))
 
 
-def test_rows_are_the_largest_by_frequency(extension: ModuleType) -> None:
-    amplitudes = np.array([1.0, 0.001, 8.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
-    phasors = np.zeros((9, 3), complex)
-    phasors[:, 1] = amplitudes
-    found = extension.probe.probe.Probe(
-        "p", np.arange(9.0), phasors, np.tile([0.0, 1.0, 0.0], (9, 1)), 30.0, 30
-    )
-    rows, left_out = extension.probe.picking.shown_ellipses(found)
-    assert [e.frequency_hz for e in rows] == [2, 6, 7, 8]
-    assert left_out == 5
-    texts = extension.probe.picking.row_texts(rows[0], extension.units.unit_of(0.001))
-    assert texts == ("2 Hz", "8 mm", "0°", "along (0.00, 1.00, 0.00)", "0: moves along a line")
-
-
 @pytest.fixture
 def sure(extension: ModuleType, tmp_path: Path) -> Any:
     """A file that says how sure its amplitudes are."""

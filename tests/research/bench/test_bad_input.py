@@ -36,6 +36,14 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         (["--set", "paper.resolution=100"], "100"),
         (["--set", "motion.iterations=x"], "'x'"),
         (["--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
+        (["--external", "theirs"], "expected NAME=DIR"),
+        (["--external", "a/b=."], "letters, digits"),
+        (["--external", "theirs=/nowhere"], "/nowhere is not a folder"),
+        (["--external", "modal=."], "that is the name of a row here"),
+        (["--external", "ceiling=."], "that is the name of a row here"),
+        (["--external", "Linear-2D=."], "that is the name of a row here"),
+        (["--external", "set.json=."], "that is the name of a row here"),
+        (["--external", "-x=."], "must not begin with . or -"),
     ],
 )
 def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_path: Path, capsys) -> None:

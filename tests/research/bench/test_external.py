@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,8 @@ import pytest
 from PIL import Image
 
 from tg4mm.cli import main
-from tg4mm.research.bench.folder import filmed_digest
 from tg4mm.research.bench.jobs import run_job
 from tg4mm.research.bench.methods.video import Linear2D
-from tg4mm.research.bench.pages.shown import gather
 from tg4mm.research.bench.pages.tables import groups_of, tables_of
 from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.scored import checkouts
@@ -71,26 +70,6 @@ def test_its_scores_are_what_the_example_does(joined: tuple[Path, dict]) -> None
     (line,) = [x for x in joined[1]["lines"] if x["row"] == "blend"]
     assert list(line["alphas"]) == ["0", "5", "20"]
     assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ("theirs", "expected NAME=DIR"),
-        ("a/b=.", "letters, digits"),
-        ("theirs=/nowhere", "/nowhere is not a folder"),
-        ("modal=.", "that is the name of a row here"),
-        ("ceiling=.", "that is the name of a row here"),
-        ("Linear-2D=.", "that is the name of a row here"),
-        ("set.json=.", "that is the name of a row here"),
-        ("-x=.", "must not begin with . or -"),
-    ],
-)
-def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:
-    out = tmp_path / "out"
-    assert main(["bench", "scenes", str(data), "--out", str(out), "--external", given]) == 2
-    assert message in capsys.readouterr().err
-    assert not out.exists()
 
 
 def run_linear(data: Path, out: Path, *more: str) -> tuple[int, dict]:
@@ -197,20 +176,6 @@ def test_a_folder_without_pictures_has_failed(data: Path, tmp_path: Path) -> Non
     assert "holds no pictures such as" in results["failed"][0]["why"]
 
 
-def test_an_alpha_without_ground_truth_is_said(data: Path, tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="has no ground truth for α = 7: left out"):
-        run_linear(data, tmp_path / "out", "--alphas", "5,7")
-
-
-def test_tables_of_methods_that_are_gone_do_not_stay(data: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run_linear(data, out)
-    stale = out / "tables" / "1_motion.tex"
-    stale.write_text("of another call")
-    run_linear(data, out)
-    assert not stale.exists()
-
-
 def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: Path) -> None:
     own, out = tmp_path / data.name, tmp_path / "out"
     shutil.copytree(data, own)
@@ -258,34 +223,35 @@ def test_methods_join_a_dataset_of_exr_pictures_by_png(data: Path, tmp_path: Pat
     assert "<video" in (tmp_path / "out" / "results.html").read_text(encoding="utf-8")
 
 
-def test_videos_are_of_an_alpha_that_all_rows_have(data: Path, tmp_path: Path) -> None:
-    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
-    shutil.copytree(data / "magnified" / "x005", theirs)
-    with pytest.warns(UserWarning, match="no pictures at α = 20"):
-        _, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
-    shown = gather(tmp_path / "out", results, open_set(data, data.name))
-    assert (shown.alpha, list(shown.videos)) == (5, ["ground truth", "linear-2d", "theirs"])
+def other_bytes(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[-1] ^= 1
+    path.write_bytes(raw)
 
 
-@pytest.mark.parametrize("what", ["pictures", "cameras"])
-def test_a_dataset_whose_training_pictures_or_cameras_have_changed_is_refused(
-    what: str, data: Path, tmp_path: Path
+def move_a_test_camera(path: Path) -> None:
+    cameras = json.loads(path.read_text())
+    cameras["frames"][0]["transform_matrix"][0][3] += 0.5
+    path.write_text(json.dumps(cameras))
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (other_bytes, "003/train/r_000.png"),
+        (other_bytes, "points3d.ply"),
+        (move_a_test_camera, "003/transforms_test.json"),
+    ],
+)
+def test_a_dataset_whose_training_data_or_cameras_have_changed_is_refused(
+    change: Callable[[Path], None], what: str, data: Path, tmp_path: Path
 ) -> None:
-    own, out = tmp_path / data.name, tmp_path / "out"
-    shutil.copytree(data, own)
+    own, out = shutil.copytree(data, tmp_path / data.name), tmp_path / "out"
     assert run_linear(own, out)[0] == 0
     copied = shutil.copytree(own, tmp_path / "copied" / data.name, copy_function=shutil.copyfile)
     assert run_linear(copied, out)[0] == 0
-    if what == "pictures":
-        picture = own / "003" / "train" / "r_000.png"
-        Image.open(picture).convert("L").convert("RGBA").save(picture)
-    else:
-        file = own / "003" / "transforms_test.json"
-        cameras = json.loads(file.read_text())
-        cameras["frames"][0]["transform_matrix"][0][3] += 0.5
-        file.write_text(json.dumps(cameras))
-    arguments = ["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]
-    assert main(arguments) == 2
+    change(own / what)
+    assert main(["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]) == 2
 
 
 def spoilt_at_20(data: Path, theirs: Path, content: bytes | None) -> Path:
@@ -343,17 +309,8 @@ def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: P
     assert [f["why"].partition(": ")[0] for f in results["failed"]] == ["α = 20"]
     assert (status, [list(x["alphas"]) for x in results["lines"]]) == (1, [["0", "5"]] * 2)
     assert run_linear(own, tmp_path / "five", "--alphas", "5")[0] == 0
-    arguments = [
-        "bench",
-        "job",
-        str(own),
-        "linear-2d",
-        "--out",
-        str(tmp_path / "out"),
-        "--methods",
-        "linear-2d",
-    ]
-    assert main(arguments) == 0
+    options = ["--out", str(tmp_path / "out"), "--methods", "linear-2d"]
+    assert main(["bench", "job", str(own), "linear-2d", *options]) == 0
 
 
 def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:
@@ -364,20 +321,6 @@ def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:
     page = (out / "results.md").read_text(encoding="utf-8")
     assert "theirs" in page
     assert "othing moves" not in page
-
-
-@pytest.mark.parametrize("what", ["picture", "points3d.ply"])
-def test_other_bytes_of_the_same_length_are_other_training_data(
-    what: str, data: Path, tmp_path: Path
-) -> None:
-    own = shutil.copytree(data, tmp_path / data.name)
-    file = own / "003" / "train" / "r_000.png" if what == "picture" else own / what
-    file.write_bytes(file.read_bytes() if file.exists() else b"points")
-    before = filmed_digest(own)
-    raw = bytearray(file.read_bytes())
-    raw[-1] ^= 1
-    file.write_bytes(raw)
-    assert filmed_digest(own) != before
 
 
 def test_scores_are_of_the_weights_and_programs_as_they_are(

@@ -103,13 +103,6 @@ def test_a_rival_that_had_less_time_proves_nothing() -> None:
     assert verdict(results(runs=[*short["runs"], again]), "beats")["reached"] is True
 
 
-def test_the_error_goal_follows_the_amplitude() -> None:
-    fine = results(sets=[{"label": x, "group": "g", "amplitude_px": 0.02} for x in ("a", "b")])
-    assert verdict(fine, "displacement")["goal"] == "displacement error ≤ 10% at 0.02 px"
-    coarse = results(sets=[{"label": x, "group": "g", "amplitude_px": 3.0} for x in ("a", "b")])
-    assert not [v for v in judge(coarse) if "displacement" in v["goal"]]
-
-
 def test_what_was_not_measured_is_not_judged() -> None:
     no_alpha = results(runs=[run_of(x, {"5": 0.0}, 0.04, 0.01, (3, 2)) for x in ("a", "b")])
     assert verdict(no_alpha, "α = 50")["reached"] is None

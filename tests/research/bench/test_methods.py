@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,11 +104,6 @@ def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: f
     assert gain(*videos) == pytest.approx(share, abs=0.1)
 
 
-def test_without_a_band_every_frequency_is_magnified() -> None:
-    response = band_response(band_set(3.5, 6.5), 7.0, replace(Plan(), banded=False))
-    assert response == pytest.approx(np.full(T // 2 + 1, 7.0))
-
-
 @pytest.mark.parametrize("band", [(0.0, 3.5), (1.5, 4.5), (3.5, 6.5)])
 @pytest.mark.parametrize("method", [Phase2D(), Linear2D()])
 def test_a_still_video_stays(method: Phase2D | Linear2D, band: tuple[float, float]) -> None:
@@ -156,27 +150,6 @@ def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
     assert gain(held, moving(1.1), video) < 0.5 * gain(free, moving(1.1), video)
 
 
-@pytest.mark.parametrize("size", [(64, 64), (50, 42)])
-def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarsest(
-    size: tuple[int, int],
-) -> None:
-    import torch
-
-    from tg4mm.fit.magnify.phase import _give, _take, half_octave_bands
-
-    spectrum = torch.fft.rfft2(torch.from_numpy(np.random.default_rng(0).random((1, *size))).float())
-    back = torch.zeros_like(spectrum)
-    for band in half_octave_bands(size):
-        held = torch.fft.ifft2(_take(spectrum, band.analysis.shape) * band.analysis)
-        _give(back, torch.fft.fft2(held) * band.synthesis)
-    share = (torch.fft.rfft2(torch.fft.irfft2(back, s=size)) / spectrum)[0]
-    radius = np.hypot(2 * np.fft.fftfreq(size[0])[:, None], 2 * np.fft.rfftfreq(size[1]))
-    octaves = int(np.log2(min(size))) - 2
-    between = torch.from_numpy((radius > 2.0**-octaves) & (radius < 2**-0.75))
-    assert (share[between] - 1).abs().max() < 0.006
-    assert share.abs().max() < 1.006
-
-
 def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> None:
     field = HexPlane(4, 2, 5, 3, 8, seed=0)
     points = torch.rand(20, 3) * 2 - 1
@@ -184,19 +157,6 @@ def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> 
     torch.nn.init.normal_(field.head.weight)
     field(points, 0.3).square().sum().backward()
     assert all(p.grad is not None and p.grad.any() for p in field.parameters())
-
-
-def test_roughness_is_that_of_the_planes() -> None:
-    field = HexPlane(3, 1, 4, 2, 8, seed=0)
-    with torch.no_grad():
-        for plane in field.planes:
-            plane.fill_(1.0)
-    assert [v.item() for v in field.roughness()] == [0.0, 0.0]
-    with torch.no_grad():
-        field.planes[2][:, :, 1] = 2.0
-    space, time = field.roughness()
-    assert space.item() == 0.0
-    assert time.item() > 0.0
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,12 +20,11 @@ from tg4mm.research.bench import methods
 from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import SEEN, _request
-from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
+from tg4mm.research.bench.pages.tables import pivots
 from tg4mm.research.bench.request import Plan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
-from tg4mm.research.bench.sets import open_set, open_sets, truth_at
+from tg4mm.research.bench.sets import open_set, truth_at
 from tg4mm.research.evaluate.run import evaluate_run
-from tg4mm.research.evaluate.subject import subject_of
 from tg4mm.run import Run
 from tg4mm.run.train import parse_settings
 
@@ -100,23 +98,6 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
-def test_kinds_of_capture_are_told_apart(done: Done, data: Path) -> None:
-    _, results = done
-    assert kinds_tables(results) == []  # there is one
-    kinds = {data.name: "orbit", "other": "clips"}
-    runs = [r | {"set": name} for name in kinds for r in results["runs"]]
-    lines = [x | {"set": name} for name in kinds for x in results["lines"]]
-    both = results | {"kind_means": group_means(runs, kinds), "kind_line_means": line_means(lines, kinds)}
-    motion, pictures = kinds_tables(both)
-    assert [row[:3] for row in motion.rows][:2] == [["orbit", "modal", "1"], ["orbit", "paper-tuned", "1"]]
-    assert {row[0] for row in motion.rows} == {row[0] for row in pictures.rows} == {"orbit", "clips"}
-    run = entry(results, "modal")
-    cell = dict(zip(motion.header, motion.rows[0], strict=True))
-    assert cell["error"] == f"{run['displacement']['relative_error']:.1%}"
-    assert cell["leak"] == f"{run['displacement']['static_leak']:.1%}"
-    assert cell["frequency, Hz"] == f"{abs(run['strongest_hz'] - 5.0):.3f}"
-
-
 def test_the_rows_that_frame_the_others(done: Done) -> None:
     _, results = done
     lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
@@ -125,30 +106,6 @@ def test_the_rows_that_frame_the_others(done: Done) -> None:
     assert lines["nothing moves"]["gain"] == pytest.approx(0, abs=1e-9)
     assert lines["ceiling"]["gain"] > 0.7
     assert lines["ceiling"]["ssim_moving"] > lines["nothing moves"]["ssim_moving"]
-
-
-def test_preparation_is_not_timed_and_done_once(
-    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Opening the run and following the exact motion takes longer than many pictures."""
-    out, built = done[0], []
-    (opened,) = open_sets([data])
-    (method,) = [m for m in REQUEST.made() if m.name == "modal"]
-
-    def subject(*arguments: Any) -> Any:
-        built.append(arguments)
-        return subject_of(*arguments)
-
-    monkeypatch.setattr(methods, "subject_of", subject)
-    if hasattr(methods, "_subject_of"):
-        methods._subject_of.cache_clear()
-    place = job_folder(out, opened, method)
-    for row in method.rows:
-        for alpha in (5, 20):
-            pictures = method.render(row, opened, place, truth_at(opened, alpha), alpha, REQUEST.plan)
-            assert len(built) == 1
-            next(pictures)
-    assert len(built) == 1
 
 
 def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,23 +118,6 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
         monkeypatch.setattr(f"tg4mm.research.bench.{name}", forbidden)
     again = run_scenes([data], out, REQUEST, silent)
     assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
-
-
-def test_the_time_that_is_left_is_told_without_the_jobs_that_were_finished(
-    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A finished job takes no time; counted with the others it would promise an early end."""
-    shown: list[Any] = []
-
-    @contextmanager
-    def watched(label: str, total: int, unit: str, start: int) -> Iterator[Any]:
-        shown.append((total, start))
-        yield shown.append
-
-    monkeypatch.setattr("tg4mm.research.bench.scenes.progress", watched)
-    methods = ("modal", "paper-tuned", "linear-2d")
-    run_scenes([data], done[0], replace(REQUEST, methods=methods), silent)
-    assert shown == [(3, 2), 3]
 
 
 def test_other_alphas_are_scored_without_training(
@@ -221,7 +161,7 @@ class TestSameTime:
         assert found == expected
 
     def test_it_is_a_row_of_its_own(
-        self, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, done: Done, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def halved(figures: dict[str, Any], request: ScenesRequest) -> list[Training]:
             """As if `modal` took half the time: what is measured may happen to be the same."""
@@ -230,7 +170,7 @@ class TestSameTime:
         monkeypatch.setattr("tg4mm.research.bench.scenes.same_time_trainings", halved)
         plan = Plan(alphas=(20.0,))
         request = replace(REQUEST, same_time="always", plan=plan)
-        results = run_scenes([data], tmp_path / "out", request, silent)
+        results = run_scenes([data], shutil.copytree(done[0], tmp_path / "out"), request, silent)
         again, first = (entry(results, f"paper-tuned{name}") for name in (", modal's time", ""))
         assert again["overrides"] != first["overrides"]
         assert {m["row"] for m in results["means"]} == {"modal", "paper-tuned", "paper-tuned, modal's time"}
@@ -334,37 +274,3 @@ def test_a_mean_over_other_sets_is_marked_whatever_their_number() -> None:
     means = line_means(lines, dict.fromkeys(("easy", "mid", "hard"), "group"))
     (table,) = pivots(means, "group")
     assert [row[0] for row in table.rows] == ["a (2 of 3 sets)", "b (2 of 3 sets)", "c"]
-
-
-def test_speeds_are_those_of_the_methods_rows() -> None:
-    """Of a paper preset the mean of both ways, of several sets the mean over them."""
-
-    def run(name: str, row: str) -> dict[str, Any]:
-        return {
-            "set": name, "row": row, "preset": row, "ways": [row], "rows": {}, "displacement": None, "log": {},
-            "seconds": {"space": 1.0, "motion": 1.0, "total": 2.0}, "n_gaussians": 100, "mib_on_disk": 1.0,
-        }  # fmt: skip
-
-    speeds = {
-        "modal": (40.0, 60.0),
-        "paper: linear": (10.0, 12.0),
-        "paper: phase": (20.0, 22.0),
-        "linear-2d": (90.0, 80.0),
-    }
-    runs = [run(name, row) for name in "ab" for row in ("modal", "paper")]
-    results = {
-        "sets": [{"label": name, "group": "g"} for name in "ab"],
-        "runs": runs,
-        "means": group_means(runs, dict.fromkeys("ab", "g")),
-        "lines": [
-            {"set": name, "row": row, "frames_per_s": v[i]}
-            for i, name in enumerate("ab")
-            for row, v in speeds.items()
-        ],
-    }
-    table = cost_table(results, "g")
-    assert table.header[-1] == "pictures/s"
-    assert {(row[0], row[1]): row[-1] for row in table.rows} == {
-        ("a", "modal"): "40", ("a", "paper"): "15", ("b", "modal"): "60", ("b", "paper"): "17",
-        ("mean of 2", "modal"): "50", ("mean of 2", "paper"): "16", ("a", "linear-2d"): "90", ("b", "linear-2d"): "80",
-    }  # fmt: skip

@@ -23,7 +23,6 @@ from tg4mm.research.bench.sets import (
     band_around,
     check_alphas,
     goal_amplitude,
-    group_titles,
     open_set,
     open_sets,
 )
@@ -66,25 +65,6 @@ def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
 def test_which_goal_an_amplitude_stands_for(pixels: float, goal: float | None, name: str) -> None:
     assert goal_amplitude(pixels) == goal
     assert amplitude_name(pixels) == name
-
-
-def test_groups_are_named_by_what_is_in_them(data: Path, tmp_path: Path) -> None:
-    one = open_set(data, "a")
-    sets = [
-        replace(one, label=label, amplitude_px=px, cameras=kind)
-        for label, px, kind in (
-            ("a", 0.15, "orbit"),
-            ("b", 0.272, "orbit"),
-            ("c", 0.9, "orbit"),
-            ("d", 0.2, "rig"),
-        )
-    ]
-    assert group_titles(sets) == {
-        "a": "32×32, orbit, 0.15 to 0.27 px",
-        "b": "32×32, orbit, 0.15 to 0.27 px",
-        "c": "32×32, orbit, 0.9 px",
-        "d": "32×32, rig, 0.2 px",
-    }
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Displacement error, direction, leak and amplitude against closed forms."""
+"""Displacement error, direction, leak and amplitude against closed forms, and what a run says of its uncertainty."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, frequency_figures
+from tg4mm.research.evaluate.subject import uncertainty_figures
 
 FPS, T, N = 30.0, 30, 40
 
@@ -187,3 +188,41 @@ def test_what_does_not_fit_together_is_refused(true) -> None:
         displacement_figures(replace(true, fps=25.0), true, np.ones(N))
     with pytest.raises(ValueError, match="sum is 0"):
         displacement_figures(true, true, np.zeros(N))
+
+
+MANY = 400
+
+
+@pytest.fixture
+def errors() -> np.ndarray:
+    """Peak displacement errors [N, 3] along x, a half normal of 1e-3."""
+    out = np.zeros((MANY, 3))
+    out[:, 0] = 1e-3 * np.abs(np.random.default_rng(0).standard_normal(MANY))
+    return out
+
+
+def test_errors_are_rms_over_time_and_weighted(errors) -> None:
+    weights = np.zeros(MANY)
+    weights[:2] = 1, 3
+    figures = uncertainty_figures(
+        motion({3.0: errors}), motion({3.0: 0 * errors}), weights, np.full(MANY, 2e-3)
+    )
+    expected = np.sqrt(
+        (errors[0, 0] ** 2 + 3 * errors[1, 0] ** 2) / 4 / 2
+    )  # of a sinusoid: half its peak squared
+    assert figures["error"] == pytest.approx(expected, rel=1e-4)
+    assert figures["said"] == pytest.approx(2e-3, rel=1e-6)
+
+
+def test_the_part_within_twice_what_is_said_counts_by_weight(errors) -> None:
+    said = errors[:, 0] / np.sqrt(2)  # what each is off by, rms over time
+    weights = np.random.default_rng(1).random(MANY)
+    too_sure = np.arange(MANY) < 100
+    said[too_sure] *= 0.4
+    figures = uncertainty_figures(motion({3.0: errors}), motion({3.0: 0 * errors}), weights, said)
+    assert figures["within_two"] == pytest.approx(weights[~too_sure].sum() / weights.sum(), rel=1e-6)
+
+
+def test_another_number_of_gaussians_is_refused(errors) -> None:
+    with pytest.raises(ValueError, match="399"):
+        uncertainty_figures(motion({3.0: errors}), motion({3.0: errors}), np.ones(MANY), np.ones(MANY - 1))

@@ -65,12 +65,6 @@ def test_the_rest_pose_is_one_for_all_methods() -> None:
     assert method({3.0: 1.0}).state(0, 0.0) != ()
 
 
-def test_band_edges_are_inside() -> None:
-    inside = Magnification.of(1.0, (3.0, 4.0)).inside(np.array([2.9, 3.0, 4.0, 4.1]))
-    np.testing.assert_array_equal(inside, [False, True, True, False])
-    assert Magnification().inside(np.array([0.0, 99.0])).all()
-
-
 Scene = tuple[Capture, Gaussians, ModalMotion]
 
 

@@ -293,7 +293,6 @@ def test_broken_gains_are_refused(tmp_path, key, value, message) -> None:
 
 
 SQUARE = np.array([[0.0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0]])
-TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def brute_force_distance(point: np.ndarray, corners: np.ndarray, n: int = 400) -> float:
@@ -302,28 +301,6 @@ def brute_force_distance(point: np.ndarray, corners: np.ndarray, n: int = 400) -
     keep = u + v <= 1 + 1e-12
     grid = np.stack([1 - u[keep] - v[keep], u[keep], v[keep]], 1) @ corners
     return float(np.linalg.norm(grid - point, axis=1).min())
-
-
-def test_samples_are_on_the_triangles_and_hold_every_vertex() -> None:
-    s = sample_surface(SQUARE, TWO_TRIANGLES, 1000)
-    np.testing.assert_allclose(s.barycentric.sum(1), 1)
-    assert (s.barycentric >= -1e-12).all()
-    np.testing.assert_allclose((SQUARE[s.triangles] * s.barycentric[..., None]).sum(1), s.points)
-    assert s.tree.query(SQUARE)[0].max() == 0.0
-    assert 1000 <= len(s.points) <= 1010
-
-
-def test_samples_are_dense_everywhere_and_follow_area() -> None:
-    s = sample_surface(SQUARE, TWO_TRIANGLES, 1000)
-    rng = np.random.default_rng(0)
-    anywhere = np.column_stack([rng.uniform(0, 3, 5000), rng.uniform(0, 1, 5000), np.zeros(5000)])
-    assert s.tree.query(anywhere)[0].max() < 2.0 * np.sqrt(3 / 1000)
-    # A triangle of nine times the area gets nine times the samples.
-    vertices = np.concatenate([SQUARE[:3], 10 + 3 * SQUARE[:3]])
-    counts = np.bincount(
-        sample_surface(vertices, np.array([[0, 1, 2], [3, 4, 5]]), 1000).triangles[:, 0], minlength=4
-    )
-    assert counts[3] / counts[0] == pytest.approx(9, rel=0.05)
 
 
 def test_loose_vertices_and_flat_triangles_are_samples_too() -> None:

@@ -159,21 +159,8 @@ def test_what_a_run_cannot_do_is_refused(trained):
 
 class TestCommands:
     def test_render(self, trained, tmp_path):
-        options = [
-            "--alpha",
-            "5",
-            "--alpha",
-            "-1",
-            "--band",
-            "4",
-            "6",
-            "--band",
-            "9",
-            "11",
-            "--filter",
-            "ideal",
-            "--allow-empty-band",  # the record holds one period
-        ]
+        bands = ["--alpha", "5", "--alpha", "-1", "--band", "4", "6", "--band", "9", "11"]
+        options = [*bands, "--filter", "ideal", "--allow-empty-band"]  # the record holds one period
         for method, name in ((["--method", "phase"], "phase"), ([], "own")):
             out = tmp_path / name
             assert (

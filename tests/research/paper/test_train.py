@@ -1,4 +1,4 @@
-"""The preset `paper`: what is trained when, what stays, what is written, and how it goes on after a kill."""
+"""The preset `paper`: what is trained when, what stays, what is written, how it goes on after a kill."""
 
 from __future__ import annotations
 
@@ -8,17 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 
 from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
-from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.capture import load_capture, load_images
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.fit.motion.animate import animate
 from tg4mm.research.paper.config import PAPER
 from tg4mm.research.paper.model import load_model, load_planes, planes_name
+from tg4mm.research.paper.motion import at_rest
+from tg4mm.research.paper.space import cameras_on, first_views, view_loss
 from tg4mm.run import Run
 from tg4mm.run.train import parse_settings, train
 
@@ -180,3 +185,31 @@ class TestRefusals:
         copy.save_part("triplane", tensors, residual=True)
         with pytest.raises(RunError, match=r"has no tensor base\.sh"):
             load_model(copy)
+
+
+@pytest.fixture(scope="module")
+def views(data: Path):
+    capture = load_capture(data)
+    return first_views(capture, load_images(capture))
+
+
+def test_static_errors_cost_nothing(trained: Run, views) -> None:
+    model = load_model(trained)
+    first = at_rest(model, views)
+    # A picture with the model's error, an unmodelled gradient on top, and nothing that moved.
+    wrong = replace(
+        views, rgb=views.rgb * np.linspace(0.5, 1.0, views.rgb.shape[2], dtype=np.float32)[:, None]
+    )
+    compared = replace(wrong, rgb=wrong.rgb + at_rest(model, wrong).missing)
+    for v in range(len(views.rgb)):
+        assert float(view_loss(model.rest(), cameras_on(wrong, "cpu"), v)) > 0.02
+        assert float(view_loss(model.rest(), cameras_on(compared, "cpu"), v)) < 1e-6
+    assert np.abs(first.missing).mean() > 1e-3  # the model is not perfect, so there is something to take out
+
+
+def test_a_camera_that_moved_is_refused(trained: Run, views) -> None:
+    first = at_rest(load_model(trained), views)
+    moved = views.viewmats.copy()
+    moved[1, 0, 3] += 0.1
+    with pytest.raises(CaptureError, match="a camera moved"):
+        first.row_of(replace(views, viewmats=moved), 1)

@@ -10,7 +10,7 @@ import torch
 from pxr import Usd
 
 from tests.helpers.gltf import parsed
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.core.splatfile import read_splat
@@ -26,13 +26,7 @@ EPS = 1e-6  # square pixels: a viewer without a low-pass
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    gaussians, motion = make_synthetic_dataset(
-        tmp_path / "data", n_views=4, n_timesteps=5, size=24, freqs=(3.0,), n_test=0
-    )
-    made = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
-    made.save_space(gaussians, {})
-    made.save_motion(motion, {})
-    return made
+    return moving_run(tmp_path, n_views=4, n_timesteps=5, size=24, freqs=(3.0,))
 
 
 def picture(gaussians: Gaussians, scales: torch.Tensor, viewmat, K, side: int, eps2d: float) -> np.ndarray:

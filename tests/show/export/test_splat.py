@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.core.errors import RunError, Tg4mmError
+from tests.helpers.synthetic import moving_run
+from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
-from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
 from tg4mm.show.render.sequence import RenderRequest
@@ -20,13 +19,7 @@ from tg4mm.show.result.line import mode_deviations
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    gaussians, motion = make_synthetic_dataset(
-        tmp_path / "data", n_views=1, n_timesteps=5, size=16, freqs=(3.0, 6.0), n_test=0
-    )
-    made = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
-    made.save_space(gaussians, {})
-    made.save_motion(motion, {})
-    return made
+    return moving_run(tmp_path, n_views=1, n_timesteps=5, size=16, freqs=(3.0, 6.0))
 
 
 def test_a_splat_file_holds_the_model(run, tmp_path):
@@ -38,25 +31,6 @@ def test_a_splat_file_holds_the_model(run, tmp_path):
     np.testing.assert_array_equal(splat.displacement, motion.displacement)
     np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
     assert (splat.fps, splat.n_timesteps, splat.unit_scale_m) == (30.0, 5, 0.1)
-
-
-def test_a_splat_file_holds_no_light_not_even_that_of_its_zero(run, tmp_path):
-    """Of light that rests at another place than the mean a part alone would be a wrong colour."""
-    gaussians, motion = run.load_space(), run.load_motion()
-    shapes = np.full((1, len(gaussians), 1, 3), 0.1, np.float32)
-    light = AppearanceModes(shapes, np.ones((3, 1), np.complex128))
-    zero = np.zeros_like(motion.displacement[:1])
-    run.save_motion(
-        replace(
-            motion,
-            freqs_hz=np.array([0.0, *motion.freqs_hz]),
-            displacement=np.concatenate([zero, motion.displacement]),
-            rotation=np.concatenate([zero, motion.rotation]),
-            appearance=light,
-        ),
-        {},
-    )
-    np.testing.assert_array_equal(read_splat(export_ply(run, tmp_path / "splat.ply")).sh, gaussians.sh)
 
 
 def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
@@ -81,16 +55,6 @@ def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
     )
     shown = read_splat(frames / "frame_0001.ply").means
     np.testing.assert_allclose(positions_at(splat, 1, 4.0, None), shown, atol=1e-6)
-
-
-def test_only_a_ply_is_overwritten(run, tmp_path):
-    model = run.path / "space.safetensors"
-    before = model.read_bytes()
-    with pytest.raises(Tg4mmError, match=r"--out .*space\.safetensors: exists, and is no PLY file"):
-        export_ply(run, model)
-    assert model.read_bytes() == before
-    for _ in range(2):
-        assert read_splat(export_ply(run, tmp_path / "splat.ply")).n_timesteps == 5
 
 
 def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
@@ -127,14 +91,6 @@ def test_a_killed_sequence_goes_on(run, tmp_path):
     after = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.iterdir()}
     assert [name for name in before if before[name] != after[name]] == ["frame_0002.ply"]
     assert before["frame_0002.ply"][0] == after["frame_0002.ply"][0]
-
-
-def test_folders_and_files_are_told_apart(run, tmp_path):
-    with pytest.raises(Tg4mmError, match="is a folder"):
-        export_ply(run, tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(Tg4mmError, match="is a file"):
-        export_ply_sequence(run, tmp_path / "file", RenderRequest())
 
 
 def with_uncertainty(run: Run, deviation: float, noise: float) -> None:

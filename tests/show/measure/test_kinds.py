@@ -18,17 +18,6 @@ from tg4mm.show.measure.sides import HALVES, Sides
 AMPLITUDE = np.array([0.016, 0.0, 0.012])
 
 
-def test_every_clip_has_a_series_of_its_own(tmp_path: Path) -> None:
-    run = run_of(
-        tmp_path, of_parts(ball=sine(4.3, AMPLITUDE)), n_views=2, n_timesteps=36, kind="clips", noise=0.004
-    )
-    found = measure(prepare(run, keep=False), [parse_sensor(BALL_SPHERE)])
-    ball = found["ball"]
-    assert [s.clock for s in ball.clips] == ["r_000", "r_001"]
-    assert ball.spectrum.peaks[0].frequency_hz == pytest.approx(4.3, abs=0.05)
-    assert any("clock of its own" in note for note in found.notes)
-
-
 def test_a_moving_camera_shows_what_moves_before_it(tmp_path: Path) -> None:
     run = run_of(tmp_path, of_parts(ball=sine(9.0, AMPLITUDE)), n_timesteps=40, walks=True, noise=0.004)
     scene = prepare(run)

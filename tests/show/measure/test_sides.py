@@ -45,8 +45,3 @@ def test_it_comes_back_from_a_file(exact: np.ndarray) -> None:
     kept, rows = Sides.of(exact), np.arange(N)
     again = Sides.restored(kept.arrays("3"), "3", FRAMES, N)
     np.testing.assert_array_equal(again.summed(motions(rows), rows), kept.summed(motions(rows), rows))
-
-
-def test_a_region_that_is_not_seen_has_the_sum_0(exact: np.ndarray) -> None:
-    rows = np.arange(0, 50)
-    assert not Sides.of(exact).summed(motions(rows), rows).any()

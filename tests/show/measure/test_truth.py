@@ -44,13 +44,6 @@ def test_amplitude_frequency_and_phase_are_the_true_ones_though_no_mode_was_fitt
     assert not peak.is_above[1]
 
 
-def test_errors_of_amplitude_are_within_their_deviations(tone) -> None:
-    found, _, _ = tone
-    peak = found["ball"].spectrum.peaks[0]
-    assert (np.abs(peak.amplitude - AMPLITUDE) < 3 * peak.deviation).all()
-    assert (peak.deviation < 0.05 * np.linalg.norm(AMPLITUDE)).all()
-
-
 def test_two_thirds_of_the_samples_lie_within_a_deviation(tone) -> None:
     found, ball, post = tone
     shares = []
@@ -75,14 +68,6 @@ def test_nothing_is_found_that_does_not_move(tmp_path: Path) -> None:
     assert any("nothing stands out" in note for note in found.notes)
 
 
-def test_two_tones_of_one_sensor_are_told_apart(tmp_path: Path) -> None:
-    one, other = sine(3.2, AMPLITUDE, 0.4), sine(8.7, [0, 0.004, 0], 2.0)
-    run = run_of(tmp_path, of_parts(ball=lambda t: one(t) + other(t)))
-    peaks = sorted(measured(run, BALL_SPHERE)["ball"].spectrum.peaks, key=lambda p: p.frequency_hz)
-    assert [p.frequency_hz for p in peaks] == pytest.approx([3.2, 8.7], abs=0.05)
-    assert peaks[1].amplitude[1] == pytest.approx(0.004, rel=0.12)
-
-
 def test_ringing_down_has_its_damping(tmp_path: Path) -> None:
     decay = 1.5  # 1/s
     run = run_of(tmp_path, of_parts(ball=sine(5.0, 2 * AMPLITUDE, 0.0, decay)), n_timesteps=60)
@@ -90,10 +75,6 @@ def test_ringing_down_has_its_damping(tmp_path: Path) -> None:
     assert damping is not None
     assert damping.ratio == pytest.approx(decay / (2 * np.pi * 5), abs=max(3 * damping.deviation, 0.004))
     assert damping.deviation < 0.2 * damping.ratio
-
-
-def test_steady_vibration_has_none(tone) -> None:
-    assert tone[0]["ball"].damping[0] is None
 
 
 def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path: Path) -> None:
@@ -106,40 +87,12 @@ def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path: Path) -> N
     assert result.spectrum.peaks[0].frequency_hz == pytest.approx(4.0, abs=0.03)
 
 
-def test_inside_the_region_the_pictures_decide_and_not_the_modes(tmp_path: Path) -> None:
-    from tests.show.measure.filmed import BALL
-
-    ball = sine(4.0, AMPLITUDE)
-    wrong = np.zeros((sum(PARTS), 3), complex)
-    wrong[BALL] = 0.4 * AMPLITUDE  # shrunken, as a prior does
-    run = run_of(tmp_path, of_parts(ball=ball), modes({4.0: wrong}), noise=0.004)
-    peak = measured(run, BALL_SPHERE)["ball"].spectrum.peaks[0]
-    assert peak.amplitude[[0, 2]] == pytest.approx(AMPLITUDE[[0, 2]], rel=0.05)
-
-
 def test_the_phase_against_a_reference(tmp_path: Path) -> None:
     ball, post = sine(5.0, AMPLITUDE, 0.3), sine(5.0, [0, 0.01, 0], 1.2)
     found = measured(run_of(tmp_path, of_parts(ball=ball, post=post)), BALL_SPHERE, POST_BOX)
     at = found["post"].relation.phases[0]
     assert at.phase == pytest.approx(0.9, abs=max(4 * at.deviation, 0.05))
     assert at.deviation < 0.2
-
-
-@pytest.mark.parametrize(
-    ("camera", "views"), [({"n_views": 1}, 1), ({"n_views": 2}, 2), ({"walks": True}, 12)]
-)
-def test_every_step_of_the_sensors_is_counted(
-    tmp_path: Path,
-    camera: dict,
-    views: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    run = run_of(tmp_path, of_parts(), n_timesteps=12, **camera)
-    monkeypatch.setattr("tg4mm.show.measure.measurement._is_long", lambda *_: True)
-    measured(run, BALL_SPHERE, POST_BOX)
-    steps = 2 * 2 * views  # sensors, halves of the data
-    assert f"sensors: {steps}/{steps} steps" in capsys.readouterr().err
 
 
 def test_one_camera_says_which_direction_it_does_not_see(tmp_path: Path) -> None:

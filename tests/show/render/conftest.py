@@ -6,27 +6,36 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import exact_run
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 
 N_TIMESTEPS = 6
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "sway_5Hz_0_02"
-    make_synthetic_dataset(path, n_views=3, n_timesteps=N_TIMESTEPS, size=32, freqs=(5.0,), alphas=(20,))
-    return path
+def exact(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
+    settings = {
+        "n_views": 3,
+        "n_timesteps": N_TIMESTEPS,
+        "size": 32,
+        "freqs": (5.0,),
+        "alphas": (20,),
+        "n_test": 2,
+    }
+    return exact_run(tmp_path_factory.mktemp("exact"), **settings)
+
+
+@pytest.fixture(scope="session")
+def dataset(exact: tuple[Run, ModalMotion]) -> Path:
+    return exact[0].dataset
 
 
 @pytest.fixture
-def run(dataset: Path, tmp_path: Path) -> Run:
-    gaussians, motion = make_synthetic_dataset(
-        tmp_path / "model", n_views=0, n_timesteps=N_TIMESTEPS, size=32, freqs=(5.0,), n_test=0
-    )
-    made = Run.create(tmp_path / "run", dataset, "modal", {"seed": 0})
-    made.save_space(gaussians, {"seconds": 1.0})
-    made.save_motion(motion, {"seconds": 2.0})
+def run(exact: tuple[Run, ModalMotion], tmp_path: Path) -> Run:
+    made = Run.create(tmp_path / "run", exact[0].dataset, "modal", {"seed": 0})
+    made.save_space(exact[0].load_space(), {"seconds": 1.0})
+    made.save_motion(exact[1], {"seconds": 2.0})
     return made
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.pictures.frames import is_complete_png, png_bytes, read_png, write_png
-from tg4mm.show.render.video import even_size, video_of_files, write_mp4
+from tg4mm.show.render.video import even_size, write_mp4
 
 
 def read_mp4(path):
@@ -46,16 +46,6 @@ def test_odd_sizes_become_even_by_repeating_the_border(tmp_path):
     np.testing.assert_array_equal(even_size(frame)[15, :17], frame[14])
     write_mp4(tmp_path / "a.mp4", [frame] * 2, fps=10)
     assert read_mp4(tmp_path / "a.mp4")[0]["size"] == (18, 16)
-
-
-def test_a_video_of_files_runs_for_some_seconds(tmp_path):
-    paths = [tmp_path / f"{i}.png" for i in range(3)]
-    for i, path in enumerate(paths):
-        write_png(path, flat(60 * i))
-    video_of_files(tmp_path / "a.mp4", paths, fps=6.0)
-    meta, frames = read_mp4(tmp_path / "a.mp4")
-    assert len(frames) == 24
-    assert meta["duration"] == pytest.approx(4.0, abs=0.2)
 
 
 @pytest.mark.parametrize(

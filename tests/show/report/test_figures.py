@@ -1,27 +1,39 @@
-"""Pictures, charts, colours and maps show the numbers that were put in."""
+"""Pictures, charts, colours and maps show the numbers that were put in; what a page is told stays text."""
 
 from __future__ import annotations
 
-import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
+from tests.show.report.page_checks import read_page
 from tg4mm.capture import load_capture
 from tg4mm.core.colour import amount_colours, phase_colours, srgb_of_oklch
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.charts import OURS, chart
+from tg4mm.core.pages.page import (
+    Commands,
+    Figure,
+    Page,
+    Section,
+    Stat,
+    Table,
+    Text,
+    drawing,
+    missing,
+    picture,
+    render_page,
+)
 from tg4mm.core.pages.plotstyle import COLOURS
-from tg4mm.core.pages.svg import colour_bar, nice_ticks, number, phase_bar
+from tg4mm.core.pages.svg import colour_bar
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.report.figures import (
     Line,
-    contact_sheet,
     line_that_moves,
     map_picture,
     phase_picture,
@@ -55,16 +67,6 @@ def test_slices_hold_the_line_over_time(axis):
     assert [int(row[:, 0].argmin()) + 6 for row in over_time] == [10 + t % 5 for t in range(8)] * 2
 
 
-def test_a_contact_sheet_keeps_order_and_leaves_gaps_clear():
-    images = [np.full((8, 8, 3), 50 * i, np.uint8) for i in range(5)]
-    sheet = contact_sheet(images, columns=3, gap=2, edge=8)
-    assert sheet.shape == (18, 28, 4)
-    assert sheet[4, 14, 0] == 50
-    assert sheet[14, 4, 0] == 150
-    assert sheet[4, 9, 3] == 0
-    assert sheet[14, 24, 3] == 0
-
-
 def test_amounts_become_the_colours_of_the_scale():
     picture = map_picture(np.array([[0.0, 1.0, 2.0]]), 2.0, np.array([[1.0, 1.0, 0.0]]))
     expected = np.round(amount_colours(np.array([0.0, 0.5, 1.0])) * 255)
@@ -86,44 +88,6 @@ def texts(svg):
     return [element.text for element in parse(svg).iter("text")]
 
 
-def test_colour_bars_have_ticks_up_to_the_top():
-    assert {"0", "0.5", "1"} <= set(texts(colour_bar(1.0, "mm", "size")))
-    assert "size (mm)" in texts(colour_bar(1.0, "mm", "size"))
-    assert "180°" in texts(phase_bar())
-    parse(colour_bar(0.0, "mm", "size"))
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0, 1, [0, 0.25, 0.5, 0.75, 1]),
-        (0, 0.013, [0, 0.005, 0.01]),
-        (0.88, 1.0, [0.9, 0.95, 1.0]),
-        (2, 2, [2]),
-    ],
-)
-def test_ticks_are_round_numbers_inside(low, high, expected):
-    assert nice_ticks(low, high) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0, "0"),
-        (5, "5"),
-        (0.00641234, "0.00641"),
-        (123456.0, "123456"),
-        (100.0, "100"),
-        (1234567.0, "1.23·10⁶"),
-        (0.00001234, "1.23·10⁻⁵"),
-        (float("nan"), "–"),
-        (-2.5, "-2.5"),
-    ],
-)
-def test_numbers_are_short(value, text):
-    assert number(value) == text
-
-
 def two(label: str = "b") -> str:
     def draw(axes):
         axes.plot([0, 1], [0, 1], "o-", color=OURS)
@@ -131,34 +95,6 @@ def two(label: str = "b") -> str:
         axes.set(xlabel="a <b> & c", ylabel="y")
 
     return str(chart(draw, label))
-
-
-def test_colours_are_the_pages_variables():
-    text = two()
-    assert "stroke: var(--ours)" in text
-    assert "stroke: var(--axis-1)" in text
-    assert not re.findall(r"#[0-9a-f]{6}\b(?!-)", text.replace("url(#", "url(").replace('href="#', 'href="'))
-
-
-def test_a_chart_is_xml_with_escaped_text_and_nothing_of_a_file():
-    root = ElementTree.fromstring(two('<x> "y"'))
-    assert root.get("aria-label") == '<x> "y"'
-    assert any(e.text == "a <b> & c" for e in root.iter("{http://www.w3.org/2000/svg}text"))
-    assert "<style" not in two()
-    assert "<metadata" not in two()
-    assert "<?xml" not in two()
-
-
-def test_names_in_two_charts_differ_and_are_all_used():
-    def flat(axes):
-        axes.plot([0, 2], [0, 0], "o-")
-
-    one, other = two(), str(chart(flat, "c"))
-    names = [set(re.findall(r'\bid="([^"]*)"', text)) for text in (one, other)]
-    assert names[0]
-    assert not names[0] & names[1]
-    for text, own in zip((one, other), names, strict=True):
-        assert set(re.findall(r'(?:url\(|href=")#([^)"]+)', text)) == own
 
 
 def luminance(srgb):
@@ -236,3 +172,23 @@ def test_uncertainty_shows_as_the_peak_of_a_sinusoid(tmp_path):
     np.testing.assert_allclose(shown[moving], np.sqrt(2) * 0.004, rtol=0.05)
     np.testing.assert_allclose(shown[still], np.sqrt(2) * 0.001, rtol=1e-4)
     assert not shown[maps.opacity < 1e-6].any()
+
+
+EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
+
+
+def page(text: str) -> str:
+    figure = Figure([picture(np.zeros((2, 2, 3)), text), missing(text, text)], text, controls=True)
+    chart = Figure([drawing(colour_bar(1.0, text, text))], text, width="narrow")
+    table = Table([text, text], [[text, text]], text, ["ours"])
+    blocks = [Text(text), Text(text, "note"), figure, chart, table, Commands([(text, text)])]
+    return render_page(
+        Page(text, text, text, [Stat(text, text, text, text)], [figure], [Section(text, blocks)], text)
+    )
+
+
+def test_every_string_is_escaped_wherever_it_stands():
+    harmless, evil = read_page(page("harmless")), read_page(page(EVIL))
+    assert evil.tags == harmless.tags
+    assert not evil.handlers
+    assert "".join(evil.text).count(EVIL) == "".join(harmless.text).count("harmless") > 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import moving_run
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.view.scene import RunScene, open_scene
 
@@ -15,13 +15,8 @@ DEVIATION = 2e-4  # scene units
 @pytest.fixture(scope="session")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     root = tmp_path_factory.mktemp("view")
-    model = make_synthetic_dataset(
-        root / "sway", n_views=4, n_timesteps=12, size=48, freqs=(2.5, 5.0), amplitude=0.01, alphas=()
-    )
-    made = Run.create(root / "run", root / "sway", "modal", {"seed": 0})
-    made.save_space(model[0], {})
-    made.save_part(UNCERTAINTY, {"displacement": torch.full((len(model[0]),), DEVIATION)})
-    made.save_motion(model[1], {})
+    made = moving_run(root, n_views=4, n_timesteps=12, size=48, freqs=(2.5, 5.0), amplitude=0.01)
+    made.save_part(UNCERTAINTY, {"displacement": torch.full((len(made.load_space()),), DEVIATION)})
     return made
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,17 +12,10 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
+from tests.show.view.browser import browser as chromium
 from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
 from tg4mm.show.web.write import export_html
-
-# Drawing without a graphics card. Chromium asks root to give up its sandbox.
-CHROMIUM_ARGUMENTS = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
 
 
 @pytest.fixture(scope="session")
@@ -70,14 +62,5 @@ def page_file(moving_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless Chromium of the system, driven by playwright; without them the test is skipped."""
-    sync_api = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not there: pip install playwright"
-    )
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None:
-        pytest.skip("no Chromium to open the page with (Debian: apt-get install chromium)")
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=program, args=CHROMIUM_ARGUMENTS)
-        yield chromium
-        chromium.close()
+    with chromium() as opened:
+        yield opened

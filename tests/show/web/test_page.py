@@ -156,12 +156,6 @@ def test_words_of_the_dataset_cannot_become_markup(moving_run):
     assert text.count("<script") == render(page).count("<script")
 
 
-def test_a_run_without_motion_is_a_page_of_the_still_scene(still_run, tmp_path):
-    scene = scene_of(export_html(still_run, tmp_path / "still.htm").read_text(encoding="utf-8"))
-    assert scene["motion"] is None
-    assert scene["layout"]["n_fields"] == 0
-
-
 def test_an_offset_of_0_hz_is_not_magnified(moving_run, tmp_path):
     run = Run.create(tmp_path / "run", moving_run.dataset, "modal", {})
     motion = moving_run.load_motion()

@@ -1,11 +1,17 @@
-"""Files that are no .blend, not whole, or newer than this Blender: one line each, before anything is done."""
+"""The files around a scene: the header of a user's .blend, and the file that carries geometry to other processes."""
 
 import gzip
+import os
+import subprocess
+import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from dataset_gen.errors import GenerateError
 from dataset_gen.sources import bodies_file
+from tests.helpers.bodies_file import FOUND
 
 OLD = b"BLENDER-v405" + b"DATA" * 100 + b"ENDB" + bytes(20)
 NEW = b"BLENDER17-01v0502" + b"DATA" * 100 + b"ENDB" + bytes(28)
@@ -66,3 +72,37 @@ def test_what_blender_saves_passes_and_its_pieces_do_not(tmp_path):
             assert "\n" not in str(caught.value)
         path.write_bytes(gzip.compress(whole, mtime=0) if name == "plain.blend" else whole)
         assert [body.name for body in open_blend(path).bodies] == ["part"]
+
+
+def test_what_is_read_is_what_was_written(tmp_path):
+    bodies_file.save(tmp_path / "found.npz", FOUND)
+    got = bodies_file.load(tmp_path / "found.npz")
+    assert replace(got, bodies=()) == replace(FOUND, bodies=())
+    assert len(got.bodies) == 2
+    for body, wanted in zip(got.bodies, FOUND.bodies, strict=True):
+        assert body.name == wanted.name
+        assert np.array_equal(body.vertices, wanted.vertices)
+        assert np.array_equal(body.triangles, wanted.triangles)
+        assert np.array_equal(body.follow, wanted.follow)
+        assert {k: v.tolist() for k, v in body.groups.items()} == {
+            k: v.tolist() for k, v in wanted.groups.items()
+        }
+    assert os.listdir(tmp_path) == ["found.npz"]
+
+
+def test_a_missing_a_foreign_and_a_truncated_file_are_one_line_each(tmp_path):
+    with pytest.raises(GenerateError, match=r"absent\.npz cannot be read: No such file"):
+        bodies_file.load(tmp_path / "absent.npz")
+    np.savez(tmp_path / "foreign.npz", other=np.zeros(3))
+    with pytest.raises(GenerateError, match="does not hold the geometry"):
+        bodies_file.load(tmp_path / "foreign.npz")
+    bodies_file.save(tmp_path / "found.npz", FOUND)
+    whole = (tmp_path / "found.npz").read_bytes()
+    (tmp_path / "found.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(GenerateError, match="does not hold the geometry"):
+        bodies_file.load(tmp_path / "found.npz")
+
+
+def test_reading_it_imports_no_blender():
+    program = "import sys; sys.modules['bpy'] = None; from dataset_gen.sources import bodies_file"
+    subprocess.run([sys.executable, "-c", program], check=True)
