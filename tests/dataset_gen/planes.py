@@ -15,7 +15,6 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 from PIL import Image
 
 from dataset_gen.truth import write_exr
-from tests.show.report.page_checks import outside_loads, read_page
 
 SIZE, DISTANCE, ANGLE = 32, 4.0, 0.6
 FOCAL = 0.5 * SIZE / np.tan(0.5 * ANGLE)
@@ -131,14 +130,3 @@ class Plane:
         if rest:
             other = draw.normal(0, SIGMA, self.noise.shape)
             self.picture(2, -1, folder / "rest/002/test/r_000.png", other)
-
-
-def words(text: str) -> str:
-    return " ".join(" ".join(read_page(text).text).split())
-
-
-def check(text: str) -> None:
-    reader = read_page(text)
-    assert not reader.errors
-    assert not reader.open
-    assert not outside_loads(text)

@@ -19,7 +19,8 @@ from dataset_gen.report.pixels import (
     motion_from_truth,
     seen_motion,
 )
-from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SIZE, SWAY, Plane, check, words
+from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SIZE, SWAY, Plane
+from tests.show.report.page_checks import check, words
 
 
 def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:

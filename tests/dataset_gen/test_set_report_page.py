@@ -18,13 +18,8 @@ from dataset_gen.errors import GenerateError
 from dataset_gen.report import write_overview, write_report
 from dataset_gen.report.__main__ import main
 from dataset_gen.report.closing import shares
-from tests.dataset_gen.planes import (
-    Plane,
-    T,
-    check,
-    words,
-)
-from tests.show.report.page_checks import read_page
+from tests.dataset_gen.planes import Plane, T
+from tests.show.report.page_checks import check, read_page, words
 
 
 def test_the_page_is_sound_and_says_the_numbers(page: str, plane: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 VOID = {"meta", "img", "br", "link", "input", "hr", "source"}
 LOADING = {"src", "href", "poster", "srcset", "data", "action", "background"}
@@ -51,11 +53,24 @@ def read_page(text: str) -> PageReader:
 
 def outside_loads(text: str) -> list[str]:
     """Everything the page would fetch from elsewhere, in attributes, styles and scripts."""
-    import re
-
     page = read_page(text)
     found = [value for value in page.loads if not value.startswith(("data:", "#"))]
     found += re.findall(r"url\((?!#|\"#|data:)[^)]*\)", text)
     found += re.findall(r"@import[^;]*;", text)
     found += re.findall(r"\b(?:fetch|XMLHttpRequest|WebSocket|importScripts)\b\s*\(", text)
     return found
+
+
+def words(text: str) -> str:
+    """What a page says."""
+    return " ".join(" ".join(read_page(text).text).split())
+
+
+def check(text: str) -> None:
+    """A page is well-formed, its drawings are XML, and it loads nothing."""
+    reader = read_page(text)
+    assert not reader.errors
+    assert not reader.open
+    assert not outside_loads(text)
+    for svg in re.findall(r"<svg.*?</svg>", text, re.S):
+        ElementTree.fromstring(svg)

@@ -5,13 +5,12 @@ import re
 import shutil
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from tests.helpers.synthetic import exact_run, make_synthetic_dataset
-from tests.show.report.page_checks import outside_loads, read_page
+from tests.show.report.page_checks import check, read_page, words
 from tests.show.view.browser import browser
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
@@ -25,19 +24,6 @@ from tg4mm.show.report.sources import gather_view, load_model
 from tg4mm.show.result import Length, result_of
 from tg4mm.show.result.model import with_deviation
 from tg4mm.show.result.read import reading_of
-
-
-def words(text: str) -> str:
-    return " ".join(" ".join(read_page(text).text).split())
-
-
-def check(text: str) -> None:
-    reader = read_page(text)
-    assert not reader.errors
-    assert not reader.open
-    assert not outside_loads(text)
-    for svg in re.findall(r"<svg.*?</svg>", text, re.S):
-        ElementTree.fromstring(svg)
 
 
 def report(made: Run, folder: Path, **options: Any) -> str:

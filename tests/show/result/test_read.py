@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import shutil
 from dataclasses import replace
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import exact_run
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
@@ -23,6 +24,19 @@ from tg4mm.show.result.model import with_deviation
 @pytest.fixture(scope="module")
 def result(run: Run) -> Result:
     return result_of(run)
+
+
+@pytest.fixture
+def copy(run: Run, tmp_path: Path) -> Run:
+    """A copy of the run and its dataset."""
+    shutil.copytree(run.dataset, tmp_path / "data")
+    shutil.copytree(run.path, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    config.write_text(config.read_text().replace(str(run.dataset), str((tmp_path / "data").resolve())))
+    found = Run.open(tmp_path / "run")
+    sure = run.load_part(UNCERTAINTY)[0]
+    found.save_part(UNCERTAINTY, sure)  # bound to this run's dataset
+    return found
 
 
 def test_frequencies_and_amplitudes_are_the_motions(result: Result) -> None:
@@ -81,8 +95,7 @@ def test_the_next_command_works(result: Result, run: Run, tmp_path: Path) -> Non
     assert len(list((tmp_path / "o").rglob("*.png"))) == 2 * 30
 
 
-def test_without_its_dataset_a_run_tells_what_it_can(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_without_its_dataset_a_run_tells_what_it_can(copy: Run) -> None:
     shutil.rmtree(copy.dataset)
     found = result_of(copy)
     assert [v.pixels for v in found.vibrations] == [None, None]
@@ -90,8 +103,7 @@ def test_without_its_dataset_a_run_tells_what_it_can(run: Run, tmp_path: Path) -
     assert "is not there" in "\n".join(lines_of(found))
 
 
-def test_without_uncertainty_no_deviation_is_made_up(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_without_uncertainty_no_deviation_is_made_up(copy: Run) -> None:
     copy.part_file(UNCERTAINTY).unlink()
     found = result_of(copy)
     assert all(v.amplitude.deviation is None and v.pixels.deviation is None for v in found.vibrations)
@@ -99,8 +111,7 @@ def test_without_uncertainty_no_deviation_is_made_up(run: Run, tmp_path: Path) -
     assert "how sure the amplitudes are" in "\n".join(found.cannot)
 
 
-def test_what_is_smaller_than_its_own_deviation_is_no_vibration(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_what_is_smaller_than_its_own_deviation_is_no_vibration(copy: Run) -> None:
     parts, _ = copy.load_part(UNCERTAINTY)
     large = torch.full_like(parts["displacement"], 3 * AMPLITUDE)
     copy.save_part(UNCERTAINTY, parts | {"displacement": large})
@@ -110,9 +121,8 @@ def test_what_is_smaller_than_its_own_deviation_is_no_vibration(run: Run, tmp_pa
 
 
 @pytest.mark.parametrize("hz", [2.0, 2.4])
-def test_a_strong_drift_is_no_vibration_and_is_said(run: Run, tmp_path: Path, hz: float) -> None:
+def test_a_strong_drift_is_no_vibration_and_is_said(copy: Run, hz: float) -> None:
     """Ten times as strong as the vibrations; a record of one second holds fewer than two and a half periods of it."""
-    copy = moved(run, tmp_path)
     motion = copy.load_motion()
     drift = [np.concatenate([10 * x[:1], x]) for x in (motion.displacement, motion.rotation)]
     freqs = np.array([hz, *motion.freqs_hz])
@@ -124,9 +134,8 @@ def test_a_strong_drift_is_no_vibration_and_is_said(run: Run, tmp_path: Path, hz
     assert f"the record holds {hz:.2g} periods of it" in line
 
 
-def test_what_comes_and_goes_is_a_drift(run: Run, tmp_path: Path) -> None:
+def test_what_comes_and_goes_is_a_drift(copy: Run) -> None:
     """One hump in the record: its frequency is as uncertain as it is large."""
-    copy = moved(run, tmp_path)
     motion = copy.load_motion()
     t = np.arange(30) / 30
     hump = np.fft.rfft(np.exp(-(((t - 0.4) / 0.12) ** 2) / 2))[1:6] / 15
@@ -139,8 +148,7 @@ def test_what_comes_and_goes_is_a_drift(run: Run, tmp_path: Path) -> None:
     assert not result_of(copy).vibrations
 
 
-def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy: Run) -> None:
     motion = copy.load_motion()
     nothing = motion.displacement[:0]
     told = {
@@ -154,27 +162,19 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(run: Run, t
     assert "no vibration was found" not in text
 
 
-def test_nothing_found_and_nothing_to_find(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_nothing_found_and_nothing_to_find(copy: Run, tmp_path: Path) -> None:
     still = copy.load_motion()
     copy.save_motion(replace(still, displacement=0 * still.displacement), {})
     found = result_of(copy)
     assert (found.vibrations, found.band) == ((), None)
     assert "no vibration was found" in "\n".join(lines_of(found))
-    gaussians, _ = make_synthetic_dataset(
-        tmp_path / "one", n_views=3, n_timesteps=1, size=16, alphas=(), n_test=0
-    )
-    one = Run.create(tmp_path / "one_run", tmp_path / "one", "modal", {})
-    one.save_space(gaussians, {})
+    one, _ = exact_run(tmp_path / "one", n_views=3, n_timesteps=1, size=16)
     lines = lines_of(result_of(one))
     assert lines[0].endswith("a still scene")
     assert "--alpha 0 --split train" in lines[-1]
 
 
-def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(
-    run: Run, tmp_path: Path
-) -> None:
-    copy = moved(run, tmp_path)
+def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(copy: Run) -> None:
     stated = {"frequencies_hz": [7.5, 3.0], "frequency_deviation_hz": [0.04, 0.01]}
     copy.save_motion(copy.load_motion(), stated)
     found = result_of(copy)
@@ -182,8 +182,7 @@ def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(
     assert all("steady" in v.why_no_damping for v in found.vibrations)
 
 
-def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy: Run) -> None:
     n = len(copy.load_space())
     capture = load_capture(copy.dataset)
     ray = torch.tensor(capture.viewmats[0, 2, :3], dtype=torch.float32)
@@ -219,21 +218,7 @@ def test_numbers_have_the_digits_that_are_known(value: float, deviation: float |
     assert with_deviation(Length(value, deviation)) == text
 
 
-def moved(run: Run, tmp_path: Path) -> Run:
-    """A copy of the run and its dataset."""
-    shutil.copytree(run.dataset, tmp_path / "data")
-    shutil.copytree(run.path, tmp_path / "run")
-    config = tmp_path / "run" / "config.json"
-    config.write_text(config.read_text().replace(str(run.dataset), str((tmp_path / "data").resolve())))
-    copy = Run.open(tmp_path / "run")
-    sure = run.load_part(UNCERTAINTY)[0]
-    copy.save_part(UNCERTAINTY, sure)  # bound to this run's dataset
-    return copy
-
-
 def only_one(path: Path) -> None:
-    import json
-
     values = json.loads(path.read_text())
     values["frames"] = values["frames"][:1]
     path.write_text(json.dumps(values))
@@ -252,8 +237,7 @@ def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_
     assert alphas["paper"] == result_of(run).alpha > 1
 
 
-def test_without_a_scale_there_are_no_millimetres(run: Run, tmp_path: Path) -> None:
-    copy = moved(run, tmp_path)
+def test_without_a_scale_there_are_no_millimetres(copy: Run) -> None:
     scene = copy.dataset / "scene.json"
     scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
     text = "\n".join(lines_of(result_of(copy)))
