@@ -13,7 +13,6 @@ from tests.addon.conftest import some_splat
 from tg4mm.core.colour import to_display
 from tg4mm.core.splatfile import read_splat, write_splat
 
-pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import import_splat  # noqa: E402
