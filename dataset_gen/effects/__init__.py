@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from .record import CODECS, Effects, Record
+from .options import CODECS, Effects
+from .record import Record
 
 __all__ = ["CODECS", "Effects", "Record"]
