@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
-    "look", "process", "sfm", "train", "render", "measure", "report", "view", "export",
+    "look", "process", "sfm", "train", "render", "measure", "analyse", "report", "view", "export",
     "generate", "evaluate", "bench", "convert", "demo",
 )  # fmt: skip
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}

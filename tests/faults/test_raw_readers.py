@@ -36,6 +36,7 @@ ALLOWED = {
     "tg4mm/core/splatfile/read.py": ".splat, as long as its records are",
     "tg4mm/core/splatfile/sog.py": "SOG: lossless WebP by Pillow, after the header was checked",
     "tg4mm/research/evaluate/lpips.py": "weights",
+    "tg4mm/show/analyse/channel.py": "CSV, each value and the times checked",
     "tg4mm/run/tensor_file.py": "a run's tensors",
     "tg4mm/run/folder.py": "one row of a run's tensor that was checked",
     "tg4mm/capture/sfm/mapping.py": "COLMAP's model in its working folder",
@@ -58,6 +59,7 @@ ALLOWED = {
     "dataset_gen/exr.py": "writes EXR",
     "dataset_gen/truth.py": "writes EXR",
     "tg4mm/show/measure/tables.py": "writes CSV",
+    "tg4mm/show/analyse/write.py": "writes CSV",
     "tg4mm/show/measure/arrays.py": "writes HDF5",
     "tg4mm/core/splatfile/spz.py": "writes gzip",
 }  # fmt: skip

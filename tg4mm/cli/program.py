@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from tg4mm import __version__
+from tg4mm.cli.analyse import analyse
 from tg4mm.cli.bench import bench
 from tg4mm.cli.convert import convert
 from tg4mm.cli.demo import demo
@@ -72,7 +73,7 @@ app.command()(look)
 app.command()(train)
 app.command()(measure)
 app.command()(convert)
-for _command in (process, render, evaluate, report, view, export, sfm):
+for _command in (process, analyse, render, evaluate, report, view, export, sfm):
     app.command(cls=BandsCommand)(_command)
 app.add_typer(bench, name="bench")
 
@@ -93,7 +94,8 @@ def tg4mm(
 
     look tells in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
     commands, too: sfm makes a dataset from videos or photographs, train fits a model to it and writes it to a run
-    folder; render, view, measure, report and export use a run folder. generate renders a dataset in Blender.
+    folder; render, view, measure, report and export use a run folder; analyse
+    computes what an engineer wants of a measurement. generate renders a dataset in Blender.
 
     Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
     (1 + α) δ.

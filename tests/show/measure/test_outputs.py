@@ -207,3 +207,15 @@ def test_only_the_formats_asked_for_are_there_and_no_stale_one(run, tmp_path: Pa
         assert main(["measure", str(run.path), "--out", str(tmp_path / "new"), "--formats", bad]) == 2
         assert "is no format; there are: csv, uff, mat, hdf5, xlsx" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_a_measurement_is_analysed_in_its_unit(out: Path, tmp_path: Path, capsys) -> None:
+    words = ["analyse", str(out), "--out", str(tmp_path / "a"), "--channel", "ball/x", "--against", str(out)]
+    assert main([*words, "--machine-class", "I", "--band", "3", "8"]) == 0
+    found = json.loads((tmp_path / "a" / "analysis.json").read_text())
+    (level,) = [v for v in found["levels"] if v["quantity"] == "velocity"]
+    assert level["unit"] == "mm/s"
+    true = 2 * np.pi * 5 * 100 * AMPLITUDE[0] / np.sqrt(2)
+    assert abs(level["rms"]["value"] - true) < 4 * level["rms"]["deviation"] < true
+    assert not any(c["changed"] for c in found["changes"])
+    assert "ends at 15 Hz of 10 to 1000 Hz" in capsys.readouterr().out

@@ -1,0 +1,209 @@
+"""Channels: one value over even times with its unit and noise, from a measurement's folder or from a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import find_peaks, periodogram
+
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.lines import Line, fit_lines
+from tg4mm.core.untrusted import read_json
+
+G = 9806.65  # mm/s²
+DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (
+    "displacement", "velocity", "acceleration", "force", "other",
+)  # fmt: skip
+ORDER = {DISPLACEMENT: 0, VELOCITY: 1, ACCELERATION: 2}  # times differentiated
+# what a column's unit says: quantity, unit of the program, how many of it
+_UNITS = {
+    "m": (DISPLACEMENT, "mm", 1e3), "mm": (DISPLACEMENT, "mm", 1.0), "um": (DISPLACEMENT, "mm", 1e-3),
+    "px": (DISPLACEMENT, "px", 1.0), "m/s": (VELOCITY, "mm", 1e3), "mm/s": (VELOCITY, "mm", 1.0),
+    "m/s2": (ACCELERATION, "mm", 1e3), "mm/s2": (ACCELERATION, "mm", 1.0), "g": (ACCELERATION, "mm", G),
+    "n": (FORCE, "N", 1.0), "v": (OTHER, "V", 1.0),
+}  # fmt: skip
+_TIMES = {"t", "time", "times", "seconds"}
+_EVEN = 0.05  # of a step
+_FEWEST = 16  # samples
+_MOST_BYTES = 1 << 30
+_AROUND = 51  # frequencies of a spectrum whose median is the noise at the middle one
+_CHANCE = 0.01  # that noise alone makes a line in a record
+_CYCLES, _MOST = 2, 8  # of a line in a record; lines
+_LEAST_POWER = 4e-4  # of the strongest line: what is weaker may be its side lobe
+_RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
+
+
+class AnalyseError(Tg4mmError):
+    """A record that cannot be read or does not hold what is asked of it."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """`noise` is the standard deviation of each sample's independent noise, `share` that of errors over the motion."""
+
+    name: str
+    quantity: str
+    base: str  # mm, px, units, N, V: what a displacement would have
+    times_s: np.ndarray  # [T] even
+    values: np.ndarray  # [T]
+    noise: float = float("nan")  # nan: none is stated
+    share: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return float((len(self.times_s) - 1) / np.ptp(self.times_s))
+
+    @property
+    def duration_s(self) -> float:
+        """With the last sample's own step."""
+        return len(self.times_s) / self.rate
+
+    @property
+    def unit(self) -> str:
+        """Of the values."""
+        return unit_of(self.quantity, self.base)
+
+    @cached_property
+    def lines(self) -> tuple[Line, ...]:
+        """Fitted at the frequencies that stand out of the record's spectrum, the strongest eight at most."""
+        freqs, power = periodogram(self.values, self.rate, "hann", detrend="constant")
+        level = median_filter(power, _AROUND, mode="nearest") / np.log(2)
+        level = np.maximum(level, 2 * np.nan_to_num(self.noise) ** 2 / self.rate)
+        least = np.log(len(freqs) / _CHANCE)
+        at = [k for k in find_peaks(power)[0] if power[k] > least * level[k] and k >= _CYCLES]
+        strongest = sorted(at, key=lambda k: -power[k])
+        at = [k for k in strongest if power[k] > _LEAST_POWER * power[strongest[0]]][:_MOST]
+        if not at or len(self.values) < 4 * len(at) + 8:
+            return ()
+        return fit_lines(self.values, self.times_s, freqs[at], np.nan_to_num(self.noise)).lines
+
+
+def unit_of(quantity: str, base: str) -> str:
+    """mm, mm/s, mm/s² …"""
+    return base + ("", "/s", "/s²")[ORDER.get(quantity, 0)]
+
+
+def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
+    """Those of a folder that `tg4mm measure` wrote, or of a CSV file with a column of times; `names`: these alone.
+
+    A measurement's are called SENSOR/AXIS; axes ten times as uncertain as the best one are left out unless named.
+    Raises AnalyseError for anything else, and for a name that is none.
+    """
+    found = _of_csv(path) if path.is_file() else _of_folder(path, bool(names))
+    by_name = {c.name: c for c in found}
+    for name in names:
+        if name not in by_name:
+            raise AnalyseError(f"--channel {name!r} is none of {path}; there are: {', '.join(by_name)}")
+    return [by_name[name] for name in names] if names else found
+
+
+def _of_folder(path: Path, every: bool) -> list[Channel]:
+    if not (path / "measure.json").is_file():
+        raise AnalyseError(f"{path} is neither a CSV file nor a folder of tg4mm measure")
+    content = read_json(path / "measure.json")
+    try:
+        out = [
+            channel for sensor in content["sensors"] for s in sensor["series"]
+            for channel in _of_series(content, sensor, s, every)
+        ]  # fmt: skip
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise AnalyseError(f"{path / 'measure.json'} is no measurement that can be read: {error!r}") from None
+    if not out:
+        raise AnalyseError(f"{path}: no sensor observes a direction")
+    return out
+
+
+def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Channel]:
+    base = str(content["printed_unit"])
+    factor = {"mm": 1000 * (content["unit_scale_m"] or 0), "px": sensor["px_per_unit"]}.get(base, 1.0)
+    noise = np.array([np.inf if v is None else v for v in series["noise"]], float)
+    keep = np.isfinite(noise) if every else noise <= _RESOLVED * noise.min()
+    values = np.array([[0 if v is None else v for v in row] for row in series["displacement"]], float)
+    clock, out = series["clock"], []
+    for k in np.flatnonzero(keep & np.isfinite(noise)):
+        name = "/".join(filter(None, [sensor["name"], clock, list(series["axes"])[k]]))
+        times = _even(np.array(series["times_s"], float), name)
+        share = float(series["model_share"][k])
+        out.append(Channel(name, DISPLACEMENT, base, times, values[:, k] * factor, noise[k] * factor, share))
+    return out
+
+
+def _of_csv(path: Path) -> list[Channel]:
+    if path.stat().st_size > _MOST_BYTES:
+        raise AnalyseError(f"{path} is larger than {_MOST_BYTES >> 30} GiB")
+    try:
+        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise AnalyseError(f"{path} is no CSV file: {error}") from None
+    rows = [row for row in rows if row]
+    if len(rows) < 2:
+        raise AnalyseError(f"{path} holds no rows below a head")
+    head = [_column(text) for text in rows[0]]
+    at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
+    if not at:
+        raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(rows[0])}")
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(head):
+            raise AnalyseError(f"{path}, row {number}: {len(row)} values, expected {len(head)}")
+    try:
+        table = np.array(rows[1:], float)
+    except ValueError as error:
+        raise AnalyseError(f"{path}: {error}") from None
+    if not np.isfinite(table).all():
+        raise AnalyseError(
+            f"{path}, row {2 + int(np.argwhere(~np.isfinite(table))[0, 0])}: not a finite number"
+        )
+    times = _even(table[:, at[0]] * (1e-3 if head[at[0]][1] == "ms" else 1.0), str(path))
+    noise = {
+        name.removesuffix(" deviation"): k for k, (name, _) in enumerate(head) if name.endswith(" deviation")
+    }
+    out = []
+    for k, (name, unit) in enumerate(head):
+        if k == at[0] or name.endswith(" deviation"):
+            continue
+        quantity, base, factor = _UNITS.get(unit, (OTHER, unit or "1", 1.0))
+        sure = float(np.sqrt((table[:, noise[name]] ** 2).mean()) * factor) if name in noise else float("nan")
+        out.append(Channel(name, quantity, base, times, table[:, k] * factor, sure))
+    if not out:
+        raise AnalyseError(f"{path} has a column of times and no other")
+    return out
+
+
+def _column(text: str) -> tuple[str, str]:
+    """Name and unit of "acc [m/s²]", "acc (g)", "acc_m_per_s2" or "time_s"."""
+    text = text.strip()
+    if found := re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*(deviation)?", text):
+        name, unit = " ".join(filter(None, found.group(1, 3))), found.group(2)
+    elif found := re.fullmatch(r"(.+?)_((?:[a-zA-Zµ]+_per_)?[a-zA-Zµ]+2?)(_deviation)?", text):
+        name, unit = (
+            found.group(1) + (found.group(3) or "").replace("_", " "),
+            found.group(2).replace("_per_", "/"),
+        )
+        if unit.lower() not in {*_UNITS, "s", "ms"}:
+            name, unit = text, ""
+    else:
+        name, unit = text, ""
+    return name, unit.strip().lower().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
+
+
+def _even(times: np.ndarray, what: str) -> np.ndarray:
+    if len(times) < _FEWEST:
+        raise AnalyseError(f"{what}: {len(times)} samples, expected {_FEWEST} or more")
+    steps = np.diff(times)
+    if not (steps > 0).all():
+        raise AnalyseError(f"{what}: times do not increase at {times[int(np.argmin(steps > 0))]:g} s")
+    if np.ptp(steps) > _EVEN * np.median(steps):
+        raise AnalyseError(
+            f"{what}: times are not even, their steps are {steps.min():.4g} to {steps.max():.4g} s"
+        )
+    return np.linspace(times[0], times[-1], len(times))

@@ -1,0 +1,193 @@
+"""Modal parameters by libraries: SSI-cov and FDD (pyOMA-2) from responses, LSCF (sdypy-EMA) from transfer functions."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.show.analyse.channel import AnalyseError, Channel
+from tg4mm.show.analyse.quantities import Value
+from tg4mm.show.analyse.transfer import Transfer
+
+_ORDERS = 30  # of the models, at most
+_LAGS = 20  # block rows
+_SHARE = 1 / 3  # of the orders that can hold a mode: so often it must be stable
+_NEAR = 0.03  # of a frequency: poles nearer than that are one mode's
+_STABLE_HZ, _STABLE_DAMPING = 0.01, 0.10  # of a pole from one order to the next
+_MOST_DAMPING = 0.2
+_SURE = 0.05  # of a frequency: a mode less sure is none
+_DRAWS = 24
+
+
+@dataclass(frozen=True)
+class Mode:
+    """`shape` is scaled to 1 at its largest channel; `mac`: with the other method's shape, None where there is none."""
+
+    frequency_hz: Value
+    damping: Value
+    shape: np.ndarray  # [C] complex
+    mac: float | None = None
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Of a method; the diagram's poles are rows (order, Hz, 1 if stable)."""
+
+    method: str
+    channels: tuple[str, ...]
+    modes: tuple[Mode, ...]
+    diagram: np.ndarray  # [P, 3]
+
+
+def mac(a: np.ndarray, b: np.ndarray) -> float:
+    """Modal assurance criterion of two shapes [C]: 1 where they are the same but for a factor."""
+    return float(abs(np.vdot(a, b)) ** 2 / max(np.vdot(a, a).real * np.vdot(b, b).real, 1e-300))
+
+
+def operational(channels: Sequence[Channel], band: tuple[float, float] | None = None) -> Modes:
+    """SSI-cov of channels on one clock, with the uncertainties of its own propagation; shapes compared with FDD's."""
+    with _library("pyOMA-2"):
+        from pyoma2.algorithms import FDD, SSI
+        from pyoma2.setup import SingleSetup
+    first = channels[0]
+    if any(not np.array_equal(c.times_s, first.times_s) for c in channels):
+        raise AnalyseError("--modes: the channels are not on the same times")
+    if len(first.values) < 20 * _LAGS:
+        raise AnalyseError(f"--modes: {len(first.values)} samples, expected {20 * _LAGS} or more")
+    lo, hi = band or (2 / first.duration_s, first.rate / 2)
+    values = np.stack([c.values - c.values.mean() for c in channels], 1)
+    values = values / np.maximum(values.std(0), 1e-300)
+    scale = np.array([c.values.std() for c in channels])
+    order = min(_ORDERS, _LAGS * len(channels) - 1)
+    with _quiet():
+        setup = SingleSetup(values, fs=first.rate)
+        ssi: Any = SSI(name="ssi", br=_LAGS, ordmax=order, calc_unc=True, method="cov")
+        fdd: Any = FDD(name="fdd", nxseg=min(1024, len(values) // 4))
+        setup.add_algorithms(ssi, fdd)
+        setup.run_all()
+    r = ssi.result
+    number = np.broadcast_to(np.arange(r.Fn_poles.shape[1]), r.Fn_poles.shape)
+    known = np.isfinite(r.Fn_poles) & (r.Fn_poles >= lo) & (r.Fn_poles <= hi)
+    good = known & (r.Lab == 1) & (r.Fn_poles_std < _SURE * r.Fn_poles)
+    diagram = np.stack([number[known], r.Fn_poles[known], good[known]], 1)
+    modes = []
+    for own in _clusters(r.Fn_poles[good], number[good]):
+        f, z, shape = r.Fn_poles[good][own], r.Xi_poles[good][own], r.Phi_poles[good][own]
+        sure, sure_z = r.Fn_poles_std[good][own], r.Xi_poles_std[good][own]
+        k = int(np.argsort(f)[len(f) // 2])
+        hz = Value(float(np.median(f)), float(np.hypot(np.median(sure), f.std())))
+        damping = Value(float(np.median(z)), float(np.hypot(np.median(sure_z), z.std())))
+        with _quiet():
+            fdd.mpe(sel_freq=[hz.value], DF=max(0.05 * hz.value, 2 * first.rate / fdd.run_params.nxseg))
+        other = fdd.result.Phi[:, 0]
+        modes.append(Mode(hz, damping, _scaled(shape[k] * scale), mac(shape[k], other)))
+    names = tuple(c.name for c in channels)
+    return Modes("SSI-cov", names, tuple(sorted(modes, key=lambda m: m.frequency_hz.value)), diagram)
+
+
+def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | None = None) -> Modes:
+    """LSCF of transfer functions to one input; deviations by draws of the functions' own."""
+    with _library("sdypy-EMA"):
+        from sdypy import EMA
+    first = transfers[0]
+    lo, hi = band or (float(first.freqs_hz[0]), float(first.freqs_hz[-1]))
+    keep = first.freqs_hz <= hi
+    h, hz = np.stack([t.h1[keep] for t in transfers]), first.freqs_hz[keep]
+    sure = np.nan_to_num(np.stack([t.deviation[keep] for t in transfers])) / np.sqrt(2)
+    order = min(_ORDERS, len(hz) // 4)
+    if order < 4:
+        raise AnalyseError(
+            f"--modes: {len(hz)} frequencies in the band, expected 16 or more: longer segments have more"
+        )
+
+    def fitted(values: np.ndarray) -> tuple:
+        with _quiet():
+            model = EMA.Model(
+                values, hz, lower=lo, upper=float(hz[-1]), pol_order_high=order, frf_form="receptance"
+            )
+            model.get_poles("lscf", show_progress=False)
+        return model, *_stable(model.pole_freq, model.pole_xi, lo, hi)
+
+    model, diagram, poles = fitted(h)
+    rng, draws = np.random.default_rng(0), []
+    for _ in range(_DRAWS if poles else 0):
+        noise = sure * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape))
+        draws.append(fitted(h + noise)[2])
+    modes = []
+    for f, z in poles:
+        near = [min(d, key=lambda p: abs(p[0] - f)) for d in draws if d]
+        own = np.array([p for p in near if abs(p[0] - f) < _NEAR * f])
+        spread = own.std(0, ddof=1) if len(own) > _DRAWS // 2 else np.array([np.nan, np.nan])
+        with _quiet():
+            model.select_closest_poles([f], f_window=max(1, round(0.05 * f / (hz[1] - hz[0]))))
+            constants = model.get_constants()[1]
+        shape = _scaled(np.asarray(constants)[:, 0])
+        modes.append(Mode(Value(f, float(spread[0])), Value(z, float(spread[1])), shape))
+    return Modes("LSCF", tuple(t.response for t in transfers), tuple(modes), diagram)
+
+
+def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Poles as the diagram has them, and frequency and damping of those that stay as the order grows."""
+    rows, before = [], np.zeros((0, 2))
+    for order, (f, z) in enumerate(zip(hz, xi, strict=True), 1):
+        f, z = np.asarray(f), np.asarray(z)
+        real = (f >= lo) & (f <= hi) & (z > 0) & (z < _MOST_DAMPING)
+        own = np.stack([f[real], z[real]], 1)
+        for f_k, z_k in own:
+            near = (np.abs(before[:, 0] - f_k) < _STABLE_HZ * f_k) & (
+                np.abs(before[:, 1] - z_k) < _STABLE_DAMPING * z_k
+            )
+            rows.append((order, f_k, float(near.any()), z_k))
+        before = own
+    table = np.array(rows, float).reshape(-1, 4)
+    good = table[table[:, 2] > 0]
+    found = [np.median(good[own], axis=0) for own in _clusters(good[:, 1], good[:, 0])]
+    return table[:, :3], [(float(row[1]), float(row[3])) for row in found]
+
+
+def _clusters(hz: np.ndarray, order: np.ndarray) -> list[np.ndarray]:
+    """Indices of poles that are one mode's: near each other, at many orders from the first that has it on."""
+    out, rest = [], np.argsort(hz)
+    groups = (
+        np.split(rest, 1 + np.flatnonzero(np.diff(hz[rest]) > _NEAR * hz[rest][:-1])) if len(rest) else []
+    )
+    for own in groups:
+        orders = len(np.unique(order[own]))
+        if orders >= max(3, _SHARE * (order.max() - order[own].min() + 1)):
+            out.append(own)
+    return out
+
+
+def _scaled(shape: np.ndarray) -> np.ndarray:
+    return np.asarray(shape / shape[int(np.abs(shape).argmax())])
+
+
+@contextlib.contextmanager
+def _library(name: str) -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError:
+        raise AnalyseError(
+            f"--modes needs {name}: pip install '.[modal]' in a copy of the repository"
+        ) from None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the libraries' own bars, prints and log."""
+    import warnings
+
+    logging.getLogger("pyoma2").setLevel(logging.WARNING)
+    with (
+        contextlib.redirect_stderr(io.StringIO()),
+        contextlib.redirect_stdout(io.StringIO()),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")
+        yield

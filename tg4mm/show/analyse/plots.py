@@ -1,0 +1,105 @@
+"""Plots of an analysis: spectrum with confidence and waterfall of channels, orbits, transfers, stabilisation."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.files import write_atomic
+from tg4mm.core.pages.plotstyle import COLOURS, STYLE
+from tg4mm.show.analyse.channel import Channel
+from tg4mm.show.analyse.quantities import converted
+from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
+from tg4mm.show.analyse.write import Analysis
+
+
+def write_plots(found: Analysis, out: Path, averaging: Averaging) -> None:
+    """OUT/plots/*.png; those of an earlier analysis go."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder, made = out / "plots", set()
+    folder.mkdir(parents=True, exist_ok=True)
+    with plt.rc_context(STYLE):
+        for name, figure in _figures(plt, found, averaging):
+            data = io.BytesIO()
+            figure.savefig(data, format="png", dpi=120)
+            plt.close(figure)
+            path = folder / (re.sub(r"[^\w.-]+", "_", name) + ".png")
+            write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
+            made.add(path)
+    for old in set(folder.glob("*.png")) - made:
+        old.unlink()
+
+
+def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[str, Any]]:
+    for channel, density in zip(found.channels, found.densities, strict=True):
+        yield channel.name, _spectrum(plt, channel, density, averaging)
+    for a, b in pairwise(found.channels):
+        if a.name.rpartition("/")[0] and a.name.rpartition("/")[0] == b.name.rpartition("/")[0]:
+            yield f"orbit {a.name.rpartition('/')[0]} {a.name[-5:]} {b.name[-5:]}", _orbit(plt, a, b)
+    for t in found.transfers:
+        figure, (size, phase, coherence) = plt.subplots(
+            3, 1, figsize=(9, 7), sharex=True, layout="constrained"
+        )
+        size.set_title(f"{t.response} over {t.reference}", loc="left")
+        size.semilogy(t.freqs_hz, np.abs(t.h1), color=COLOURS[0], label="H1")
+        size.semilogy(t.freqs_hz, np.abs(t.h2), color=COLOURS[1], lw=0.8, label="H2")
+        low = np.maximum(np.abs(t.h1) - t.deviation, 1e-3 * np.abs(t.h1))
+        size.fill_between(t.freqs_hz, low, np.abs(t.h1) + t.deviation, color=COLOURS[0], alpha=0.25)
+        size.set(ylabel=t.unit)
+        size.legend()
+        phase.errorbar(
+            t.freqs_hz, np.degrees(np.angle(t.h1)), np.degrees(t.phase_deviation), fmt=".", ms=3, lw=0.6
+        )
+        phase.set(ylabel="phase, deg", ylim=(-190, 190))
+        coherence.plot(t.freqs_hz, t.coherence)
+        coherence.set(ylabel="coherence", xlabel="frequency, Hz", ylim=(0, 1.05))
+        yield f"transfer {t.response}", figure
+    for m in found.modes:
+        figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+        for stable, colour, text in ((0, "#bbbbbb", "not stable"), (1, COLOURS[2], "stable")):
+            own = m.diagram[m.diagram[:, 2] == stable]
+            axes.plot(own[:, 1], own[:, 0], ".", color=colour, label=text)
+        for mode in m.modes:
+            axes.axvline(mode.frequency_hz.value, color=COLOURS[0], lw=0.8)
+        axes.set(xlabel="frequency, Hz", ylabel="order of the model")
+        axes.set_title(f"stabilisation, {m.method}", loc="left")
+        axes.legend()
+        yield f"stabilisation {m.method}", figure
+
+
+def _spectrum(plt: Any, channel: Channel, own: Density, averaging: Averaging) -> Any:
+    figure, (top, below) = plt.subplots(2, 1, figsize=(9, 6), layout="constrained")
+    keep = own.freqs_hz > 0
+    top.semilogy(own.freqs_hz[keep], own.density[keep], color=COLOURS[0])
+    top.fill_between(own.freqs_hz[keep], own.low[keep], own.high[keep], color=COLOURS[0], alpha=0.25)
+    if np.isfinite(own.noise):
+        top.axhline(own.noise, color=COLOURS[0], ls=(0, (4, 3)), lw=1)
+    top.set(xlabel="frequency, Hz", ylabel=f"({channel.unit})²/Hz")
+    top.set_title(f"{channel.name}: {own.averages} averages, 95 % confidence; dashed: noise", loc="left")
+    freqs, times, amplitude = waterfall_of(channel, averaging)
+    floor = max(float(amplitude.max()) * 1e-4, 1e-300)
+    level = 20 * np.log10(np.maximum(amplitude, floor))
+    shown = below.pcolormesh(times, freqs, level, shading="nearest", cmap="viridis", rasterized=True)
+    figure.colorbar(shown, ax=below, label=f"dB re 1 {channel.unit}")
+    below.set(xlabel="time, s", ylabel="frequency, Hz")
+    return figure
+
+
+def _orbit(plt: Any, a: Channel, b: Channel) -> Any:
+    figure, axes = plt.subplots(figsize=(5, 5), layout="constrained")
+    x, y = (converted(c, c.quantity, None, 4)[0] for c in (a, b))
+    axes.plot(x, y, lw=0.7, color=COLOURS[0])
+    axes.set(xlabel=f"{a.name}, {a.unit}", ylabel=f"{b.name}, {b.unit}")
+    axes.set_aspect("equal", adjustable="datalim")
+    return figure

@@ -1,0 +1,183 @@
+"""Displacement, velocity and acceleration in a band, and their levels, each with its standard deviation.
+
+H(f) = (2πi f)ⁿ B(f), B(f) = 1 / (1 + (lo/f)⁸) · 1 / (1 + (f/hi)⁸): differentiation, or integration, and a Butterworth
+filter of order 4 that runs forth and back, so that phases stay. A record's lines are multiplied by it as they are; what
+is left, continued at both ends by its odd reflection, in its Fourier transform. White noise of deviation σ leaves as
+σ √(mean |H|²).
+
+Noise adds to a level θ (peak, rms …). So levels are taken of û: the lines, and what is left of u with its spectrum
+multiplied by √(1 − noise / power), power smoothed over frequencies. Draws n of the same noise give û + n, to which the
+same is done: by what its θ² differs from û's in the mean, θ² is corrected, and it scatters by the deviation. To that is
+added what the errors that grow with the motion are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from tg4mm.core.lines import projected
+from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, G, unit_of
+
+DRAWS = 64
+_UP = 4  # samples to each of the record: its peaks lie between samples
+_NEAR = 41  # frequencies of the record's own transform over which its power is smoothed
+_LONGEST = 8192  # samples of a record whose lines are parted from the rest
+_CYCLES = 2.0  # of the lowest frequency in a record, where no band is given
+# what dB are against, where lengths are known (ISO 1683): mm, mm/s, mm/s²
+DB_REFERENCE = {"displacement": 1e-9, "velocity": 1e-6, "acceleration": 1e-3}
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number with its standard deviation; nan: none is stated."""
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Of one channel as one quantity, in `unit`; acceleration in lengths a second squared, in g where told."""
+
+    channel: str
+    quantity: str
+    unit: str
+    band_hz: tuple[float, float]
+    peak: Value
+    peak_to_peak: Value
+    rms: Value
+    crest: Value
+    db: Value  # of rms
+    db_reference: str
+    rms_g: Value | None = None
+
+
+def band_of(channel: Channel, band: tuple[float, float] | None = None) -> tuple[float, float]:
+    """The band as given, or from two cycles in the record to half the rate. Raises AnalyseError where it has none."""
+    half = channel.rate / 2
+    lo, hi = band or (_CYCLES / channel.duration_s, half)
+    if not 0 <= lo < min(hi, half):
+        raise AnalyseError(
+            f"{channel.name}: no part of the band {lo:g} to {hi:g} Hz is below half its rate, {half:g} Hz"
+        )
+    return lo, min(hi, half)
+
+
+def converted(
+    channel: Channel, quantity: str, band: tuple[float, float] | None = None, times: int = 1
+) -> tuple[np.ndarray, float, slice]:
+    """[T · times] the channel as `quantity` in the band, the deviation of its noise, and where its ends are left out.
+
+    Raises AnalyseError for a channel that is no motion, and for an integral from 0 Hz.
+    """
+    operator = _Operator(channel, quantity, band, times)
+    return operator(channel.values, 0.0), channel.noise * operator.noise_gain, operator.inner
+
+
+class _Operator:
+    def __init__(self, channel: Channel, quantity: str, band: tuple[float, float] | None, times: int) -> None:
+        if channel.quantity not in ORDER or quantity not in ORDER:
+            raise AnalyseError(f"{channel.name} is {channel.quantity}, which cannot be made {quantity}")
+        order = ORDER[quantity] - ORDER[channel.quantity]
+        lo, hi = band_of(channel, band)
+        if order < 0 and lo <= 0:
+            raise AnalyseError(f"{channel.name}: an integral needs a band that begins above 0 Hz")
+        n = self.length = len(channel.values)
+        self.times, self.total = times, 3 * n - 2
+        f = np.fft.rfftfreq(self.total, 1 / channel.rate)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = (2j * np.pi * f) ** order / (1 + (lo / f) ** 8)
+        gain[0] = 0 if lo > 0 or order else 1
+        if hi < channel.rate / 2:
+            gain = gain / (1 + (f / hi) ** 8)
+        self.gain = gain
+        self.time, fine = channel.times_s, channel.times_s[0] + np.arange(n * times) / (channel.rate * times)
+        lines = channel.lines if n <= _LONGEST else ()
+        self.lines = [line for line in lines if line.start_s is None]
+        self.out = []  # what each line with the phasor 1 becomes
+        for line in self.lines:
+            h = (2j * np.pi * line.hz - line.decay_per_s) ** order / (1 + (lo / line.hz) ** 8)
+            h = h / (1 + (line.hz / hi) ** 8) if hi < channel.rate / 2 else h
+            self.out.append(h * line.envelope(fine) * np.exp(2j * np.pi * line.hz * fine))
+        both = np.concatenate([gain, gain[1:]])
+        self.noise_gain = float(np.sqrt((np.abs(both) ** 2).mean()))
+        cut = max(2, min(n // 8, int(np.ceil(channel.rate / lo - 1e-6)) if lo > 0 else n // 50))
+        self.inner = slice(cut * times, (n - cut) * times)
+
+    def __call__(self, values: np.ndarray, noise: float) -> np.ndarray:
+        """[T · times] of [T]; what white noise of that deviation adds to the power beside the lines is taken off."""
+        phasors, rest = self._parted(values, noise)
+        up = np.fft.irfft(rest * self.gain, self.total * self.times) * self.times
+        up = up[(self.length - 1) * self.times : (2 * self.length - 1) * self.times]
+        return np.asarray(sum((p * out).real for p, out in zip(phasors, self.out, strict=True)) + up)
+
+    def told(self, values: np.ndarray, noise: float) -> np.ndarray:
+        """[T] the record itself, without what noise adds."""
+        phasors, rest = self._parted(values, noise)
+        whole = np.fft.irfft(rest, self.total)[self.length - 1 : 2 * self.length - 1]
+        return np.asarray(whole + self._sum(phasors))
+
+    def _sum(self, phasors: np.ndarray) -> np.ndarray:
+        t, out = self.time, np.zeros(self.length)
+        for p, line in zip(phasors, self.lines, strict=True):
+            out += (p * line.envelope(t) * np.exp(2j * np.pi * line.hz * t)).real
+        return out
+
+    def _parted(self, values: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """Phasors of the lines, and the transform of the rest without noise."""
+        phasors = np.zeros(0, complex)
+        if self.lines:
+            phasors = projected(self.lines, values[:, None], self.time)[:, 0]
+            values = values - self._sum(phasors)
+        spectrum = np.fft.rfft(continued(values - values.mean()))
+        if noise > 0:
+            power = uniform_filter1d(np.abs(spectrum) ** 2, 3 * _NEAR, mode="nearest")
+            spectrum *= np.sqrt(np.clip(1 - noise**2 * self.total / np.maximum(power, 1e-300), 0, 1))
+        return phasors, spectrum
+
+
+def continued(values: np.ndarray) -> np.ndarray:
+    """[3T − 2] of [T], by its odd reflection at both ends."""
+    return np.concatenate([2 * values[0] - values[:0:-1], values, 2 * values[-1] - values[-2::-1]])
+
+
+def levels_of(
+    channel: Channel,
+    quantity: str,
+    band: tuple[float, float] | None = None,
+    db_reference: float | None = None,
+) -> Levels:
+    """Peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, of this record, its ends left out."""
+    operator = _Operator(channel, quantity, band, _UP)
+    noise = float(np.nan_to_num(channel.noise))
+    found = _figures(operator(channel.values, noise)[operator.inner])
+    deviation = np.full(4, np.nan)
+    if np.isfinite(channel.noise):
+        rng, told = np.random.default_rng(0), operator.told(channel.values, noise)
+        noisy = [told + noise * rng.normal(size=operator.length) for _ in range(DRAWS)]
+        squares = np.array([_figures(operator(one, noise)[operator.inner]) for one in noisy]) ** 2
+        bias = squares.mean(0) - _figures(operator(told, 0.0)[operator.inner]) ** 2
+        sure = np.hypot(squares.std(0, ddof=1), bias / 2)  # û makes the bias uncertain
+        found = np.sqrt(np.maximum(found**2 - bias, [0, 0, 0, 1]))
+        deviation = np.minimum(sure / (2 * np.maximum(found, 1e-300)), np.sqrt(sure))
+        deviation[:3] = np.hypot(deviation[:3], channel.share * found[:3])
+    values = [Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)]
+    peak, whole, rms, crest = values
+    unit = unit_of(quantity, channel.base)
+    reference = db_reference or (DB_REFERENCE[quantity] if channel.base == "mm" else 1.0)
+    per_rms = 20 / np.log(10) / max(rms.value, 1e-300)
+    db = Value(20 * float(np.log10(max(rms.value, 1e-300) / reference)), float(per_rms * rms.deviation))
+    in_g = quantity == "acceleration" and channel.base == "mm"
+    return Levels(
+        channel.name, quantity, unit, band_of(channel, band), peak, whole, rms, crest, db, f"{reference:g} {unit}",
+        Value(rms.value / G, rms.deviation / G) if in_g else None,
+    )  # fmt: skip
+
+
+def _figures(values: np.ndarray) -> np.ndarray:
+    """[4] peak, peak to peak, rms, crest factor."""
+    peak, rms = float(np.abs(values).max()), float(np.sqrt((values**2).mean()))
+    return np.array([peak, float(np.ptp(values)), rms, peak / max(rms, 1e-300)])

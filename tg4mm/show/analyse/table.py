@@ -1,0 +1,80 @@
+"""What `tg4mm analyse` prints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.show.analyse.quantities import Value
+from tg4mm.show.analyse.write import Analysis
+from tg4mm.show.result.model import Length, with_deviation
+
+
+def format_analysis(found: Analysis) -> str:
+    """Tables of levels, zones, phases, transfer functions, modes and changes, each where there is one."""
+    parts = [
+        _table(
+            ("channel", "", "peak", "peak to peak", "rms", "crest factor", "Hz", ""),
+            [
+                (v.channel, v.quantity, _both(v.peak), _both(v.peak_to_peak), f"{_both(v.rms)} {v.unit}",
+                 _both(v.crest), f"{v.band_hz[0]:.3g} to {v.band_hz[1]:.4g}",
+                 f"{_both(v.db)} dB re {v.db_reference}" if v.rms_g is None else f"{_both(v.rms_g)} g rms")
+                for v in found.levels
+            ],
+        ),
+        _table(
+            ("channel", "velocity, mm/s rms", "class", "zone (ISO 20816-1)"),
+            [(z.channel, _both(z.rms), z.machine, z.zone) for z in found.zones],
+        ),
+        _table(
+            ("channel", "against", "Hz", "ratio", "phase, deg"),
+            [
+                (p.channel, p.reference, _both(p.frequency_hz), _both(p.ratio),
+                 f"{np.degrees(p.phase.value):+.1f} ± {np.degrees(p.phase.deviation):.1f}")
+                for p in found.phases
+            ],
+        ),
+        _table(
+            ("response", "input", "lag, s", "averages", "largest |H1|", "at, Hz", "coherence there"),
+            [
+                (t.response, t.reference, _both(t.lag_s), str(t.averages),
+                 f"{_both(Value(float(abs(t.h1[k])), float(t.deviation[k])))} {t.unit}", f"{t.freqs_hz[k]:.4g}",
+                 f"{t.coherence[k]:.3f}")
+                for t in found.transfers for k in [int(np.abs(t.h1).argmax())]
+            ],
+        ),
+        _table(
+            ("modes by", "frequency, Hz", "damping, %", "MAC with FDD"),
+            [
+                (m.method, _both(mode.frequency_hz),
+                 _both(Value(100 * mode.damping.value, 100 * mode.damping.deviation)),
+                 "" if mode.mac is None else f"{mode.mac:.3f}")
+                for m in found.modes for mode in m.modes
+            ],
+        ),
+        _table(
+            ("changed", "", "before", "after", "difference / ±", ""),
+            [
+                (c.where, c.figure, _both(c.before), f"{_both(c.after)} {c.unit if c.unit != '1' else ''}".rstrip(),
+                 f"{c.score:+.1f}", "changed" if c.changed else "")
+                for c in found.changes
+            ],
+        ),
+        "".join(f"note: {note}\n" for note in found.notes),
+    ]  # fmt: skip
+    return "\n".join(part for part in parts if part)
+
+
+def _both(value: Value) -> str:
+    if not np.isfinite(value.deviation):
+        return f"{value.value:.4g}"
+    return with_deviation(Length(value.value, value.deviation))
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    if not rows:
+        return ""
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    return "".join(
+        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() + "\n"
+        for row in (head, *rows)
+    )

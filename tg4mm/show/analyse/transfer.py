@@ -1,0 +1,199 @@
+"""A second instrument beside the film: its clock's lag, transfer functions H1 and H2 with coherence, phases of regions.
+
+The lag is where the film and an accelerometer, made the same quantity, correlate most, if no other lag does nearly as
+well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is what the residual, with its own spectrum,
+does to τ (sandwich estimate).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import correlate, correlation_lags, csd, welch
+
+from tg4mm.core.lines import fit_lines
+from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel
+from tg4mm.show.analyse.quantities import Value, continued, converted
+from tg4mm.show.analyse.spectra import Averaging
+
+_USED = 0.4  # of the slower rate: transfer functions end there
+_FEWEST = 32  # samples that both records share
+_SMOOTH = 15  # frequencies over which the residual's power is averaged
+_FITS = 12
+_ALIKE = 0.95  # of what the best lag explains: another that explains so much is not told from it
+_CHANCE = 0.01  # that a wrong lag is taken for the right one
+_FREEDOMS = 2.5  # averages from which coherence tells a deviation
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Of a response over an input, in `unit`. `deviation` is that of |H1|; h2 is nan where h1 is all there is."""
+
+    response: str
+    reference: str
+    unit: str
+    freqs_hz: np.ndarray  # [F]
+    h1: np.ndarray  # [F] complex
+    h2: np.ndarray  # [F] complex
+    coherence: np.ndarray  # [F]; 1 by itself where there is one average
+    deviation: np.ndarray  # [F]
+    phase_deviation: np.ndarray  # [F] radians, with the lag's; π at most
+    lag_s: Value  # the film's clock less the instrument's
+    averages: int
+
+
+def lag_of(response: Channel, reference: Channel) -> Value:
+    """Seconds by which the response's clock is ahead of the other: an event there at t is in the response at t + lag.
+
+    Raises AnalyseError for a force, whose response may begin with any phase, and where no lag or several would do.
+    """
+    if reference.quantity not in ORDER:
+        raise AnalyseError(
+            f"{reference.name} is {reference.quantity}, which tells no lag: --sync names an accelerometer's column of "
+            "the same file, or --lag gives it"
+        )
+    lo = 2.0 / min(response.duration_s, reference.duration_s)
+    hi = _USED * min(response.rate, reference.rate)
+    y = converted(response, reference.quantity, (lo, hi))[0]
+    spline = CubicSpline(reference.times_s, converted(reference, reference.quantity, (lo, hi))[0])
+    grid = np.arange(reference.times_s[0], reference.times_s[-1], 1 / response.rate)
+    if min(len(grid), len(y)) < _FEWEST:
+        raise AnalyseError(f"{response.name}: under {_FEWEST} samples tell no lag")
+    x = spline(grid)
+    cross, lags = correlate(y, x, "full"), correlation_lags(len(y), len(x))
+    both = np.rint(correlate(np.ones(len(y)), np.ones(len(x)), "full"))
+    energy = correlate(np.ones(len(y)), x**2, "full") * correlate(y**2, np.ones(len(x)), "full")
+    enough = (both >= min(len(x), len(y)) / 2) & (energy > 1e-12 * energy.max())
+    explained = np.where(enough, np.clip(cross**2 / np.where(enough, energy, 1), 0, 1 - 1e-9), 0)
+    best, independent = int(explained.argmax()), 2 * (hi - lo) * min(len(x), len(y)) / 2 / response.rate
+    turns = np.flatnonzero(np.sign(cross) != np.sign(cross[best]))
+    lobe = slice(
+        int(turns[turns < best].max(initial=-1)) + 1, int(turns[turns > best].min(initial=len(cross)))
+    )
+    others = explained.copy()
+    others[lobe] = 0
+    rival = int(others.argmax())
+    likelier = independent / 2 * np.log((1 - others[rival]) / (1 - explained[best]))
+    if likelier < np.log(1 / _CHANCE) or others[rival] > _ALIKE * explained[best]:
+        raise AnalyseError(
+            f"{response.name} and {reference.name} repeat themselves or have nothing in common: a lag that is "
+            f"{abs(lags[rival] - lags[best]) / response.rate:.4g} s off would do as well; --lag SECONDS gives it"
+        )
+    return _refined(
+        response, y, spline, lags[best] / response.rate + response.times_s[0] - reference.times_s[0]
+    )
+
+
+def _refined(response: Channel, y: np.ndarray, spline: CubicSpline, lag: float) -> Value:
+    first, last = spline.x[0], spline.x[-1]
+    deviation = float("inf")
+    for _ in range(_FITS):
+        t = response.times_s - lag
+        inside = (t >= first) & (t <= last)
+        if inside.sum() < _FEWEST:
+            raise AnalyseError(
+                f"{response.name} and the other record share {int(inside.sum())} samples at the lag {lag:.4g} s"
+            )
+        x, slope, own = spline(t[inside]), spline(t[inside], 1), y[inside]
+        size = float(x @ own / max(x @ x, 1e-300))
+        residual, g = own - size * x, -size * slope
+        g = g - x * float(x @ g / max(x @ x, 1e-300))
+        step = float(g @ residual / max(g @ g, 1e-300))
+        power = uniform_filter1d(np.abs(np.fft.fft(residual)) ** 2, _SMOOTH, mode="wrap")
+        variance = float((np.abs(np.fft.fft(g)) ** 2 * power).mean()) / len(g)
+        deviation = float(np.sqrt(variance)) / max(float(g @ g), 1e-300)
+        lag += float(np.clip(step, -0.5 / response.rate, 0.5 / response.rate))
+        if abs(step) < 1e-3 * deviation:
+            break
+    return Value(lag, deviation)
+
+
+def shared(response: Channel, reference: Channel, lag: Value) -> tuple[Channel, Channel]:
+    """Both over the time that they share, by the response's clock and rate; the input first loses what is faster."""
+    t = response.times_s - lag.value
+    inside = np.flatnonzero((t >= reference.times_s[0]) & (t <= reference.times_s[-1]))
+    if len(inside) < _FEWEST:
+        raise AnalyseError(
+            f"{response.name} and {reference.name} share {len(inside)} samples at the lag {lag.value:.4g} s, "
+            f"expected {_FEWEST}"
+        )
+    values, n = reference.values, len(reference.values)
+    if reference.rate > response.rate:
+        f = np.fft.rfftfreq(3 * n - 2, 1 / reference.rate)
+        edge = np.clip((f / response.rate - _USED) / (0.5 - _USED), 0, 1)
+        long = np.fft.irfft(np.fft.rfft(continued(values)) * np.cos(np.pi / 2 * edge) ** 2, 3 * n - 2)
+        values = long[n - 1 : 2 * n - 1]
+    part = slice(inside[0], inside[-1] + 1)
+    times = response.times_s[part]
+    sampled = CubicSpline(reference.times_s, values)(t[part])
+    return replace(response, times_s=times, values=response.values[part]), replace(
+        reference, times_s=times, values=sampled
+    )
+
+
+def transfer_of(
+    response: Channel, reference: Channel, averaging: Averaging | None = None, lag: Value | None = None
+) -> Transfer:
+    """H1 = S_xy / S_xx and H2 = S_yy / S_yx, x the input. lag: None: found as `lag_of` does."""
+    averaging, lag = averaging or Averaging(), lag or lag_of(response, reference)
+    y, x = shared(response, reference, lag)
+    length, overlap = averaging.cut(y)
+    of = {"fs": y.rate, "window": averaging.window, "nperseg": length, "noverlap": overlap}
+    freqs, cross = csd(x.values, y.values, **of)
+    sxx, syy = (np.maximum(welch(c.values, **of)[1], 1e-300) for c in (x, y))
+    coherence = np.minimum(np.abs(cross) ** 2 / (sxx * syy), 1.0)
+    h1, averages = cross / sxx, averaging.freedom(y) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        h2 = np.where(np.abs(cross) > 0, syy / np.conj(cross), np.nan)
+        known = np.nan_to_num(2 * y.noise**2 / y.rate) / (2 * averages * np.abs(h1) ** 2 * sxx)
+        seen = np.maximum(coherence - (1 - coherence) ** 2 / averages, 0)
+        told = (1 - seen) / (2 * averages * seen) if averages > _FREEDOMS else 0 * seen
+    share = np.sqrt(np.maximum(known, told))
+    if averages <= _FREEDOMS and not np.isfinite(y.noise):
+        share = np.full(len(freqs), np.nan)
+    turn = np.hypot(share, 2 * np.pi * freqs * lag.deviation)
+    keep = (freqs > 0) & (freqs <= _USED * min(response.rate, reference.rate))
+    size = np.abs(h1) * np.hypot(share, y.share)
+    return Transfer(
+        response.name, reference.name, f"{y.unit}/{x.unit}", freqs[keep], h1[keep], h2[keep], coherence[keep],
+        size[keep], np.minimum(turn, np.pi)[keep], lag, averaging.count(y),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Of a channel against a reference channel at one of its lines."""
+
+    channel: str
+    reference: str
+    frequency_hz: Value
+    ratio: Value  # of amplitudes
+    phase: Value  # radians, −π … π; positive: the channel is ahead
+
+
+def phases_of(channels: list[Channel], reference: Channel) -> list[Phase]:
+    """At each line of the reference, of every channel on its times; a deviation of a phase is π at most."""
+    own, out = reference.lines, []
+    for channel in channels if own else []:
+        if channel is reference or not np.array_equal(channel.times_s, reference.times_s):
+            continue
+        found = fit_lines(channel.values, channel.times_s, own, np.nan_to_num(channel.noise)).lines
+        for a, b in zip(own, found, strict=True):
+            size, ratio = float(a.amplitude[0]), float(b.amplitude[0] / a.amplitude[0])
+            spread = float(np.hypot(a.amplitude_deviation[0] * ratio, b.amplitude_deviation[0])) / size
+            spread = float(np.hypot(spread, np.hypot(channel.share, reference.share) * ratio))
+            angle = float(np.angle(b.phasor[0] / a.phasor[0]))
+            turn = float(min(np.hypot(a.phase_deviation[0], b.phase_deviation[0]), np.pi))
+            out.append(
+                Phase(
+                    channel.name,
+                    reference.name,
+                    Value(a.hz, a.hz_deviation),
+                    Value(ratio, spread),
+                    Value(angle, turn),
+                )
+            )
+    return out
