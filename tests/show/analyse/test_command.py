@@ -21,15 +21,16 @@ def write(path: Path, head: str, *columns: np.ndarray) -> Path:
 
 @pytest.fixture
 def film(tmp_path: Path) -> Path:
-    values, *_ = two_masses(1200, 60.0, 1)
-    noise = 0.01 * np.random.default_rng(0).normal(size=(1200, 2))
+    values, *_ = two_masses(600, 60.0, 1)
+    noise = 0.01 * np.random.default_rng(0).normal(size=(600, 2))
     a, b = (values + noise).T
-    sure = np.full(1200, 0.01)
+    sure = np.full(600, 0.01)
     head = "time_s,tip/x_mm,tip/x_mm_deviation,tip/y_mm,tip/y_mm_deviation"
-    return write(tmp_path / "film.csv", head, np.arange(1200) / 60, a, sure, b, sure)
+    return write(tmp_path / "film.csv", head, np.arange(600) / 60, a, sure, b, sure)
 
 
 def test_everything_of_a_csv_file(film: Path, tmp_path: Path, capsys) -> None:
+    pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
     out = tmp_path / "out"
     words = ["analyse", str(film), "--out", str(out), "--band", "1", "25", "--modes", "--against", str(film)]
     assert main(words) == 0
@@ -54,6 +55,8 @@ def test_everything_of_a_csv_file(film: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_a_hammer_beside_the_film(tmp_path: Path, capsys) -> None:
+    pytest.importorskip("sdypy.EMA", reason="the extra `modal` is not installed")
+    pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
     fast = np.arange(0, 20, 1 / 960)
     force = np.zeros(len(fast))
     for hit in (2.0, 7.1, 14.4):

@@ -40,6 +40,7 @@ def tones(times: np.ndarray, order: int = 0, filtered: bool = False) -> np.ndarr
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("quantity", "order"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
 def test_levels_are_the_true_ones_and_scatter_by_their_deviations(quantity: str, order: int) -> None:
     """Over 50 records; the truth is that of the part that is judged: the ends are left out."""
@@ -125,6 +126,7 @@ def test_zones_are_those_of_the_class_and_say_what_is_not_covered() -> None:
             zone_of(bad, "I")
 
 
+@pytest.mark.slow
 def test_an_accelerometers_lag_is_found_within_its_deviation() -> None:
     """Over 50 pairs of records, film at 60 Hz, accelerometer at 1000 Hz, both with a clock of its own."""
     scores = []
@@ -172,6 +174,7 @@ def test_a_transfer_function_is_that_of_the_mass_within_its_deviation() -> None:
 
 
 def test_lscf_of_transfer_functions_finds_the_mass() -> None:
+    pytest.importorskip("sdypy.EMA", reason="the extra `modal` is not installed")
     found = transfer_of(*forced(3, 0.02), Averaging(segment_s=8), HALF)
     modes = from_transfers([found], (3.0, 16.0))
     (mode,) = [m for m in modes.modes if abs(m.frequency_hz.value - MASS_HZ) < 0.5]
@@ -179,9 +182,11 @@ def test_lscf_of_transfer_functions_finds_the_mass() -> None:
     assert mode.damping.value == pytest.approx(DAMPING, abs=max(0.008, 3 * mode.damping.deviation))
 
 
+@pytest.mark.slow
 def test_operational_modes_of_two_masses_scatter_by_their_deviations() -> None:
     scores: list[float] = []
     for seed in range(10):
+        pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
         values, hz, ratios, shapes = two_masses(3000, RATE, seed)
         found = operational(
             [channel(v, RATE, 0.02, seed + k, name=str(k)) for k, v in enumerate(values.T)], (1, 20)

@@ -21,7 +21,7 @@ _SHARE = 1 / 3  # of the orders that can hold a mode: so often it must be stable
 _NEAR = 0.03  # of a frequency: poles nearer than that are one mode's
 _STABLE_HZ, _STABLE_DAMPING = 0.01, 0.10  # of a pole from one order to the next
 _MOST_DAMPING = 0.2
-_SURE = 0.05  # of a frequency: a mode less sure is none
+_SURE = 0.02  # of a frequency: a mode less sure is none
 _DRAWS = 24
 
 
@@ -96,10 +96,10 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
     with _library("sdypy-EMA"):
         from sdypy import EMA
     first = transfers[0]
-    lo, hi = band or (float(first.freqs_hz[0]), float(first.freqs_hz[-1]))
-    keep = first.freqs_hz <= hi
-    h, hz = np.stack([t.h1[keep] for t in transfers]), first.freqs_hz[keep]
-    sure = np.nan_to_num(np.stack([t.deviation[keep] for t in transfers])) / np.sqrt(2)
+    hz = first.freqs_hz
+    lo, hi = band or (float(hz[0]), float(hz[-1]))
+    h, sure = (np.stack([getattr(t, name) for t in transfers]) for name in ("h1", "deviation"))
+    sure = np.where(np.isfinite(sure), np.minimum(sure, np.abs(h)), np.abs(h)) / np.sqrt(2)
     order = min(_ORDERS, len(hz) // 4)
     if order < 4:
         raise AnalyseError(
@@ -120,7 +120,7 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
         noise = sure * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape))
         draws.append(fitted(h + noise)[2])
     modes = []
-    for f, z in poles:
+    for f, z, *scatter in poles:
         near = [min(d, key=lambda p: abs(p[0] - f)) for d in draws if d]
         own = np.array([p for p in near if abs(p[0] - f) < _NEAR * f])
         spread = own.std(0, ddof=1) if len(own) > _DRAWS // 2 else np.array([np.nan, np.nan])
@@ -128,12 +128,18 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
             model.select_closest_poles([f], f_window=max(1, round(0.05 * f / (hz[1] - hz[0]))))
             constants = model.get_constants()[1]
         shape = _scaled(np.asarray(constants)[:, 0])
-        modes.append(Mode(Value(f, float(spread[0])), Value(z, float(spread[1])), shape))
+        modes.append(
+            Mode(
+                Value(f, float(np.hypot(spread[0], scatter[0]))),
+                Value(z, float(np.hypot(spread[1], scatter[1]))),
+                shape,
+            )
+        )
     return Modes("LSCF", tuple(t.response for t in transfers), tuple(modes), diagram)
 
 
-def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[tuple[float, float]]]:
-    """Poles as the diagram has them, and frequency and damping of those that stay as the order grows."""
+def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[tuple[float, ...]]]:
+    """Poles as the diagram has them; of those that stay as the order grows frequency, damping and their scatter."""
     rows, before = [], np.zeros((0, 2))
     for order, (f, z) in enumerate(zip(hz, xi, strict=True), 1):
         f, z = np.asarray(f), np.asarray(z)
@@ -147,8 +153,8 @@ def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[
         before = own
     table = np.array(rows, float).reshape(-1, 4)
     good = table[table[:, 2] > 0]
-    found = [np.median(good[own], axis=0) for own in _clusters(good[:, 1], good[:, 0])]
-    return table[:, :3], [(float(row[1]), float(row[3])) for row in found]
+    found = [good[own][:, [1, 3]] for own in _clusters(good[:, 1], good[:, 0])]
+    return table[:, :3], [(*np.median(own, axis=0).tolist(), *own.std(0).tolist()) for own in found]
 
 
 def _clusters(hz: np.ndarray, order: np.ndarray) -> list[np.ndarray]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from tg4mm.core.lines import projected
@@ -86,7 +87,7 @@ class _Operator:
         if order < 0 and lo <= 0:
             raise AnalyseError(f"{channel.name}: an integral needs a band that begins above 0 Hz")
         n = self.length = len(channel.values)
-        self.times, self.total = times, 3 * n - 2
+        self.times, self.total = times, min(next_fast_len(int(2.8 * n), real=True), 3 * n - 2)
         f = np.fft.rfftfreq(self.total, 1 / channel.rate)
         with np.errstate(divide="ignore", invalid="ignore"):
             gain = (2j * np.pi * f) ** order / (1 + (lo / f) ** 8)
@@ -102,7 +103,7 @@ class _Operator:
             h = (2j * np.pi * line.hz - line.decay_per_s) ** order / (1 + (lo / line.hz) ** 8)
             h = h / (1 + (line.hz / hi) ** 8) if hi < channel.rate / 2 else h
             self.out.append(h * line.envelope(fine) * np.exp(2j * np.pi * line.hz * fine))
-        both = np.concatenate([gain, gain[1:]])
+        both = np.concatenate([gain, gain[1:]])  # of both signs of the frequency
         self.noise_gain = float(np.sqrt((np.abs(both) ** 2).mean()))
         cut = max(2, min(n // 8, int(np.ceil(channel.rate / lo - 1e-6)) if lo > 0 else n // 50))
         self.inner = slice(cut * times, (n - cut) * times)
@@ -132,7 +133,7 @@ class _Operator:
         if self.lines:
             phasors = projected(self.lines, values[:, None], self.time)[:, 0]
             values = values - self._sum(phasors)
-        spectrum = np.fft.rfft(continued(values - values.mean()))
+        spectrum = np.fft.rfft(continued(values - values.mean())[: self.total])
         if noise > 0:
             power = uniform_filter1d(np.abs(spectrum) ** 2, 3 * _NEAR, mode="nearest")
             spectrum *= np.sqrt(np.clip(1 - noise**2 * self.total / np.maximum(power, 1e-300), 0, 1))
@@ -151,7 +152,7 @@ def levels_of(
     db_reference: float | None = None,
 ) -> Levels:
     """Peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, of this record, its ends left out."""
-    operator = _Operator(channel, quantity, band, _UP)
+    operator = _Operator(channel, quantity, band, _UP if len(channel.values) <= _LONGEST else 1)
     noise = float(np.nan_to_num(channel.noise))
     found = _figures(operator(channel.values, noise)[operator.inner])
     deviation = np.full(4, np.nan)
