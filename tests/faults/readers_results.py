@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,8 +14,8 @@ import numpy as np
 import torch
 
 from tests.faults.containers import of_sealed, of_tensors
-from tests.faults.mutate import of_bytes, of_json
-from tests.faults.reader import Reader, T, paper_run, record, run_of, sealed
+from tests.faults.mutate import of_bytes, of_json, of_text
+from tests.faults.reader import Reader, T, paper_run, reading, record, run_of, sealed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.measure import filmed
 from tests.show.measure.filmed import modes, of_parts, sine
@@ -39,6 +40,7 @@ from tg4mm.research.paper import preset
 from tg4mm.research.paper.model import load_model, save_planes
 from tg4mm.research.paper.preset import series_of
 from tg4mm.run import Run, figures_file
+from tg4mm.show.analyse import lines_of, read_channels
 from tg4mm.show.measure import prepare, prepared
 from tg4mm.show.measure.measurement import measure_one
 from tg4mm.show.measure.sensors import Sensor
@@ -256,7 +258,28 @@ def _read_pass(root: Path) -> None:
         measure_one(prepare(Run.open(root / "run"), keep=False), Sensor("all", "all", ()))
 
 
+_LINE = [[math.sin(k), None] for k in range(20)]
+_PEAK = {
+    "frequency_hz": 3.0, "frequency_deviation_hz": 0.1, "main_amplitude": 0.1, "main_deviation": 0.01,
+    "main_is_above": True, "damping_ratio": 0.02, "damping_deviation": None,
+}  # fmt: skip
+_SERIES = {
+    "clock": "", "axes": {"right": [1, 0, 0], "sight": [0, 0, 1]}, "times_s": [k / 20 for k in range(20)],
+    "displacement": _LINE, "noise": [0.1, None], "model_share": [0.1, 0.1],
+}  # fmt: skip
+_SENSOR = {"name": "tip", "px_per_unit": 50.0, "series": [_SERIES], "peaks": [_PEAK]}
+_MEASURED = {"printed_unit": "mm", "unit_scale_m": 0.1, "sensors": [_SENSOR]}
+
+
+def _series_csv(root: Path) -> Path:
+    rows = "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
+    (root / "a.csv").write_text(f"time_s,tip_mm,tip_mm_deviation\n{rows}")
+    return root / "a.csv"
+
+
 RESULTS: dict[str, Reader] = {
+    "analyse CSV": Reader(_series_csv, reading("a.csv", read_channels), of_text),
+    "analyse measure.json": Reader(record("measure.json", _MEASURED), lines_of, of_json),
     "metrics.json": Reader(sealed("metrics.json", METRICS), _read_metrics, of_sealed),
     "render.json": Reader(_render_record, _claim, of_json),
     "magnified, record": Reader(_embeddings("json"), _read_embeddings, of_json),

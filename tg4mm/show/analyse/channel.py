@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -107,25 +108,38 @@ def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     return [by_name[name] for name in names] if names else found
 
 
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Turns what a wrong measure.json makes of Python into AnalyseError."""
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise AnalyseError(f"{path / 'measure.json'} is no measurement that can be read: {error!r}") from None
+
+
 def _of_folder(path: Path, every: bool) -> list[Channel]:
     if not (path / "measure.json").is_file():
         raise AnalyseError(f"{path} is neither a CSV file nor a folder of tg4mm measure")
-    content = read_json(path / "measure.json")
-    try:
+    with readable(path):
+        content = read_json(path / "measure.json")
         out = [
             channel for sensor in content["sensors"] for s in sensor["series"]
             for channel in _of_series(content, sensor, s, every)
         ]  # fmt: skip
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise AnalyseError(f"{path / 'measure.json'} is no measurement that can be read: {error!r}") from None
     if not out:
         raise AnalyseError(f"{path}: no sensor observes a direction")
     return out
 
 
+def factor_of(content: Any, sensor: Any) -> float:
+    """Printed units to a scene unit."""
+    factors = {"mm": 1000 * (content["unit_scale_m"] or 0), "px": sensor["px_per_unit"]}
+    return float(factors.get(str(content["printed_unit"]), 1.0))
+
+
 def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Channel]:
     base = str(content["printed_unit"])
-    factor = {"mm": 1000 * (content["unit_scale_m"] or 0), "px": sensor["px_per_unit"]}.get(base, 1.0)
+    factor = factor_of(content, sensor)
     noise = np.array([np.inf if v is None else v for v in series["noise"]], float)
     keep = np.isfinite(noise) if every else noise <= _RESOLVED * noise.min()
     values = np.array([[0 if v is None else v for v in row] for row in series["displacement"]], float)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
 from tg4mm.core.untrusted import read_json
-from tg4mm.show.analyse.channel import AnalyseError, Channel, read_channels
+from tg4mm.show.analyse.channel import AnalyseError, Channel, factor_of, read_channels, readable
 from tg4mm.show.analyse.quantities import Value
 
 CHANCE = 0.01  # that any of the differences is called a change where nothing changed
@@ -47,20 +48,23 @@ def lines_of(path: Path) -> list[Found]:
     if path.is_file():
         return [found for channel in read_channels(path) for found in _of_channel(channel)]
     read_channels(path)  # says what is wrong with it
-    content, out = read_json(path / "measure.json"), []
-    base = str(content["printed_unit"])
-    for sensor in content["sensors"]:
-        factor = {"mm": 1000 * (content["unit_scale_m"] or 0), "px": sensor["px_per_unit"]}.get(base, 1.0)
-        for p in sensor["peaks"]:
-            if not p["main_is_above"]:
-                continue
-            size = Value(p["main_amplitude"] * factor, (p["main_deviation"] or 0) * factor)
-            damping = (
-                None if p["damping_ratio"] is None else Value(p["damping_ratio"], p["damping_deviation"])
-            )
-            hz = Value(p["frequency_hz"], p["frequency_deviation_hz"])
-            out.append(Found(sensor["name"], base, hz, size, damping))
-    return out
+    with readable(path):
+        content = read_json(path / "measure.json")
+        base = str(content["printed_unit"])
+        return [
+            _of_peak(sensor, peak, base, factor_of(content, sensor))
+            for sensor in content["sensors"]
+            for peak in sensor["peaks"]
+            if peak["main_is_above"]
+        ]
+
+
+def _of_peak(sensor: Any, peak: Any, base: str, factor: float) -> Found:
+    size = Value(float(peak["main_amplitude"]) * factor, float(peak["main_deviation"] or 0) * factor)
+    hz = Value(float(peak["frequency_hz"]), float(peak["frequency_deviation_hz"]))
+    ratio, sure = peak["damping_ratio"], peak["damping_deviation"]
+    damping = None if ratio is None or sure is None else Value(float(ratio), float(sure))
+    return Found(str(sensor["name"]), base, hz, size, damping)
 
 
 def _of_channel(channel: Channel) -> list[Found]:
