@@ -63,6 +63,8 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
                 v.damping,
                 v.damping_deviation,
                 v.begins_s or 0.0,
+                v.place_px,
+                bool(v.doubt),
             ),
             lower_bound=v.pixels is not None and v.pixels.is_bound,
         )

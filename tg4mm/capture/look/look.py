@@ -63,7 +63,8 @@ def look_at(series: CellSeries) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns)
+    light = [hz for hz, _, _ in scene.light]
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, light)
     return _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +18,18 @@ _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 
 
 def marked(
-    lines: list[LookLine], rate: float, duration_s: float, patterns: tuple[int, ...] = PATTERNS
+    lines: list[LookLine],
+    rate: float,
+    duration_s: float,
+    patterns: tuple[int, ...] = PATTERNS,
+    light_hz: Sequence[float] = (),
 ) -> list[LookLine]:
-    """The same lines, each with why it may be none of its own; patterns: of the codec's kinds of pictures."""
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns)) for line in lines]
+    """The same lines, each with why it may be none of its own.
+
+    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts, and with it what is
+    no further from it than the record tells apart.
+    """
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
 
 
 @dataclass(frozen=True)
@@ -34,10 +43,18 @@ class _Near:
 
 
 def _mark(
-    line: LookLine, lines: list[LookLine], rate: float, duration_s: float, patterns: tuple[int, ...]
+    line: LookLine,
+    lines: list[LookLine],
+    rate: float,
+    duration_s: float,
+    patterns: tuple[int, ...],
+    light_hz: Sequence[float],
 ) -> str:
     if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
+    for hz in light_hz:
+        if abs(hz - line.hz) < 1 / duration_s:
+            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
     near = _Near(line, 1 / duration_s)
     for other in lines:
         if other.amplitude_px >= _LARGER * line.amplitude_px:

@@ -43,6 +43,7 @@ class Vibration:
     band: Band  # suggested for --band
     place_px: tuple[float, float] | None = None  # of a flat capture: the same in its picture, right and down
     begins_s: float | None = None  # where it begins in the record; None: before it
+    doubt: str = ""  # why it may be no vibration
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
             f"{', '.join(lengths)} near {near}",
         ),
         _row("", f"damping {damping}"),
+        *([_row("", f"in doubt: {v.doubt}")] if v.doubt else []),
     ]
 
 

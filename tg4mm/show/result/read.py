@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,6 +39,7 @@ from tg4mm.show.result.reach import Reach, Seen, reach_of, seen_by
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
 _STEADY = "the fit takes the vibration to be steady"
+_DOUBT = "only the whole picture shows it, no region by itself: it may be a little sway, a passer-by or noise"
 
 
 def result_of(run: Run) -> Result:
@@ -116,7 +117,11 @@ class Reading:
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=(*drift_line(drifts, self.duration_s), *cannot_tell(self, motion, vibrations)),
+            cannot=(
+                *(f"whether something vibrates at {v.hz:.4g} Hz: {v.doubt}" for v in vibrations if v.doubt),
+                *drift_line(drifts, self.duration_s),
+                *cannot_tell(self, motion, vibrations),
+            ),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
             beside=beside,
@@ -132,10 +137,13 @@ class Reading:
     ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
         """The vibrations that the model holds, and others; where a flat capture's regions name some, these alone.
 
-        Where they name none, the whole picture may still show what no region does: motion that is no steady tone.
+        Where they name none, the whole picture may still show what no region does: motion that is no steady tone, but
+        also a little sway or noise.
         """
-        if self.look is None or self.capture is None or not self.look.vibrations:
+        if self.look is None or self.capture is None:
             return self._vibrations(motion, seen, found), ()
+        if not self.look.vibrations:
+            return tuple(replace(v, doubt=_DOUBT) for v in self._vibrations(motion, seen, found)), ()
         every = looked_vibrations(self.look, self.capture, motion.fps, self.duration_s)
         hz = np.asarray(motion.freqs_hz)
         held = [bool(((hz >= v.band[0]) & (hz <= v.band[1])).any()) for v in every]
