@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.prior.graph import BENDING, ROWS, Graph, build_graph
+from tg4mm.fit.motion.prior.graph import (
+    BENDING,
+    ROWS,
+    Graph,
+    build_graph,
+    edge_residual,
+    reweight_edges,
+    stiffness_root,
+)
 
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
 
@@ -140,3 +148,48 @@ def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
                 row[k, [ROWS * i + k, ROWS * j + k]] = np.sqrt(BENDING) * own[0] * np.array([1, -1])
             expected += row.T @ row / 2  # listed at both ends
     np.testing.assert_allclose(around.blocks.toarray(), expected, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_root_squared_is_the_matrix(shape: str) -> None:
+    around = graph(SHAPES[shape](60))
+    root, expected = stiffness_root(around), around.stiffness.toarray().astype(np.float64)
+    np.testing.assert_allclose((root.T @ root).toarray(), expected, atol=1e-5 * np.abs(expected).max())
+
+
+def ends(around: Graph) -> tuple[np.ndarray, np.ndarray]:
+    return np.repeat(np.arange(around.n_gaussians), np.diff(around.start)), around.other
+
+
+def test_a_jump_strains_the_edges_across_it_by_its_square() -> None:
+    means = volume(400)
+    around = graph(means)
+    left = means[:, 0] < 0
+    x = field(around, np.where(left[:, None], [0.3, 0, -0.4], 0.0), np.zeros((3, 3)))[None]
+    owner, other = ends(around)
+    across = np.where(left[owner] != left[other], 0.25, 0)
+    np.testing.assert_allclose(edge_residual(around, x, x), across, atol=1e-6)
+    twice = np.concatenate([x, x])
+    np.testing.assert_allclose(
+        edge_residual(around, twice, twice), 2 * edge_residual(around, x, x), rtol=1e-6
+    )
+    assert not edge_residual(around, x, -x).any()  # the halves contradict each other
+    assert not edge_residual(around, x, 0 * x).any()
+
+
+def test_strained_edges_count_less_and_the_matrix_stays_what_it_is() -> None:
+    g = graph(volume(400))
+    owner, other = ends(g)
+    of_edge = (((owner + other) * 7919) % 13 / 13.0) ** 4  # the same from both ends
+    looser = reweight_edges(g, of_edge.astype(np.float32))
+    before, after = (graph.edge_rows[:, 0].astype(np.float64) ** 2 for graph in (g, looser))
+    mean = (before * of_edge).sum() / before.sum()
+    np.testing.assert_allclose(after / before, 1 / (1 + of_edge / (3 * mean)), rtol=1e-5)
+    matrix = looser.stiffness.toarray()
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-5 * np.abs(matrix).max())
+    assert np.linalg.eigvalsh(matrix.astype(np.float64)).min() > -1e-5 * np.abs(matrix).max()
+    assert reweight_edges(g, np.zeros(len(other), np.float32)) is g
+    alone = np.zeros(len(other), np.float32)
+    alone[0] = 1.0
+    weakest = reweight_edges(g, alone).edge_rows[0, 0] / g.edge_rows[0, 0]
+    assert weakest == pytest.approx(0.1, rel=1e-5)  # a hundredth of its weight

@@ -34,12 +34,30 @@ def equal(a: Gaussians, b: Gaussians) -> bool:
     return all(torch.equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
 
 
-@pytest.fixture
-def dense_events(monkeypatch: pytest.MonkeyPatch) -> None:
+LEVELS = replace(SHORT, levels=2, gains=True)
+
+
+def dense_events(patch: pytest.MonkeyPatch) -> None:
     """Checkpoints after every iteration, density control after every fifth from the tenth on."""
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-    monkeypatch.setattr(density, "FIRST", 10)
-    monkeypatch.setattr(density, "EVERY", 5)
+    patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+    patch.setattr(density, "FIRST", 10)
+    patch.setattr(density, "EVERY", 5)
+
+
+@pytest.fixture(scope="module")
+def unbroken(
+    views: RestViews, points: SurfacePoints, data: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[SpaceConfig, Run]:
+    """Runs that nobody killed."""
+    runs = {
+        c: Run.create(tmp_path_factory.mktemp("whole") / "run", data, "modal", {}) for c in (SHORT, LEVELS)
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        dense_events(patch)
+        assert [level.begin for level in levels(LEVELS, views.size)] == [0, 20]
+        for config, run in runs.items():
+            train_space(run, views, points, config)
+    return runs
 
 
 def test_it_fits_views_it_has_not_seen(
@@ -70,42 +88,30 @@ def test_without_points_it_starts_from_the_hull(
     assert run.log()["space"]["init"] == "hull"
 
 
-@pytest.mark.parametrize("killed_at", [1, 2, 10, 11, 16, 25, 36])
+@pytest.mark.parametrize(
+    ("config", "killed_at"),
+    [*((SHORT, at) for at in (1, 2, 10, 11, 16, 25, 36)), *((LEVELS, at) for at in (17, 21, 22, 30))],
+)
 def test_killed_once_it_ends_as_if_it_had_not_been(
-    killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None,
-    monkeypatch: pytest.MonkeyPatch,
+    config: SpaceConfig, killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run],
+    unbroken: dict[SpaceConfig, Run], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Before the first checkpoint, after density control, in the middle of a round of views, at the very end."""
-    expected = train_space(new_run(), views, points, SHORT)
-    run = new_run()
-    with monkeypatch.context() as patch:
-        patch.setattr(stage, "progress", killed_after(killed_at))
-        with pytest.raises(Killed):
-            train_space(run, views, points, SHORT)
-    assert not run.has_space
-    checkpoint = run.load_checkpoint("space")
-    assert (checkpoint[1]["iteration"] if checkpoint else 0) == killed_at - 1
-    assert equal(train_space(run, views, points, SHORT), expected)
-    assert equal(run.load_space(), expected)
-    assert run.load_checkpoint("space") is None
-
-
-@pytest.mark.parametrize("killed_at", [17, 21, 22, 30])
-def test_killed_on_any_level_it_ends_as_if_it_had_not_been(
-    killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Two sizes of the pictures, the second from iteration 20 on, and gains."""
-    config = replace(SHORT, levels=2, gains=True)
-    assert [level.begin for level in levels(config, views.size)] == [0, 20]
-    uninterrupted, run = new_run(), new_run()
-    expected = train_space(uninterrupted, views, points, config)
+    """Before the first checkpoint, after density control, in the middle of a round of views, at the very end; and
+    with gains and two sizes of the pictures, the second from iteration 20 on."""
+    expected, run = unbroken[config], new_run()
+    dense_events(monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(stage, "progress", killed_after(killed_at))
         with pytest.raises(Killed):
             train_space(run, views, points, config)
-    assert equal(train_space(run, views, points, config), expected)
-    assert run.log()["space"]["gains"] == uninterrupted.log()["space"]["gains"]
+    assert not run.has_space
+    checkpoint = run.load_checkpoint("space")
+    assert (checkpoint[1]["iteration"] if checkpoint else 0) == killed_at - 1
+    assert equal(train_space(run, views, points, config), expected.load_space())
+    assert equal(run.load_space(), expected.load_space())
+    assert run.log()["space"].get("gains") == expected.log()["space"].get("gains")
+    assert ("gains" in run.log()["space"]) == config.gains
+    assert run.load_checkpoint("space") is None
 
 
 @pytest.mark.parametrize(("takes_s", "expected"), [(0.25, [3, 6, 9, 12, 15]), (4.0, [3, 24])])
