@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import shift
 
 from tg4mm.capture.pictures import over_white
+from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.result.reach import pixel_rows
@@ -45,12 +46,24 @@ def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float,
     largest, least = order[:_FRAMES], order[-_FRAMES:]
     raw = scene.observations.pictures.strips(own.rows[np.concatenate([largest, least])].tolist())
     pictures = over_white(raw(slice(None)), scene.observations.pictures.maximum)
-    fields = result.body.motions(scene.means, result.body.weights)[: len(series.axes)]
-    changes = np.asarray(view.view.jvp(fields))
-    weights = (changes**2).sum((0, 3))
+    weights = weights_of(scene, result, view)
     share, deviation = missing_share(view.mean, pictures[: len(largest)], moved[largest], weights)
     other = other_share(view.mean, pictures, moved[np.concatenate([largest, least])], weights)
     return float(size.max()), share, deviation, other
+
+
+def weights_of(scene: Prepared, result: SensorResult, view: MeasuredView) -> np.ndarray:
+    """[H, W]: how much a view's pixels tell of a sensor's translations."""
+    fields = result.body.motions(scene.means, result.body.weights)[: len(result.series.axes)]
+    return np.asarray((np.asarray(view.view.jvp(fields)) ** 2).sum((0, 3)))
+
+
+def box_of(weights: np.ndarray) -> tuple[tuple[slice, slice], np.ndarray]:
+    """The box around the pixels that count, with a margin, and which of its pixels these are [h, w] bool."""
+    inside = weights > _EDGE * weights.max()
+    down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    rows, columns = (slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
+    return (rows, columns), inside[rows, columns]
 
 
 def missing_share(
@@ -91,10 +104,8 @@ def _compared(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Of each picture, where it counts: its motion [2], what it has beyond the mean picture moved by that [P], the
     columns [P, 4] of more motion and of light, and what it has beyond the mean picture [P]."""
-    inside = weights > _EDGE * weights.max()
-    down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
-    box = tuple(slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
-    some, own = mean[box].astype(np.float64), inside[box]
+    box, own = box_of(weights)
+    some = mean[box].astype(np.float64)
     for picture, motion in zip(pictures, moved, strict=True):
         there = shift(some, (motion[1], motion[0], 0), order=3, mode="nearest")
         slope_down, slope_right = np.gradient(there, axis=(0, 1))

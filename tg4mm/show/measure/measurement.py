@@ -17,6 +17,7 @@ from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.iterated import iterated
 from tg4mm.show.measure.limits import limits_of
 from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, check_sensors, sight_axes, weights_of
 from tg4mm.show.measure.modal_fields import clock_phases
@@ -95,7 +96,7 @@ def measure(
             f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
         )
     results, phases = _results(scene, wanted, groups.members)
-    results = with_losses(scene, results)
+    results = with_losses(scene, [iterated(scene, r) for r in results])
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)
     results = [r if r is against else _related(r, against) for r in results]
