@@ -59,6 +59,13 @@ def test_levels_are_the_true_ones_and_scatter_by_their_deviations(quantity: str,
         assert np.abs(own_scores).max() < 4.5, name
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_has_no_decibels_and_no_crest_factor(seed: int) -> None:
+    found = levels_of(channel(np.zeros(len(T)), RATE, 0.05, seed), "acceleration", BAND)
+    assert found.rms.value <= 2 * found.rms.deviation
+    assert np.isnan([found.db.value, found.db.deviation, found.crest.value]).all()
+
+
 def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity() -> None:
     omega = 2 * np.pi * 7.3
     c = channel(0.1 * np.cos(omega * T), RATE)

@@ -50,7 +50,7 @@ class Levels:
     peak: Value
     peak_to_peak: Value
     rms: Value
-    crest: Value
+    crest: Value  # and dB: nan where the rms is less than twice its deviation
     db: Value  # of rms
     db_reference: str
     rms_g: Value | None = None
@@ -169,8 +169,11 @@ def levels_of(
     peak, whole, rms, crest = values
     unit = unit_of(quantity, channel.base)
     reference = db_reference or (DB_REFERENCE[quantity] if channel.base == "mm" else 1.0)
-    per_rms = 20 / np.log(10) / max(rms.value, 1e-300)
-    db = Value(20 * float(np.log10(max(rms.value, 1e-300) / reference)), float(per_rms * rms.deviation))
+    if rms.value > 2 * np.nan_to_num(rms.deviation):
+        per_rms = 20 / np.log(10) / rms.value
+        db = Value(20 * float(np.log10(rms.value / reference)), float(per_rms * rms.deviation))
+    else:  # it may be any number of dB below, and what is divided by it any factor
+        crest = db = Value(float("nan"), float("nan"))
     in_g = quantity == "acceleration" and channel.base == "mm"
     return Levels(
         channel.name, quantity, unit, band_of(channel, band), peak, whole, rms, crest, db, f"{reference:g} {unit}",

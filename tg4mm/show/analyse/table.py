@@ -17,7 +17,8 @@ def format_analysis(found: Analysis) -> str:
             [
                 (v.channel, v.quantity, _both(v.peak), _both(v.peak_to_peak), f"{_both(v.rms)} {v.unit}",
                  _both(v.crest), f"{v.band_hz[0]:.3g} to {v.band_hz[1]:.4g}",
-                 f"{_both(v.db)} dB re {v.db_reference}" if v.rms_g is None else f"{_both(v.rms_g)} g rms")
+                 f"{_both(v.rms_g)} g rms" if v.rms_g is not None
+                 else "" if np.isnan(v.db.value) else f"{_both(v.db)} dB re {v.db_reference}")
                 for v in found.levels
             ],
         ),
@@ -65,6 +66,8 @@ def format_analysis(found: Analysis) -> str:
 
 
 def _both(value: Value) -> str:
+    if np.isnan(value.value):
+        return "–"
     if not np.isfinite(value.deviation):
         return f"{value.value:.4g}"
     return with_deviation(Length(value.value, value.deviation))
