@@ -60,8 +60,8 @@ class Score:
 
 
 def score(truth: Truth, named: Sequence[Named], seconds: float) -> Score:
-    """Every true vibration takes the unmarked or marked line nearest to it, within 1 / duration or 3 of its ±."""
-    out, left = Score(seconds=seconds, is_still=not truth.vibrations), list(named)
+    """Every true vibration takes the line without a mark nearest to it, within 1 / duration or 3 of its ±."""
+    out, left = Score(seconds=seconds, is_still=not truth.vibrations), [n for n in named if not n.marked]
     by_size = sorted(truth.vibrations, key=lambda v: -v.size_px)
     for k, vibration in enumerate(by_size):
         best = _nearest(vibration, left, truth.duration_s)
@@ -71,8 +71,8 @@ def score(truth: Truth, named: Sequence[Named], seconds: float) -> Score:
         if best is not None:
             left.remove(best)
             _compare(out, vibration, best)
-    out.false = [f"{n.hz:.3f} Hz {n.amplitude_px or 0:.3f} px" for n in left if not n.marked]
-    out.marked = sum(n.marked for n in left)
+    out.false = [f"{n.hz:.3f} Hz {n.amplitude_px or 0:.3f} px" for n in left]
+    out.marked = sum(n.marked for n in named)
     return out
 
 

@@ -68,7 +68,7 @@ def test_each_picture_is_decoded_once_and_shown(
         time.sleep(0.05)
         return decode(path)
 
-    monkeypatch.setattr("tg4mm.capture.pictures.decode", slow)
+    monkeypatch.setattr("tg4mm.capture.frames.decode", slow)
     monkeypatch.setattr(PlainProgress, "first_s", 0.01)
     views = rest_views(capture, FilePictures(replace(capture, paths=paths)))
     assert sorted(seen) == sorted(paths)
