@@ -105,7 +105,7 @@ def _read_metrics(root: Path) -> None:
     _is_ours(root / "metrics.json")
     found: Any = SimpleNamespace(
         metrics=figures_file.read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
-        train=SimpleNamespace(unit_scale_m=0.1), view=SimpleNamespace(alpha=5.0, truth=None),
+        train=SimpleNamespace(unit_scale_m=0.1, scene={}), view=SimpleNamespace(alpha=5.0, truth=None),
     )  # fmt: skip
     accuracy.accuracy_section(found)
     summary._ssim_stat(found)
