@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> None:
                 wanted = [true_picture(truth, i, c.width) for i, c in enumerate(cameras)]
                 every = {"ours": own, **shown}.items()
                 row += [f"truth | {what} {mean_psnr(pictures, wanted):.1f}" for what, pictures in every]
-            print(f"{trained.name} {factor}x", *row, sep="  ", flush=True)
+            print(f"{trained.path.name} {factor}x", *row, sep="  ", flush=True)
 
 
 def mean_psnr(pictures: list[np.ndarray], others: list[np.ndarray]) -> float:

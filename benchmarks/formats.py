@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch)
         ply = read_splat(export_ply(trained, out / "a.ply"))
-        export_gltf(trained, out / "a.glb", request.plan)
+        export_gltf(trained, out / "a.glb", request.magnified)
         export_spz_sequence(trained, out / "spz", request)
         export_usd(trained, out / "a.usdc", request)
         still = replace(splat_of(trained), rotation=np.zeros_like(ply.rotation))

@@ -112,7 +112,7 @@ def _of_series(result: SensorResult, hz: np.ndarray) -> tuple[np.ndarray, np.nda
     design = np.linalg.pinv(sinusoid_columns(hz, result.times_s)) @ result.displacement
     own = design[1 : 1 + n] + 1j * design[1 + n :]
     noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s))
-    size = np.linalg.norm(own[:, result.series.is_told], axis=1)
+    size = np.linalg.norm(own[:, result.series.is_resolved], axis=1)
     return own, np.hypot(noise, result.series.model_share * size[:, None])
 
 

@@ -67,8 +67,10 @@ def motion_iterations(operator: CpuOperator) -> dict[str, Callable[[], object]]:
     """Functions that apply the operator of the motion stage to several components at once."""
     rng = np.random.default_rng(0)
     calls: dict[str, Callable[[], object]] = {}
+    two_level = operator.preconditioner
+    unknowns = 4 * len(two_level.blocks) + len(two_level.coarse_factor)
     for block in BLOCKS:
-        theta = rng.standard_normal((block, operator.preconditioner.n_parameters, 3), np.float32)
+        theta = rng.standard_normal((block, unknowns, 3), np.float32)
         calls[f"{block}"] = lambda theta=theta: operator.products(theta)
     return calls
 

@@ -200,14 +200,14 @@ def _of_sensor(
             gains = gains * np.exp(-times / what.decay_s)[:, None]
         error = series.displacement - np.real(gains @ (mean @ series.axes.T))
         error = (error - error.mean(0)) / series.deviation
-        out.samples += error[:, series.is_told].ravel().tolist()
+        out.samples += error[:, series.is_resolved].ravel().tolist()
     peaks, used = result.spectrum.peaks, set()
     lines = [(p.frequency_hz, p.frequency_deviation_hz) for p in peaks]
     for hz, phasor in _at(truth.freqs_hz, mean @ result.axes.T):
         best = _nearest(hz, lines, float(np.ptp(result.times_s)))
         if best is not None:
             used.add(best)
-        told = peaks[best].is_told if best is not None else result.series.is_told
+        told = peaks[best].is_resolved if best is not None else result.series.is_resolved
         size = float(peak_displacement(np.where(told, phasor, 0)))
         if size * result.px_per_unit > LEAST_PX / 4:
             _compare_peak(out, result, best, hz, size, what)
