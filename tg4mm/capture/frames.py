@@ -121,10 +121,7 @@ class _Reader:
     def __init__(self, video: Path) -> None:
         self.video, self.index, self.lock = video, index_of(video), Lock()
         self.number = {stamp: n for n, stamp in enumerate(self.index.stamps)}
-        self.at, self.last = (
-            -1,
-            np.zeros((0, 0, 4), np.uint8),
-        )  # the frame that was decoded last, and its number
+        self.last = np.zeros((0, 0, 4), np.uint8)  # the frame that was decoded last, its number in `at`
         self._open()
 
     def __enter__(self) -> _Reader:
@@ -150,6 +147,7 @@ class _Reader:
                 self.container.seek(self.index.stamps[key], stream=self.stream)
                 self.frames = self.container.decode(self.stream)
             if not self._is_reached(number):  # a container whose index is wrong
+                self.container.close()
                 self._open()
                 if not self._is_reached(number):
                     raise CaptureError(f"{self.video}: frame {number} cannot be decoded")
@@ -169,7 +167,7 @@ class _Reader:
             self.at = self.number.get(frame.pts, -1)
             if self.at == number:
                 rgb = upright(frame, frame.to_ndarray(format="rgb24"))
-                self.last = np.asarray(Image.fromarray(rgb).convert("RGBA"))  # five times as fast as numpy
+                self.last = np.asarray(Image.fromarray(rgb).convert("RGBA"))
             if self.at >= number:
                 return self.at == number
         return False
