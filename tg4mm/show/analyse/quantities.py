@@ -41,7 +41,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Levels:
-    """Of one channel as one quantity, in `unit`; acceleration in lengths a second squared, in g where the unit is known."""
+    """Levels of a channel as one quantity, in `unit`; acceleration also in g where lengths are known."""
 
     channel: str
     quantity: str
