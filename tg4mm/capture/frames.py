@@ -121,7 +121,8 @@ class _Reader:
     def __init__(self, video: Path) -> None:
         self.video, self.index, self.lock = video, index_of(video), Lock()
         self.number = {stamp: n for n, stamp in enumerate(self.index.stamps)}
-        self.last = np.zeros((0, 0, 4), np.uint8)  # the frame that was decoded last, its number in `at`
+        self.last = np.zeros((0, 0, 4), np.uint8)  # the frame that was decoded last,
+        self.at: int = -1  # and its number
         self._open()
 
     def __enter__(self) -> _Reader:
