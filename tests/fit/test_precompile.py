@@ -61,11 +61,6 @@ print(before == [len(k.signatures) for job in jobs for k in kernels_of(job)])
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_a_kernel_of_no_job_is_not_waited_for() -> None:
-    jobs = precompile._Jobs()
-    assert not jobs.wait("elsewhere.unknown")
-
-
 def test_where_no_process_starts_the_command_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,25 +80,6 @@ def test_a_kernel_is_there_after_the_wait_which_counts(
     assert jobs.wait("blend._forward")
     assert "(pictures): 3/3 steps" in capsys.readouterr().err
     assert not jobs.wait("blend._forward")  # it was made, for other types: not again
-
-
-def test_all_jobs_are_done_in_one_call(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    told = tmp_path / "told.txt"
-    tell = f"import sys\nfor line in sys.stdin: open({str(told)!r}, 'a').write(line); print(line.strip(), flush=True)"
-    monkeypatch.setattr(precompile, "_WORK", tell)
-    monkeypatch.setattr(precompile, "_jobs", precompile._Jobs())
-    precompile.compile_all()
-    assert sorted(told.read_text().splitlines()) == sorted(JOBS)
-
-
-def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    jobs = precompile._Jobs()
-    slow_to_end = "import sys, time\nfor line in sys.stdin: print(line.strip(), flush=True)\ntime.sleep(3)"
-    monkeypatch.setattr(precompile, "_WORK", slow_to_end)
-    assert jobs.wait("blend._forward")
-    assert jobs.wait("blend_backward._backward")
 
 
 def test_only_once_enabled_is_a_kernel_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

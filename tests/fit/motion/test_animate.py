@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.motion_animate import FPS, N, gaussians, motion
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.animate import animate, displacement_at, rotated, rotation_at
+from tg4mm.fit.motion.animate import animate, rotated
 from tg4mm.fit.motion.modes import ModalMotion
 
 TIMES = (0, 1, 7, 12.5)
@@ -20,65 +20,6 @@ TIMES = (0, 1, 7, 12.5)
 
 def one(m: ModalMotion, k: int) -> ModalMotion:
     return replace(m, freqs_hz=m.freqs_hz[[k]], displacement=m.displacement[[k]], rotation=m.rotation[[k]])
-
-
-def by_hand(m: ModalMotion, phasors: np.ndarray, t: float, gains: list[float]) -> np.ndarray:
-    total = np.zeros((N, 3))
-    for f, phasor, gain in zip(m.freqs_hz, phasors, gains, strict=True):
-        angle = 2 * np.pi * f * t / FPS
-        total += gain * (phasor.real * np.cos(angle) - phasor.imag * np.sin(angle))
-    return total
-
-
-@pytest.mark.parametrize("t", TIMES)
-def test_alpha_zero_is_the_capture(t: float) -> None:
-    m = motion()
-    for band in (None, (0.0, 14.0), (4.0, 6.0)):
-        np.testing.assert_allclose(
-            displacement_at(m, t, 0.0, band), by_hand(m, m.displacement, t, [1] * 3), atol=1e-6
-        )
-        np.testing.assert_allclose(
-            rotation_at(m, t, 0.0, band), by_hand(m, m.rotation, t, [1] * 3), atol=1e-6
-        )
-
-
-@pytest.mark.parametrize("alpha", [5.0, 50.0, -1.0, 0.5])
-@pytest.mark.parametrize("t", TIMES)
-def test_motion_grows_by_one_plus_alpha(alpha: float, t: float) -> None:
-    """[TG4MM] Eq. (9)."""
-    m = motion()
-    for at in (displacement_at, rotation_at):
-        np.testing.assert_allclose(at(m, t, alpha), (1 + alpha) * at(m, t), rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("t", TIMES)
-def test_what_lies_outside_the_band_stays_as_it_was(t: float) -> None:
-    m = motion()
-    expected = by_hand(m, m.displacement, t, [1, 21, 1])
-    np.testing.assert_allclose(displacement_at(m, t, 20.0, (4.0, 6.0)), expected, atol=1e-5)
-    np.testing.assert_allclose(
-        rotation_at(m, t, 20.0, (4.0, 6.0)), by_hand(m, m.rotation, t, [1, 21, 1]), atol=1e-5
-    )
-    np.testing.assert_allclose(displacement_at(m, t, 20.0, (9.0, 10.0)), displacement_at(m, t), rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("band", "gains"),
-    [
-        ((2.0, 5.0), [11, 11, 1]),
-        ((5.0, 8.0), [1, 11, 11]),
-        ((5.0, 5.5), [1, 11, 1]),
-        ((4.5, 5.0), [1, 11, 1]),
-        ((np.nextafter(5.0, 9), 7.9), [1, 1, 1]),
-        ((2.1, np.nextafter(5.0, 0)), [1, 1, 1]),
-        ((0.0, 15.0), [11, 11, 11]),
-    ],
-)
-def test_both_ends_belong_to_the_band(band: tuple[float, float], gains: list[float]) -> None:
-    m = motion()
-    np.testing.assert_allclose(
-        displacement_at(m, 3, 10.0, band), by_hand(m, m.displacement, 3, gains), atol=1e-5
-    )
 
 
 class TestRotated:

@@ -14,7 +14,7 @@ from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.motion_animate import FREQS, gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import load_capture, load_images
+from tg4mm.capture import load_capture
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.appearance import (
@@ -32,12 +32,9 @@ from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior.graph import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.spectrum import modes_of
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
-from tg4mm.research.evaluate.run import fingerprint
-from tg4mm.research.evaluate.scores import Candidate, Scorer
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -182,14 +179,6 @@ def by_hand(own: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
     return np.einsum("r,rnkc->nkc", (turn @ own.series).real, own.shapes)
 
 
-@pytest.mark.parametrize("t", [0, 7, 12.5])
-@pytest.mark.parametrize(("alpha", "factor"), [(0.0, 1), (5.0, 6), (-1.0, 0)])
-def test_a_band_magnifies_it_as_it_does_motion(t: float, alpha: float, factor: float) -> None:
-    m = replace(motion(), appearance=appearance())
-    off = change_at(m, t, alpha, (4.0, 6.0)) - by_hand(m.appearance, t, [1, factor, 1])
-    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(by_hand(m.appearance, t, [0, 1, 0]))
-
-
 def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
     m = replace(motion(), appearance=appearance(0.1))
     change, plain = change_at(m, 3, 1e6), by_hand(m.appearance, 3, [1e6 + 1] * 3)
@@ -197,30 +186,3 @@ def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
     np.testing.assert_allclose(sizes, LIMIT, rtol=1e-4)
     cosine = (change * plain).sum((1, 2)) / np.linalg.norm(plain.reshape(N, -1), axis=1) * HARMONIC / LIMIT
     np.testing.assert_allclose(cosine, 1, rtol=1e-4)
-
-
-def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
-    """Of more than 64 timesteps weak bins are residual out; a component weak in motion may hold all the colour."""
-    t = np.arange(100) / 100
-    basis = np.sqrt(2 / 100) * np.stack([np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 9 * t)])
-    shapes = np.random.default_rng(0).normal(size=(2, 20, 6)).astype(np.float32)
-    shapes[1] *= 1e-3
-    shown = change_of(20, 2)
-    shown[0] = 0
-    without, _ = modes_of(basis, shapes, 100.0)
-    freqs, series = modes_of(basis, shapes, 100.0, shown)
-    np.testing.assert_allclose(without, [5.0])
-    np.testing.assert_allclose(freqs, [5.0, 9.0])
-    np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
-
-
-def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
-    """Displacement is the same with and without, and with more of it."""
-    g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
-    capture = load_capture(tmp_path / "data", "test")
-    images, scorer = load_images(capture), Scorer(g, {})
-    found = set()
-    for own in (None, appearance(), appearance(2e-3)):
-        method = Candidate("ours", replace(motion(), appearance=own))
-        found.add(fingerprint(scorer, [method], capture, images, 5.0))
-    assert len(found) == 3

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
 
 from tests.helpers.motion_animate import gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
@@ -55,14 +53,3 @@ def test_what_does_not_fit_is_refused(run: Run, bad: AppearanceModes) -> None:
     with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
         run.save_motion(replace(motion(), appearance=bad), {})
     assert not run.has_motion
-
-
-def test_half_of_it_is_refused(run: Run) -> None:
-    run.save_motion(replace(motion(), appearance=appearance()), {})
-    file = run.part_file("motion")
-    with safe_open(file, "pt") as old:
-        meta = {k: v for k, v in old.metadata().items() if k != "digest"}
-    tensors = {k: v for k, v in load_file(file).items() if k != "light_shapes"}
-    save_file(tensors, file, metadata=meta)
-    with pytest.raises(RunError, match="holds the tensors"):
-        run.load_motion()

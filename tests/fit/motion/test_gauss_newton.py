@@ -21,7 +21,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.fit.motion import gauss_newton as module
 from tg4mm.fit.motion.animate import animate
-from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, used_components
+from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.nuisance.first_look import first_look
@@ -30,7 +30,7 @@ from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import folds_of
-from tg4mm.fit.motion.states import Errors, StateObservations, states_of
+from tg4mm.fit.motion.states import StateObservations, states_of
 from tg4mm.fit.motion.temporal.synchronous import Synchronous, principal_components
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures
@@ -86,19 +86,6 @@ def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Ru
     for run, most in zip(runs, (0, CONFIG.gauss_newton), strict=True):
         _trained(run, replace(CONFIG, gauss_newton=most))
     return runs
-
-
-@pytest.mark.parametrize(
-    ("is_noise", "used"),
-    [
-        ([0, 1, 1], [0, 1, 2]),
-        ([0] + 11 * [1], list(range(8))),  # eight in all
-        ([0, 1, 0] + 9 * [1], list(range(8))),
-        (6 * [0] + 9 * [1], list(range(13))),  # as many others and one
-    ],
-)
-def test_some_of_the_weak_components_are_fitted_too(is_noise: list[int], used: list[int]) -> None:
-    assert used_components(np.array(is_noise, bool)).tolist() == used
 
 
 @pytest.mark.slow
@@ -289,33 +276,3 @@ def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
         off += float(((target - shown) ** 2).sum())
         total += float((shown**2).sum())
     assert off < 0.1 * total
-
-
-@pytest.mark.parametrize(("best", "taken"), [(1.0, 1.0), (0.5, 0.5), (0.4, 0.5), (-1.0, None)])
-def test_half_a_step_is_taken_where_a_whole_one_goes_too_far(
-    best: float, taken: float | None, lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is left goes by the distance from `best` of the way; where neither leaves less, that was all."""
-    way = np.ones_like(lab.fields)
-
-    class Distance:
-        def residuals(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[None, Errors]:
-            off = abs(float(fields.mean()) - best)
-            return None, Errors(off, off)
-
-    monkeypatch.setattr(lab.loop, "refining", 0)
-    monkeypatch.setattr(lab.loop, "_solved", lambda *_: (np.stack([way] * 2), 30.0))
-    start = GaussNewtonState(
-        lab.gaussians, np.zeros((2, *way.shape), np.float32), 300.0, Errors(abs(best), 9.0)
-    )
-    monkeypatch.setattr(lab.loop, "observed", Distance())
-    after = lab.loop._iterated(start, 0, lambda *_, **__: None)
-    if taken is None:
-        assert after.is_over
-        assert after.fold_fields is start.fold_fields
-        assert after.smoothness_weight == 300.0
-    else:
-        np.testing.assert_allclose(after.fold_fields, taken, rtol=1e-6)
-        assert after.errors.changes == pytest.approx(abs(best - taken), abs=1e-6)
-        assert not after.is_over
-        assert after.smoothness_weight == 30.0

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.fit.motion.filmed import FPS, K_of
-from tests.fit.motion.scenes import SCENES, Camera, camera_of, motion_of, view_of
+from tests.fit.motion.scenes import SCENES, Camera, camera_of, view_of
 from tests.fit.rasterize.oracle import Scene
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
@@ -25,7 +25,6 @@ from tg4mm.fit.motion.nuisance.projection import (
     POSE,
     Nuisance,
     Projection,
-    exposure,
     inner_products,
     nuisances_of,
     without,
@@ -152,23 +151,6 @@ def test_products_by_strips_are_those_with_the_columns() -> None:
     np.testing.assert_allclose(
         nuisance.explained_gram(mean, found), flat @ flat.T - left @ left.T, atol=1e-4 * (flat**2).sum()
     )
-
-
-def test_exposure_is_told_in_percent_and_as_a_share() -> None:
-    """Of frames whose gain varies by 3 % and whose offset by 1 %, and of a motion besides."""
-    scene = SCENES["ordinary"]
-    rng, mean = np.random.default_rng(2), seen(scene, np.zeros(3), np.zeros(3)).astype(np.float32)
-    gain, offset = 0.03 * rng.normal(size=(500, 1, 1, 3)), 0.01 * rng.normal(size=(500, 1, 1, 3))
-    drift = gain * mean + offset
-    motion = view_of(scene).jvp(0.002 * motion_of(scene, slice(0, 3))[None])
-    moves = without(nuisance_of(scene, EXPOSURE), mean, motion)[0] * rng.normal(size=(500, 1, 1, 1))
-    changes = (drift + moves).astype(np.float32)
-    nuisance, flat = nuisance_of(scene, EXPOSURE), changes.reshape(500, -1)
-    products = inner_products(nuisance, mean, slice(0, scene.height), flat)
-    found = exposure([nuisance], [mean], [products], [flat @ flat.T])
-    assert found[0] == pytest.approx(3, rel=0.1)
-    assert found[1] == pytest.approx(1, rel=0.1)
-    assert found[2] == pytest.approx((drift**2).sum() / (flat.astype(float) ** 2).sum(), rel=0.05)
 
 
 VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0

@@ -37,10 +37,6 @@ def rig(n_cameras: int, n_timesteps: int) -> Capture:
 
 
 class TestFixedCameras:
-    def test_shuffled_rows_are_sorted(self) -> None:
-        (frames,) = fixed_cameras(captured([0] * 4, [2, 0, 3, 1]))
-        np.testing.assert_array_equal(frames.rows, [1, 3, 0, 2])
-
     def test_cameras_with_less_than_half_of_the_most_pictures_are_left_out(self) -> None:
         ids = [0] * 8 + [1] * 4 + [2] * 3
         steps = [*range(8), *range(4), *range(3)]

@@ -95,27 +95,6 @@ def test_each_iteration_is_the_best_in_its_krylov_space() -> None:
     np.testing.assert_allclose(pcg(matrix, b, k, 0.0).theta.ravel(), best, atol=1e-8)
 
 
-def test_several_systems_are_solved_as_they_would_be_alone() -> None:
-    """To the bit; one that asks nothing is left out of what the operator is asked."""
-    matrix, b = system(dtype=np.float32, systems=3)
-    b[1] = 0
-    together = pcg(matrix, b, 4, 0.0)
-    assert matrix.asked == [2] * 4
-    for r in range(3):
-        np.testing.assert_array_equal(together.theta[r], pcg(matrix, b[r : r + 1], 4, 0.0).theta[0])
-    assert not together.theta[1].any()
-
-
-def test_a_system_that_has_reached_the_tolerance_goes_no_further() -> None:
-    matrix, b = system(n=60, systems=2)
-    b[0] = np.linalg.eigh(matrix.A)[1][:, :1]  # an eigenvector: solved by one iteration
-    found = pcg(matrix, b, 30, 1e-3)
-    assert matrix.asked[0] == 2
-    assert matrix.asked[1:] == [1] * (len(matrix.asked) - 1)
-    assert 1e-4 < relative_residual(found) < 1e-3
-    assert len(matrix.asked) < 30
-
-
 def test_the_tolerance_is_measured_against_the_norms_given() -> None:
     """A second pass begins with a small residual: of what was asked first it is little."""
     matrix, b = system()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import pytest
 from scipy.ndimage import gaussian_filter
 
 from tests.fit.space.scenes import capture_of
@@ -79,24 +78,3 @@ class TestExactly:
             pixel_noise(targets, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
         )
         np.testing.assert_allclose(pixel_noise(targets, np.array([False, False])), 6 / 3, rtol=1e-5)
-
-    def test_it_is_evened_out_by_a_pixel_and_a_half(self) -> None:
-        residual = np.zeros((1, 21, 21), np.float32)
-        residual[0, 10, 10] = 1
-        targets = TargetImages(
-            np.zeros((1, 8)),
-            np.zeros(8),
-            np.zeros((1, 1, 21, 21, 3), np.float32),
-            residual,
-            2,
-            np.zeros((1, 21, 21, 3), np.float32),
-        )
-        found = pixel_noise(targets, np.array([False]))[0]
-        assert found.sum() == pytest.approx(1, rel=1e-3)
-        y = np.arange(21) - 10
-        assert (found.sum(1) * y**2).sum() == pytest.approx(1.5**2, rel=0.02)
-
-    def test_another_number_of_components_is_refused(self) -> None:
-        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        with pytest.raises(ValueError, match=r"is_noise has shape \(2,\), expected \(3,\)"):
-            pixel_noise(found, np.full(2, True))

@@ -87,15 +87,3 @@ def cloud(monkeypatch: pytest.MonkeyPatch) -> Aggregates:
     means = np.random.default_rng(0).normal(size=(800, 3)).astype(np.float32)
     around = build_graph(means, np.tile(np.eye(3), (800, 1, 1)), np.ones((800, 3)))
     return aggregate(around, means)
-
-
-def test_fields_of_aggregates_without_the_matrix_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And its transpose."""
-    aggregates, rng = cloud(monkeypatch), np.random.default_rng(1)
-    coarse = rng.normal(size=(ROWS * aggregates.count, 3)).astype(np.float32)
-    v = rng.normal(size=(ROWS * 800, 3)).astype(np.float32)
-    expected = aggregates.matrix @ coarse
-    np.testing.assert_allclose(aggregates.field(coarse), expected, atol=1e-5 * np.abs(expected).max())
-    expected, before = aggregates.matrix.T @ v.astype(float), v.copy()
-    np.testing.assert_allclose(aggregates.from_field(v), expected, atol=1e-5 * np.abs(expected).max())
-    assert np.array_equal(v, before)

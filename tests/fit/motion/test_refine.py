@@ -13,10 +13,8 @@ import torch
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion import MotionConfig, gauss_newton, refine
-from tg4mm.fit.motion.animate import moved
-from tg4mm.fit.motion.observations import fixed_cameras
-from tg4mm.fit.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.fit.motion import MotionConfig, gauss_newton
+from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 
@@ -87,25 +85,3 @@ def test_gaussians_that_show_the_pictures_worse_are_not_taken(
     assert run.log()["motion"]["gauss_newton"] == 1
     assert np.diff(run.log()["motion"]["misfits"])[0] < 0
     assert _is_as_before(run, data[1])
-
-
-def _moved(data: tuple[Path, Gaussians]) -> MovedPictures:
-    """Of two cameras: at rest for three of four timesteps, shifted in the other; black pictures."""
-    motions = np.zeros((2, len(data[1]), 6), np.float32)
-    motions[1, :, 0] = 0.1
-    pictures = np.zeros((2, 2, 32, 32, 3), np.float32)
-    return MovedPictures(fixed_cameras(load_capture(data[0]))[:2], pictures, motions, np.array([0, 0, 1, 0]))
-
-
-def test_states_count_by_how_long_they_last(data, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[int] = []
-
-    def recorded(g: Gaussians, motion: torch.Tensor) -> Gaussians:
-        drawn.append(int(motion[0, 0] > 0))
-        return moved(g, motion)
-
-    monkeypatch.setattr(refine, "moved", recorded)
-    told: list[int] = []
-    refine_rest_scene(data[1], _moved(data), 8, 0, "cpu", told.append)
-    assert (drawn.count(0), drawn.count(1)) == (6, 2)
-    assert told == [1, 2, 3, 4, 5, 6, 7, 8]

@@ -19,7 +19,6 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
-from tg4mm.fit.motion.nuisance import first_look
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
 from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
@@ -75,19 +74,6 @@ def test_a_turned_picture_is_turned_back() -> None:
     assert error.max() < 1e-3
     raw = over_white(pictures.pictures.strips([0, 2])(slice(None)), 65535)
     assert np.abs(raw - texture(x, y)).max() > 0.3
-
-
-def test_transparent_pictures_are_turned_back_as_they_look_over_white() -> None:
-    """Colours of what is transparent, red here, are seen nowhere."""
-    back = homographies(K_WIDE, np.array([[0.004, -0.006, 0.01]]))
-    x, y = through(back[0], WIDE)
-    alpha = (0.5 + 0.5 * np.sin(0.2 * x) * np.cos(0.15 * y))[..., None]
-    colour = np.where(alpha > 0.02, texture(x, y), [1.0, 0, 0])
-    straight = stored(colour[None])
-    straight[..., 3:] = (alpha * 65535).round()
-    blended = stored((colour * alpha + 1 - alpha)[None])
-    shown = [RegisteredPictures(ImageStack(p), back).strips([0])(slice(None)) for p in (straight, blended)]
-    np.testing.assert_allclose(shown[0], shown[1], atol=1e-3)
 
 
 @pytest.mark.parametrize("moves", [0.0, 1.0])
@@ -213,18 +199,6 @@ def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
     assert shake_px > 0
     assert seen.figures["shake_own_share"] > 0.5
     assert "pose" in seen.figures["nuisance"]
-
-
-def test_nothing_is_registered_where_nothing_shakes(
-    moving: tuple[Gaussians, ModalMotion], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*args: object) -> None:
-        raise AssertionError("registered")
-
-    monkeypatch.setattr(first_look, "stabilised", never)
-    gaussians, motion = moving
-    seen = fitted(gaussians, filmed(lambda t: _at(gaussians, motion, t, 0), 3, 0.0))
-    assert "pose" not in seen.figures["nuisance"]
 
 
 @pytest.mark.parametrize("is_cut_out", [False, True])

@@ -122,24 +122,6 @@ class TestBetweenBins:
             found = synthesis(freqs, values, np.arange(n_timesteps))
             np.testing.assert_allclose(found, np.einsum("rt,rnd->tnd", basis, shapes), atol=2e-5)
 
-    def test_of_a_long_capture_weak_bins_are_left_out(self) -> None:
-        """One percent of the motion's rms at most, and few modes whatever T is."""
-        rng = np.random.default_rng(0)
-        for n_timesteps in (65, 300):
-            basis, shapes = video_of(n_timesteps, {2.51: shape(0), 11.3: 0.2 * shape(1)})
-            extra = rng.normal(size=(1, n_timesteps))
-            basis = np.concatenate([basis, (extra - extra.mean()) / np.linalg.norm(extra)])
-            shapes = np.concatenate([shapes, 0.005 * np.linalg.norm(shapes[0]) * shape(3).real[None] / 5])
-            freqs, values = phasors(basis, shapes, FPS)
-            motion = np.einsum("rt,rnd->tnd", basis, shapes)
-            error = synthesis(freqs, values, np.arange(n_timesteps)) - motion
-            assert np.sqrt((error**2).mean() / (motion**2).mean()) < 0.0101
-            assert len(freqs) < 12
-
-    def test_with_whole_periods_nothing_is_added_to_the_bins(self) -> None:
-        freqs, _ = phasors(*video_of(30, {3.0: shape(0), 5.0: shape(1)}), FPS)
-        np.testing.assert_allclose(freqs, np.arange(1, 16))
-
 
 class TestBands:
     """What a band holds is a mode as a whole, and nothing of what lies outside."""
@@ -171,16 +153,3 @@ class TestBands:
         freqs, values = phasors(*video_of(37, {2.5: shape(0)}), FPS)
         left = self.in_band(freqs, values, 3, 15, t)
         assert np.abs(left).max() < 2e-3 * np.abs(shape(0)).max()
-
-    @pytest.mark.parametrize("n_timesteps", [30, 37, 300])
-    def test_a_drift_begins_at_timestep_0(self, n_timesteps: int) -> None:
-        """The slowest mode is the drift's own way; 0 Hz leads to where the sinusoid's zero was before it."""
-        drift, t = 2 * shape(2).real, np.arange(n_timesteps)
-        parts = {4.71: shape(0)}
-        freqs, values = phasors(*video_of(n_timesteps, parts, drift), FPS)
-        assert freqs[0] == 0 < freqs[1] < FPS / n_timesteps / 10
-        way = (t / FPS)[:, None, None] * drift
-        found = synthesis(freqs[1:2], values[1:2], t)
-        np.testing.assert_allclose(found, way, atol=0.01 * np.abs(way).max())
-        mean = synthesis(np.array([4.71]), shape(0)[None], t).mean(0) + way.mean(0)
-        np.testing.assert_allclose(values[0].real, -mean, atol=0.01 * np.abs(way).max())

@@ -7,18 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.fit.motion.scenes import gaussians_of, two_cameras
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components, moving_pictures, no_nuisance
 from tg4mm.capture import ImageStack
 from tg4mm.fit.motion import observations as observations_module
-from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.nuisance.first_look import first_look
-from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.fit.motion.temporal.independent import sinusoid_targets
-from tg4mm.fit.motion.temporal.synchronous import kept_components, principal_components
+from tg4mm.fit.motion.temporal.synchronous import kept_components
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
@@ -103,12 +100,6 @@ class TestComponents:
         swing = np.stack([np.sin(2 * np.pi * t / 9), np.cos(4 * np.pi * t / 9)]) / np.sqrt(4.5)
         np.testing.assert_allclose(np.linalg.svd(found.basis @ swing.T, compute_uv=False), 1, atol=0.01)
 
-    def test_energies_are_the_squared_singular_values_of_all_cameras_together(self, stack) -> None:
-        images, observations = stack
-        video = np.concatenate([changes(images, f).reshape(9, -1) for f in observations.frames], 1)
-        found = components(observations)
-        np.testing.assert_allclose(found.energy, spectrum(video), rtol=1e-4, atol=1e-4)
-
     def test_target_images_are_the_weighted_sums_of_the_pictures(self, stack) -> None:
         images, observations = stack
         found = components(observations)
@@ -143,58 +134,6 @@ class TestComponents:
         np.testing.assert_allclose(found.images, expected.images * signs[:, None, None, None], atol=1e-5)
         np.testing.assert_allclose(found.residual_energy, expected.residual_energy, atol=1e-6)
         np.testing.assert_allclose(found.mean, expected.mean, atol=1e-6)
-
-    def test_more_than_are_kept_are_warned_of(self, stack) -> None:
-        with pytest.warns(
-            UserWarning, match="2 temporal components .* motion.components keeps the strongest 1"
-        ):
-            assert len(components(stack[1], most=1).basis) == 1
-
-
-class TestNuisance:
-    """What a whole picture does is taken out before components are looked for."""
-
-    @pytest.fixture
-    def stack(self) -> tuple[Observations, list[Nuisance], np.ndarray]:
-        """Two cameras whose exposure drifts, before pictures that hold one moving pattern; that pattern."""
-        scene, cameras = two_cameras()
-        rng, t = np.random.default_rng(5), np.arange(12) / 12
-        size = (scene.height, scene.width)
-        rest, patterns = rng.uniform(0.3, 0.6, (2, *size, 3)), 0.05 * rng.normal(size=(2, *size, 3))
-        gain = 1 + 0.05 * rng.normal(size=(12, 1, 1, 1, 3))
-        offset = 0.03 * rng.normal(size=(12, 1, 1, 1, 3))
-        swing = np.sin(2 * np.pi * 3 * t)[:, None, None, None, None]
-        data = np.full((12, 2, *size, 4), 65535, np.uint16)
-        data[..., :3] = ((rest * gain + offset + swing * patterns).clip(0, 1) * 65535).round()
-        capture, images = capture_of([0, 1] * 12, sorted([*range(12)] * 2), data.reshape(24, *size, 4))
-        gaussians = gaussians_of(scene)
-        views = [view_jacobian(gaussians, c, size[::-1]) for c in cameras]
-        nuisances = nuisances_of(views, cameras, gaussians.means.numpy(), np.arange(12) < 6)
-        return observe(capture, images), nuisances, patterns
-
-    def test_drift_of_exposure_is_no_component(self, stack) -> None:
-        observations, nuisances, _ = stack
-        found = principal_components(observations, first_look(observations, nuisances), nuisances, 6)
-        plain = components(observations, 12)
-        assert len(found.basis) == 1
-        assert len(plain.basis) > 3
-        swing = np.sin(2 * np.pi * 3 * np.arange(12) / 12) / np.sqrt(6)
-        assert abs(found.basis[0] @ swing) > 0.999
-
-    def test_target_images_hold_nothing_of_it(self, stack) -> None:
-        observations, nuisances, patterns = stack
-        found = principal_components(observations, first_look(observations, nuisances), nuisances, 6)
-        for v, nuisance in enumerate(nuisances):
-            columns = nuisance.columns(found.mean[v]).reshape(6, -1)
-            image = found.images[v, 0].ravel()
-            sizes = np.linalg.norm(columns, axis=1) * np.linalg.norm(image)
-            assert (np.abs(columns @ image) < 1e-4 * sizes).all()
-            shown = (
-                patterns[v].ravel()
-                - columns.T @ np.linalg.lstsq(columns.T, patterns[v].ravel(), rcond=None)[0]
-            )
-            cosine = abs(shown @ image) / np.linalg.norm(shown) / np.linalg.norm(image)
-            assert cosine > 0.995
 
 
 class TestSinusoids:

@@ -19,10 +19,7 @@ from tg4mm.fit.motion.prior.graph import nearest
 from tg4mm.fit.motion.uncertainty import (
     BLOCK,
     MotionEstimate,
-    Uncertainty,
-    local_variance,
     residual_displacement,
-    with_ground,
 )
 from tg4mm.research.evaluate.displacement import mean_squares
 from tg4mm.research.evaluate.subject import uncertainty_figures
@@ -106,16 +103,6 @@ def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
     np.testing.assert_allclose(seen.left([np.concatenate([p, p]) for p in left]), 2 * once, rtol=1e-4)
 
 
-def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:
-    rng = np.random.default_rng(2)
-    means = rng.random((300, 3))
-    knn = nearest(means)[1]
-    shapes = rng.normal(size=(2, 300, 3)).astype(np.float32) + 5
-    expected = shapes.astype(np.float64)[:, knn].var(2).sum((0, 2))
-    np.testing.assert_allclose(local_variance(shapes, knn), expected, rtol=1e-6)
-    assert local_variance(np.full((2, 300, 3), 7.0, np.float32), knn).max() < 1e-9
-
-
 def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
     """Within two deviations for most of what is seen, where noise alone says much too little, and not far too much."""
     run = Run.create(tmp_path / "run", seen.capture.root, "modal", {})
@@ -138,15 +125,3 @@ def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
     surer, others = (np.average(error[o], weights=weights[o]) for o in np.array_split(order, 2))
     assert surer < 0.25 * others
     assert log["uncertainty_to_motion"] > log["noise_to_motion"] > 0
-
-
-def test_not_being_sure_of_what_stands_still_is_an_error_beside_the_others() -> None:
-    n = 5
-    arrays = {"displacement": np.full(n, 3.0, np.float32), "noise": np.ones(n, np.float32)}
-    old = Uncertainty(arrays, {"noise_to_motion": 0.1, "uncertainty_to_motion": 0.3})
-    new = with_ground(old, np.full(n, 16.0 * 40), 40)
-    np.testing.assert_allclose(new.arrays["displacement"], 5.0)
-    np.testing.assert_allclose(new.arrays["ground"], 4.0)
-    np.testing.assert_array_equal(new.arrays["noise"], arrays["noise"])
-    assert new.figures == {"noise_to_motion": 0.1, "uncertainty_to_motion": pytest.approx(0.5)}
-    assert with_ground(old, None, 40) is old

@@ -58,13 +58,6 @@ def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, 
     assert f"{name} has shape {shape}, expected {expected}" in str(caught.value)
 
 
-def test_harmonics_need_their_own_shape() -> None:
-    with pytest.raises(ValueError, match=r"colors has shape \(5, 3\), expected \(5, 'any', 3\)"):
-        rasterization(**arguments(sh_degree=0))
-    with pytest.raises(ValueError, match=r"backgrounds has shape \(2, 16\), expected \(2, 3\)"):
-        rasterization(**arguments(sh_degree=0, colors=torch.ones(5, 16, 3), backgrounds=torch.ones(2, 16)))
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

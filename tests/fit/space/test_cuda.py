@@ -114,16 +114,6 @@ def test_an_iteration_fetches_nothing(
     assert float(fit.psnr) > 5
 
 
-def test_progress_fetches_a_figure_now_and_then(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stage, "SHOW_EVERY_S", 1e9)
-    monkeypatch.setattr(stage, "is_due", lambda *_: False)
-    with Fetches() as fetches:
-        train_space(new_run(), views, points, SHORT)
-    assert 2 <= fetches.count < 12  # the first figure, the last one, and what starting and saving take
-
-
 def test_a_checkpoint_with_a_second_generator_comes_back(
     views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
 ) -> None:
@@ -152,32 +142,3 @@ def test_training_on_cuda_is_as_good_as_on_the_cpu(
     there = psnr_of_test_views(train_space(run, views, points, config, "cuda"), data)
     assert abs(there - here) < 0.5
     assert run.log()["space"]["peak_gpu_memory_mib"] > 0
-
-
-@needs_cuda
-def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
-    views: RestViews, points: SurfacePoints, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """CUDA's own watch: with a picture that needs no gsplat, an iteration must not wait at all."""
-
-    def flat(
-        g: Gaussians, viewmat: torch.Tensor, K: torch.Tensor, size: tuple[int, int], degree: int, eps2d: float
-    ) -> RenderedView:
-        value = sum(
-            (t.mean() for t in (g.means, g.quats, g.scales, g.opacities, g.sh)),
-            torch.zeros((), device="cuda"),
-        )
-        rgb = value.expand(size[1], size[0], 3)
-        return RenderedView(rgb, rgb[..., 0] * 0, lambda: torch.zeros(len(g), device="cuda"))
-
-    monkeypatch.setattr(stage, "render_view", flat)
-    config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
-    fit, extent, _ = stage._started(views, points, config, "cuda")
-    level = level_at(levels(config, views.size), 0)
-    cameras = stage._Views(views, config, "cuda", level.shrink, level.spacing)
-    stage._iterate(fit, cameras, config, level, extent)
-    torch.cuda.set_sync_debug_mode("error")
-    try:
-        stage._iterate(fit, cameras, config, level, extent)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")

@@ -70,23 +70,6 @@ def test_the_halves_stand_where_the_old_one_stood() -> None:
     np.testing.assert_allclose(offset.T @ offset / 4000, expected, atol=0.08 * expected.abs().max())
 
 
-@pytest.mark.parametrize("most", [40, 12])
-def test_a_full_budget_splits_none(most: int) -> None:
-    adam = ParameterAdam(parameters(40), EXTENT)
-    change = control_density(adam, torch.ones(40), EXTENT, most, generator())
-    assert (change.removed, change.split) == (0, 0)
-    assert numbers(adam) == list(range(40))
-
-
-def test_growth_is_a_twentieth_beside_what_was_removed() -> None:
-    p = parameters(40)
-    p["logits"][:5] = -8.0
-    adam = ParameterAdam(p, EXTENT)
-    change = control_density(adam, torch.ones(40), EXTENT, 1000, generator())
-    assert (change.removed, change.split) == (5, 2 + 5)
-    assert len(adam.parameters["means"]) == 40 - 5 + 7
-
-
 @pytest.mark.parametrize(("start", "most", "iterations"), [(150, 10_000, 2_000), (4, 9_000, 20_000)])
 def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, iterations: int) -> None:
     """In equal steps, where twentieths would end at a fraction of it."""
@@ -101,13 +84,6 @@ def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, 
     if start > 10:  # below, whole Gaussians are coarse steps
         steps = np.array([start, *counts])
         assert np.ptp(steps[1:] / steps[:-1]) < 0.1
-
-
-@pytest.mark.parametrize(("n", "iteration"), [(10_000, 200), (9_900, 200), (40_000, 3_000), (50_000, 9_000)])
-def test_a_start_near_the_budget_grows_by_twentieths(n: int, iteration: int) -> None:
-    """10,000 points and 40,000 Gaussians over 10,000 iterations."""
-    most = 40_000 if n < 40_000 else n
-    assert growth(n, most, iteration, 3_500) == pytest.approx(0.05)
 
 
 def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:

@@ -59,13 +59,6 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
-class TestWorkingBox:
-    def test_centre_is_where_the_cameras_look(self, ball: RestViews) -> None:
-        centre, half = working_box(ball)
-        np.testing.assert_allclose(centre, CENTRE, atol=2e-3)
-        assert half == pytest.approx(4 * np.tan(0.35), rel=1e-2)
-
-
 class TestHull:
     def test_a_balls_hull_lies_on_the_ball_within_a_cell(self, ball: RestViews) -> None:
         cell = 2 * RADIUS / GRID
@@ -111,22 +104,6 @@ class TestChoice:
         assert initial_points(opaque, None, "auto", 100, rng()).source == "random"
         assert initial_points(ball, given, "random", 100, rng()).source == "random"
         assert initial_points(ball, given, "hull", 100, rng()).source == "hull"
-
-    def test_given_points_keep_place_and_colour_when_thinned(self, ball: RestViews) -> None:
-        xyz = rng().uniform(-1, 1, (300, 3)).astype(np.float32)
-        rgb = rng().integers(0, 256, (300, 3)).astype(np.uint8)
-        points = initial_points(ball, SurfacePoints(xyz, rgb), "auto", 40, rng())
-        assert points.xyz.shape == (40, 3)
-        row = {tuple(p): i for i, p in enumerate(xyz)}
-        rows = [row[tuple(p)] for p in points.xyz]
-        assert len(set(rows)) == 40
-        np.testing.assert_allclose(points.rgb, rgb[rows] / 255, atol=1e-6)
-        assert points.rgb.dtype == points.spacing.dtype == np.float32
-
-    def test_spacing_is_the_rms_distance_to_three_neighbours(self, ball: RestViews) -> None:
-        grid = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3) * 0.25
-        points = SurfacePoints(grid.astype(np.float32), np.zeros((64, 3), np.uint8))
-        np.testing.assert_allclose(initial_points(ball, points, "points", 64, rng()).spacing, 0.25, rtol=1e-6)
 
     def test_colours_are_the_mean_of_the_pixels_that_see_them(self) -> None:
         """One camera sees red, its opposite blue; a point that only one sees has its colour, no one's is grey."""

@@ -14,7 +14,7 @@ from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space.density import EVERY
-from tg4mm.fit.space.levels import check_levels, level_at, levels, sampled, shrunk, turn_of
+from tg4mm.fit.space.levels import check_levels, level_at, levels, sampled
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
@@ -53,15 +53,6 @@ def test_of_large_pictures_some_one_pixel_for_each_gaussian_is_seen(
     assert [level.spacing for level in levels(config, size)] == spacing
 
 
-def test_every_grid_of_every_view_has_its_turn() -> None:
-    """In as many rounds as there are grids; and in each round as many of one grid as of another."""
-    turns = [[turn_of(v, r * 8 + k, 8, 2) for k, v in enumerate(range(8))] for r in range(5, 9)]
-    for v in range(8):
-        assert sorted(turn[v] for turn in turns) == [0, 1, 2, 3]
-    for turn in turns:
-        assert np.bincount(turn).tolist() == [2, 2, 2, 2]
-
-
 @pytest.mark.parametrize("turn", range(9))
 def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
     """The picture's own coordinates as colours: a pixel's centre, unprojected, lies on the ray that it lay on."""
@@ -82,17 +73,6 @@ def test_levels_that_leave_no_picture_are_refused() -> None:
         Tg4mmError, match=r"\Asetting space.levels is 3: pictures of 48×32 would be 12×8 at the"
     ):
         check_levels(3, (48, 32))
-
-
-def test_smaller_pictures_are_means_over_squares() -> None:
-    rng = np.random.default_rng(0)
-    rgb, alpha = rng.uniform(size=(2, 33, 31, 3)), rng.uniform(size=(2, 33, 31))
-    given = views_of(orbit(2, np.zeros(3)), intrinsics(32), alpha, rgb)
-    small = shrunk(given, 4)
-    assert small.size == (7, 8)
-    np.testing.assert_allclose(small.rgb[1, 3, 5], rgb[1, 12:16, 20:24].mean((0, 1)), rtol=1e-5)
-    np.testing.assert_allclose(small.alpha[0, 7, 6], alpha[0, 28:32, 24:28].mean(), rtol=1e-5)
-    assert shrunk(given, 1) is given
 
 
 def test_it_fits_from_coarse_to_fine(

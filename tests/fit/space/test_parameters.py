@@ -111,14 +111,3 @@ def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero(
             assert torch.equal(after[name + moment][stay], before[name + moment][old])
             assert (after[name + moment][new] == 0).all()
             assert after[name + moment].shape == p.shape
-
-
-@pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
-def test_rows_take_their_moments_with_them_when_reordered(kind: type[ParameterRows]) -> None:
-    plain = ParameterAdam(parameters(), EXTENT)
-    take_step(plain, gradients(plain.parameters, 0))
-    before = {k: v.detach().clone() for k, v in (plain.parameters | plain.moments()).items()}
-    adam, order = kind(plain.parameters, EXTENT, plain.moments()), torch.tensor([3, 0, 5, 1, 4, 2])
-    adam.reorder(order)
-    for name, value in (adam.parameters | adam.moments()).items():
-        assert torch.equal(value, before[name] if name == "step" else before[name][order]), name

@@ -51,20 +51,6 @@ def fitted(picture: np.ndarray, budget: int, iterations: int = 14) -> Gaussians:
 # The quadtree.
 
 
-@pytest.mark.parametrize("size", [(96, 64), (70, 33), (16, 16)])
-def test_the_deepest_cells_tile_the_picture(size: tuple[int, int]) -> None:
-    picture = textured(*size)
-    cells = quadtree(picture, 300)
-    finest_at = np.full((size[1], size[0]), 1 << 20)
-    for (u, v), side in zip(cells.centres, cells.sides, strict=True):
-        rows, columns = (slice(max(int(c - side / 2), 0), int(c + side / 2)) for c in (v, u))
-        assert (
-            finest_at[rows, columns] > side
-        ).all()  # the coarser come first, and no two overlap in a level
-        finest_at[rows, columns] = side
-    assert finest_at.max() < 1 << 20
-
-
 def test_detail_gets_the_small_cells_and_the_budget_holds() -> None:
     picture = textured(128, 96)
     cells = quadtree(picture, 700)

@@ -42,16 +42,6 @@ def test_a_fixed_camera_gives_its_mean_over_time() -> None:
     assert np.abs(views.rgb[0] - (mean[..., :3] * mean[..., 3:] + 1 - mean[..., 3:])).max() > 0.01
 
 
-def test_views_come_in_order_of_first_image_with_their_own_camera() -> None:
-    """Ids need not be in order, and groups may have different sizes."""
-    data = pictures(5)
-    capture, images = capture_of([2, 0, 2, 1, 0], [0, 0, 1, 1, 2], data)
-    views = rest_views(capture, images)
-    assert [list(group) for group in views.images] == [[0, 2], [1, 4], [3]]
-    assert [view[0, 3] for view in views.viewmats] == [2.0, 0.0, 1.0]
-    np.testing.assert_allclose(views.rgb[2], over_white(data[3]), atol=1e-6)
-
-
 def test_each_picture_is_decoded_once_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import torch
@@ -22,8 +20,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, density
 from tg4mm.fit.space import train as stage
-from tg4mm.fit.space.checkpoint import Checkpoint
-from tg4mm.fit.space.levels import levels, resolved
+from tg4mm.fit.space.levels import levels
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
@@ -114,34 +111,6 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
     assert run.load_checkpoint("space") is None
 
 
-@pytest.mark.parametrize(("takes_s", "expected"), [(0.25, [3, 6, 9, 12, 15]), (4.0, [3, 24])])
-def test_checkpoints_that_take_long_are_rarer(
-    takes_s: float,
-    expected: list[int],
-    views: RestViews,
-    points: SurfacePoints,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By a clock on which an iteration takes a second: every 2 seconds; of ten times the allowed .4 s, every 20."""
-    now, saved, iterate = [0.0], [], stage._iterate
-
-    def ticking(*args: Any) -> None:
-        iterate(*args)
-        now[0] += 1
-
-    class Slow(stage.Nowhere):
-        def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-            saved.append(checkpoint[1]["iteration"])
-            now[0] += takes_s
-
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", 2.0)
-    monkeypatch.setattr(stage, "_iterate", ticking)
-    monkeypatch.setattr(stage, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    stage.fit_space(views, points, SHORT, kept=Slow())
-    assert saved[: len(expected)] == expected
-    assert len(saved) == len(expected) or takes_s < 1
-
-
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
@@ -170,15 +139,6 @@ def test_settings_out_of_range_are_refused(
     with pytest.raises(Tg4mmError, match=rf"\Asetting [^\n]*{match}[^\n]*\Z"):
         train_space(run, views, None, SpaceConfig(**wrong))
     assert {p.name for p in run.path.iterdir()} == {"config.json"}
-
-
-def test_zero_means_by_the_data(views: RestViews) -> None:
-    auto = resolved(SpaceConfig(), views)
-    assert auto.iterations >= 1000
-    assert auto.max_gaussians >= 2000
-    assert auto.levels == 1
-    given = resolved(SpaceConfig(iterations=7, max_gaussians=9, levels=2), views)
-    assert (given.iterations, given.max_gaussians, given.levels) == (7, 9, 2)
 
 
 @pytest.mark.parametrize("given", [True, False])
