@@ -51,18 +51,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_notebooks_are_clean(repo_root: Path) -> None:
-    """Without outputs, which would be somebody's machine; and each is tested below."""
-    found = sorted((repo_root / "examples").glob("*.ipynb"))
-    assert [path.stem for path in found] == ["compare_a_method", "first_run", "own_video"]
-    for path in found:
-        notebook = json.loads(path.read_text(encoding="utf-8"))
-        assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
-        for cell in notebook["cells"]:
-            assert not cell.get("outputs")
-            assert not cell.get("execution_count")
-
-
 @pytest.mark.slow
 def test_first_run(
     repo_root: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any

@@ -51,22 +51,6 @@ def test_files_are_of_their_schema(repo_root: Path, pattern: str, schema: str) -
     assert done.returncode == 0, done.stdout
 
 
-def test_workflows_name_files_that_are_there(repo_root: Path) -> None:
-    """Of the repository: tests, scripts and constraints that a step's commands name."""
-    named, modules = [], []
-    for workflow in sorted((repo_root / ".github" / "workflows").glob("*.yml")):
-        jobs = yaml.safe_load(workflow.read_text(encoding="utf-8"))["jobs"].values()
-        commands = [step.get("run", "") for job in jobs for step in job["steps"]]
-        words = [word for command in commands for word in command.split()]
-        folders = ("tests/", "addon/", ".ci/", ".github/")
-        named += [w for w in words if w.startswith(folders) or w == "constraints.txt"]
-        modules += re.findall(r"-m (tests[\w.]+)", " ".join(commands))
-    assert len(named) > 10
-    assert modules
-    named += [module.replace(".", "/") + ".py" for module in modules]
-    assert not [name for name in named if not (repo_root / name).exists()]
-
-
 def test_a_release_gives_the_readme_whole_addresses(repo_root: Path, tmp_path: Path) -> None:
     """On the package index a relative link leads nowhere, and a relative picture is not shown."""
     for name in ("README.md", "pyproject.toml"):

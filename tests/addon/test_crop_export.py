@@ -109,18 +109,6 @@ def test_a_box_crops_and_what_is_left_moves_as_before(
     )
 
 
-def test_the_crop_box_is_added_around_the_splats_and_crops(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    before = len(obj.data.vertices)
-    assert bpy.ops.tg4mm.add_crop_box() == {"FINISHED"}
-    frame = bpy.context.object
-    assert frame.type == "EMPTY"
-    frame.scale = [0.5 * s for s in frame.scale]
-    bpy.context.view_layer.update()
-    assert bpy.ops.tg4mm.crop(by="BOX", keep=True) == {"FINISHED"}  # the box is active, and of the splats
-    assert 0 < len(obj.data.vertices) < before
-
-
 @pytest.mark.parametrize("keep", [True, False])
 def test_the_selection_crops_from_edit_mode(
     extension: ModuleType, splat_path: Path, tmp_path: Path, keep: bool
@@ -228,14 +216,6 @@ def test_axes_of_the_import_are_those_of_the_export(
     np.testing.assert_allclose(blenders.means[:, 2], splat.means @ up, atol=1e-5)
 
 
-def test_modes_that_are_switched_off_stay_out(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
-    obj = import_splat(splat_path)
-    setter(extension, obj)("5 Hz", False)
-    assert exported(tmp_path / "out.ply").freqs_hz.tolist() == [3.0, 7.5]
-
-
 def test_this_frame_and_rest_hold_no_motion(extension: ModuleType, splat_path: Path, tmp_path: Path) -> None:
     obj, splat, names = import_splat(splat_path), read_splat(splat_path), extension.names
     put = setter(extension, obj)
@@ -282,15 +262,6 @@ def test_a_sequence_has_a_file_for_each_frame_and_comes_back(
     assert sequence == bpy.context.object
 
 
-def test_spz_is_written_y_up(extension: ModuleType, told: Path, tmp_path: Path) -> None:
-    import_splat(told)
-    done = bpy.ops.export_scene.tg4mm_splat(filepath=str(tmp_path / "a.spz"), content="REST", format=".spz")
-    assert done == {"FINISHED"}
-    splat, again = read_splat(told), import_splat(tmp_path / "a.spz")
-    np.testing.assert_allclose(exported(tmp_path / "again.ply").means, splat.means, atol=1e-5)
-    assert again.rotation_euler.x == 0
-
-
 def test_a_mesh_of_what_is_drawn(extension: ModuleType, splat_path: Path) -> None:
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     drawn_whole(extension, obj)
@@ -305,24 +276,6 @@ def test_a_mesh_of_what_is_drawn(extension: ModuleType, splat_path: Path) -> Non
     assert not extension.compat.get_input(
         extension.nodes.scene.splat_modifier(obj), extension.names.SOLID_COLOUR
     )
-
-
-def test_a_modifier_after_ours_is_told_of_and_sees_one_mesh(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    drawn_whole(extension, obj)
-    array = obj.modifiers.new("Array", "ARRAY")
-    array.count = 3
-    after = extension.panels.cropping.modifiers_after
-    assert after(obj) == ["Array"]
-
-    def faces() -> int:
-        return len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons)
-
-    assert bpy.ops.tg4mm.one_mesh() == {"FINISHED"}
-    assert after(obj) == []
-    three = faces()
-    array.show_viewport = False
-    assert three == 3 * faces() > 0
 
 
 def refused(call: Any, message: str) -> None:

@@ -57,13 +57,6 @@ def test_a_cube_that_is_someones_own_stays(
     assert shown(extension.panels.framing.show(bpy.context, [obj]), cube)
 
 
-def test_what_is_around_all_of_it_is_named(extension: ModuleType, splat_path: Path, cube: Any) -> None:
-    cube.name, cube.scale = "Room", (50, 50, 50)
-    obj = import_splat(splat_path, show=False)
-    assert extension.panels.framing.show(bpy.context, [obj]) == ["they lie inside Room"]
-    assert not cube.hide_get()
-
-
 UPS = {"Z": (0.0, 0.0, 1.0), "MINUS_Y": (0.0, -1.0, 0.0), "PLUS_Y": (0.0, 1.0, 0.0)}
 
 
@@ -87,14 +80,6 @@ def test_up_is_told_by_the_cameras(extension: ModuleType, splat_path: Path, up: 
     obj = import_splat(splat_path)
     bpy.context.view_layer.update()
     np.testing.assert_allclose(np.array(obj.matrix_world)[:3, :3] @ UPS[up], [0, 0, 1], atol=1e-6)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"frames": 3}', '[{"rotation": [[1]]}]', '{"frames": []}'])
-def test_a_file_of_cameras_that_says_nothing_turns_nothing(
-    extension: ModuleType, splat_path: Path, text: str
-) -> None:
-    (splat_path.parent / "cameras.json").write_text(text)
-    assert import_splat(splat_path).rotation_euler.x == 0
 
 
 def test_metres_of_the_file_and_of_blender_are_compared(
@@ -155,23 +140,6 @@ def test_fifty_modes_of_a_recording_without_end(
     with pytest.raises(RuntimeError, match="write the phasor table"):
         bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "long.csv"), per_timestep=8)
     assert time.process_time() - start < 10
-
-
-def test_the_curve_of_a_long_recording_reaches_as_far_as_the_motion(extension: ModuleType) -> None:
-    probe = extension.probe.probe
-    read = probe.Probe("", np.array([3.0]), np.array([[0.2, 0.0, 0.1j]]), np.eye(3)[:1], 24.0, 100_000)
-    seconds, moved = probe.envelope(read, 50)
-    assert len(seconds) == len(moved) == 100
-    np.testing.assert_allclose(moved[0::2, [0, 2]], [[-0.2, -0.1]] * 50, rtol=0.02)
-    np.testing.assert_allclose(moved[1::2, [0, 2]], [[0.2, 0.1]] * 50, rtol=0.02)
-
-
-@pytest.mark.parametrize("fps", [1e-9, 40_000.0, 1e12])
-def test_frame_rates_that_blender_lacks_are_no_trace(
-    extension: ModuleType, splat_path: Path, tmp_path: Path, fps: float
-) -> None:
-    write_splat(tmp_path / "odd.ply", replace(read_splat(splat_path), fps=fps))
-    assert import_splat(tmp_path / "odd.ply")
 
 
 def one_line(call: Any, message: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share, to_display
+from tg4mm.core.colour import to_display
 from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
@@ -37,29 +37,6 @@ def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
     assert scene.view_settings.view_transform == "Standard"
     np.testing.assert_array_equal(shown_colours(first), linear)
     assert [compat.get_input(modifier, names.BLEND) for modifier in modifiers] == [False, False]
-
-
-def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat_path: Path) -> None:
-    """The colours of the points, encoded for the screen, are those of the report's maps."""
-    splat = read_splat(splat_path)
-    obj = import_splat(splat_path)
-    put, names, colours = setter(extension, obj), extension.names, extension.nodes.colours
-    put(names.MIN_OPACITY, 0.0)
-    for name in ("3 Hz", "7.5 Hz"):
-        put(name, False)
-    phasors = splat.displacement[1]
-    amplitude, turns = extension.nodes.points.strength(phasors, extension.nodes.points.main_axis(phasors))
-    top = float(amplitude.max())
-    put(names.COLOUR_RANGE, top)
-    put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
-    shown = to_display(shown_colours(obj))
-    np.testing.assert_allclose(shown, amount_colours(amplitude / top), atol=0.01)
-    put(names.COLOUR_BY, names.PHASE_COLOUR)
-    share = phase_share(amplitude / top)[:, None]
-    linear = share * colours.to_linear(phase_colours(2 * np.pi * turns)) + (1 - share) * colours.to_linear(
-        np.array(STILL)
-    )
-    np.testing.assert_allclose(shown_colours(obj), linear, atol=0.01)
 
 
 def test_legend_is_of_the_palette_where_splats_blend_as_trained(
@@ -95,22 +72,6 @@ def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, tr
     assert len(seen.phase(scene)) == len(extension.nodes.colours.phase_and_still())
 
 
-def test_what_is_framed_holds_the_opaque_gaussians(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
-    splat = read_splat(splat_path)
-    means, opacities = splat.means.copy(), np.ones(len(splat), np.float32)
-    means[0], opacities[0] = 1e4, 0.01
-    write_splat(tmp_path / "far.ply", replace(splat, means=means, opacities=opacities))
-    obj = import_splat(tmp_path / "far.ply")
-    obj.location = (5.0, 0.0, 0.0)
-    bpy.context.view_layer.update()
-    low, high = extension.panels.framing.box([obj])
-    middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
-    away = np.linalg.norm(means[1:] + [5, 0, 0] - middle, axis=1)
-    assert 0.8 * away.max() < radius < 2 * away.max()
-
-
 @pytest.mark.parametrize(
     ("speed", "words"),
     [
@@ -130,15 +91,6 @@ def test_the_panel_says_real_seconds(
     scene.frame_set(13)
     said = extension.nodes.clock.lines(scene, obj, extension.nodes.scene.splat_modifier(obj))
     assert said[0] == f"{0.5 * speed:.3f} s of 2.000 s, {words}"
-
-
-def test_too_few_frames_for_a_frequency_are_told(extension: ModuleType, splat_path: Path) -> None:
-    obj, scene = import_splat(splat_path), bpy.context.scene
-    put, lines = setter(extension, obj), extension.nodes.clock.lines
-    modifier = extension.nodes.scene.splat_modifier(obj)
-    assert lines(scene, obj, modifier)[1] == "3.2 frames a period at 7.5 Hz"
-    put(extension.names.HIGH, 5.5)
-    assert len(lines(scene, obj, modifier)) == 1
 
 
 NATIVE = hasattr(bpy.types, "GeometryNodePointsSetType")
@@ -212,12 +164,6 @@ def test_what_the_scene_needs_is_set_said_and_undone(automatic: ModuleType, spla
     assert blending.BEFORE not in scene
 
 
-def test_samples_are_never_made_fewer(automatic: ModuleType, splat_path: Path) -> None:
-    bpy.context.scene.cycles.samples = 500
-    import_splat(splat_path)
-    assert bpy.context.scene.cycles.samples == 500
-
-
 @needs_native
 def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Path) -> None:
     """As the other ways to draw show them: 0.5 + C0·base is the colour's sRGB."""
@@ -240,17 +186,6 @@ def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Pat
     put(names.COLOUR_BY, names.FILE_COLOUR)
     geometry = evaluated(obj, 5)
     assert "radiance:sh_0" in geometry.pointcloud.attributes
-
-
-@needs_native
-def test_size_is_of_native_splats_too(extension: ModuleType, splat_path: Path) -> None:
-    obj, names = import_splat(splat_path), extension.names
-    put, splat = setter(extension, obj), read_splat(splat_path)
-    put(names.DRAW, "Native")
-    put(names.SIZE, 2.0)
-    geometry = evaluated(obj, 5)
-    found = read(geometry.pointcloud, "scale", "vector", 3)[: len(splat)]
-    np.testing.assert_allclose(found, 2 * splat.scales, rtol=1e-6)
 
 
 def test_what_is_far_out_is_counted(extension: ModuleType, tmp_path: Path) -> None:

@@ -94,17 +94,6 @@ def test_a_second_import_changes_neither_the_clock_nor_the_first(
     np.testing.assert_allclose(places(second, 13), positions_at(slower, 0.5 * 10.0), atol=1e-4)
 
 
-def test_keys_in_the_scene_are_not_retimed(extension: ModuleType, splat_path: Path) -> None:
-    scene = bpy.context.scene
-    scene.render.fps = 50
-    cube = bpy.data.objects.new("cube", None)
-    scene.collection.objects.link(cube)
-    for frame in (1, 20):
-        cube.keyframe_insert("location", frame=frame)
-    import_splat(splat_path)
-    assert scene.render.fps == 50
-
-
 def test_modes_in_which_nothing_moves_are_left_out(
     extension: ModuleType, splat_path: Path, tmp_path: Path
 ) -> None:
@@ -153,35 +142,6 @@ def test_hidden_modes_contribute_nothing(extension: ModuleType, splat_path: Path
         np.testing.assert_allclose(places(obj, 7.5), expected, atol=1e-3)
 
 
-def test_faint_gaussians_are_left_out(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    splat = read_splat(splat_path)
-    modifier = extension.nodes.scene.splat_modifier(obj)
-    assert len(transforms(obj, 1)) == (splat.opacities >= 0.1).sum() < len(splat)
-    extension.compat.set_input(modifier, extension.names.MIN_OPACITY, 0.6)
-    assert len(transforms(obj, 1)) == (splat.opacities >= 0.6).sum() > 0
-
-
-def test_size_is_in_standard_deviations(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    modifier = drawn_whole(extension, obj)
-    extension.compat.set_input(modifier, extension.names.RADIUS, 2.5)
-    lengths = np.linalg.norm(transforms(obj, 1)[:, :3, :3], axis=1)
-    np.testing.assert_allclose(lengths, 2.5 * read_splat(splat_path).scales, rtol=1e-4)
-
-
-def test_file_without_motion_stands_still(extension: ModuleType, tmp_path: Path, splat_path: Path) -> None:
-    moving = read_splat(splat_path)
-    still = SplatFile.static(moving.means, moving.quats, moving.scales, moving.opacities, moving.sh)
-    write_splat(tmp_path / "still.ply", still)
-    bpy.context.scene.render.fps = 30
-    obj = import_splat(tmp_path / "still.ply")
-    drawn_whole(extension, obj)
-    for frame in (1, 13):
-        np.testing.assert_allclose(transforms(obj, frame)[:, :3, 3], still.means, atol=1e-6)
-    assert bpy.context.scene.render.fps == 30
-
-
 def test_picture_shows_the_colours_of_the_file(extension: ModuleType, tmp_path: Path) -> None:
     """Two large Gaussians under the view transform Standard: the pixels are 0.5 + C0·sh, display-referred."""
     rgb = np.array([[0.9, 0.25, 0.1], [0.2, 0.6, 0.75]])
@@ -218,23 +178,6 @@ def test_import_is_undone_and_redone(extension: ModuleType, splat_path: Path) ->
     assert bpy.ops.ed.redo() == {"FINISHED"}
     assert blocks() == after != before
     assert np.isfinite(places(bpy.data.objects["bell"], 5)).all()
-
-
-def test_what_is_imported_is_active_and_not_outlined(extension: ModuleType, splat_path: Path) -> None:
-    other = bpy.data.objects.new("other", None)
-    bpy.context.collection.objects.link(other)
-    other.select_set(True)
-    obj = import_splat(splat_path)
-    assert bpy.context.view_layer.objects.active is obj
-    assert list(bpy.context.selected_objects) == []
-
-
-def test_an_import_leaves_edit_mode(extension: ModuleType, splat_path: Path) -> None:
-    bpy.ops.mesh.primitive_cube_add()
-    cube = bpy.context.object
-    bpy.ops.object.mode_set(mode="EDIT")
-    obj = import_splat(splat_path)
-    assert (bpy.context.mode, cube.mode, obj.mode) == ("OBJECT", "OBJECT", "OBJECT")
 
 
 def test_many_modes_are_one_group_used_many_times(extension: ModuleType, tmp_path: Path) -> None:

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.calibration.__main__ import scored, scored_kind
+from benchmarks.calibration.__main__ import scored
 from benchmarks.calibration.draw import TrueVibration, Truth, make_film, read_truth
 from benchmarks.calibration.film import Layer, Mode, texture
-from benchmarks.calibration.kinds import KINDS, LEAST_PX, MOST_PX, drawn, kinds_table
-from benchmarks.calibration.score import Named, Score, score, smallest_found, table
+from benchmarks.calibration.score import Named, score, smallest_found, table
 
 TRUTH = Truth(320, 180, 30, 300, 3.0, "libx264", 1.0)
 
@@ -76,31 +75,3 @@ def test_three_films_from_nothing_to_scores(tmp_path: Path) -> None:
     again = read_truth(tmp_path / "0000.json")
     assert again == make_film(0, tmp_path)
     assert "films on which nothing vibrates with a line: 0" in table(scores)
-
-
-def test_sets_take_turns_among_kinds_and_hold_the_periods_that_their_kind_needs() -> None:
-    sets = [drawn(seed) for seed in range(80)]
-    assert [s.kind for s in sets[:4]] == list(KINDS)
-    for one in sets:
-        _, frames, periods = KINDS[one.kind]
-        assert periods <= one.hz * frames / 30 < 0.46 * frames + 0.01
-        assert LEAST_PX <= one.amplitude_px <= MOST_PX
-        assert one.decay_s is None or one.kind == "tripod"
-    assert {s.crf is None for s in sets} == {True, False}
-    assert drawn(7) == drawn(7)
-
-
-def test_a_set_that_is_scored_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-
-    def stage(seed: int, folder: Path) -> dict[str, Score]:
-        asked.append(seed)
-        return {"rig, train": Score(frequencies=[0.5, -1.5], found=[(0.15, True)], false=["3 Hz"])}
-
-    monkeypatch.setattr("benchmarks.calibration.__main__.kinds_stage", stage)
-    first, again = (scored_kind(3, tmp_path) for _ in range(2))
-    assert asked == [3]
-    assert first == again
-    shown = kinds_table({name: [score] for name, score in again.items()})
-    assert "| rig, train | frequencies | 50% | 100% | 1.5 | 2 |" in shown
-    assert "| rig, train | 1 | 1 | 0 | 0 of 0 | 0 of 0 | 0 of 0 | 1 of 1 | 0 of 0 |" in shown

@@ -5,13 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from benchmarks.__main__ import main
-from benchmarks.photographs import chosen, spoilt, with_best_gain
-from tests.fit.space.scenes import intrinsics, orbit, views_of
 from tests.helpers.synthetic import make_synthetic_dataset
 
 
@@ -41,15 +38,3 @@ def test_an_unknown_setting_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
         "benchmarks photographs: setting 'space.level' is unknown; did you mean space.levels?"
     )
     assert error.count("\n") == 1
-
-
-def test_views_are_chosen_and_spoilt_as_asked() -> None:
-    rgb = np.full((3, 8, 8, 3), 0.4)
-    views = views_of(orbit(3, np.zeros(3)), intrinsics(8), np.ones((3, 8, 8)), rgb)
-    some = chosen(views, np.array([True, False, True]))
-    np.testing.assert_array_equal(some.viewmats, views.viewmats[[0, 2]])
-    assert [int(rows[0]) for rows in some.images] == [0, 2]
-    changed, gains = spoilt(views, 0.1)
-    np.testing.assert_allclose(changed.rgb[:, 0, 0], 0.4 * gains, rtol=1e-6)
-    np.testing.assert_allclose(np.log(gains).mean(0), 0, atol=1e-6)
-    np.testing.assert_allclose(with_best_gain(0.5 * rgb[0], rgb[0]), rgb[0], rtol=1e-5)

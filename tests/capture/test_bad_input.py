@@ -152,12 +152,6 @@ def test_no_part_of_a_tree_may_be_a_link_to_elsewhere(tree, name):
     refused(tree, "leads outside", name)
 
 
-def test_a_loop_of_links(folder):
-    (folder / "train/r_001.png").unlink()
-    (folder / "train/r_001.png").symlink_to(folder / "train/r_001.png")
-    refused(folder, "r_001")
-
-
 def test_sizes_that_differ(tree):
     Image.new("RGBA", (12, 9)).save(tree / "002/train/r_001.png")
     refused(tree, "002/train/r_001.png: is 12×9 pixels", "000/train/r_000.png is 12×8")
@@ -210,11 +204,6 @@ def test_bad_scene_json(tree, scene, part):
 def test_missing_scene_json_says_what_to_write(tree):
     (tree / "scene.json").unlink()
     refused(tree, "scene.json", "does not exist", '{"fps": <frames per second>}')
-
-
-def test_gap_in_the_timesteps(tree):
-    shutil.rmtree(tree / "001")
-    refused(tree, "timestep 001 is missing")
 
 
 def test_one_timestep_twice(tree):
@@ -331,14 +320,6 @@ def test_a_picture_that_promises_more_than_it_can_hold_is_refused_unopened(folde
     for path in (folder / "train").glob("*.png"):
         path.write_bytes(tiny_png(13_000, 13_000, bits, colour_type))
     refused(folder, "13000×13000 pixels do not fit in its", "bytes")
-
-
-def test_a_plain_picture_packs_as_well_as_any_and_is_read(folder):
-    """The bound is on what zlib can do at best: one colour all over comes nearest to it."""
-    for mode, size in (("1", (8000, 4000)), ("L", (3000, 2000)), ("RGBA", (2000, 1500))):
-        for path in (folder / "train").glob("*.png"):
-            Image.new(mode, size).save(path, optimize=True)
-        assert load_capture(folder).width == size[0]
 
 
 def test_pictures_that_no_memory_holds_are_one_line(folder, monkeypatch):

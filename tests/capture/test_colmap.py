@@ -91,11 +91,6 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
 
 
-def test_without_points_there_are_none(text: Path) -> None:
-    (text / "sparse/0/points3D.txt").unlink()
-    assert load_capture(text).points is None
-
-
 @pytest.mark.parametrize(
     ("file", "old", "new", "parts"),
     [
@@ -151,8 +146,3 @@ def test_truncated_and_foreign_binaries_are_refused(text: Path) -> None:
 def test_no_registered_image(text: Path) -> None:
     (text / "sparse/0/images.txt").write_text("# none\n")
     refused(text, "holds no registered image")
-
-
-def test_there_is_a_training_split_only(text: Path) -> None:
-    refused(text, "training images only: there is no 'test' split", split="test")
-    refused(text, "no images magnified by 5", magnification=5)

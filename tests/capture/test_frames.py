@@ -14,7 +14,7 @@ from PIL import Image
 from tests.capture.sfm.videos import still, write_video
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.convert import write_nerfstudio
-from tg4mm.capture.frames import each_picture, picture
+from tg4mm.capture.frames import each_picture
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.capture.sfm.clip import Clip, Window
 from tg4mm.capture.sfm.dataset import Track, video_frames_of
@@ -42,11 +42,6 @@ def dataset(video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def truth(video: Path) -> list[np.ndarray]:
     return [frame.rgb for frame in video_frames(video)]
-
-
-def test_in_any_order_they_are_the_frames_upright(video: Path, truth: list[np.ndarray]) -> None:
-    for k in [*np.random.default_rng(0).permutation(T).tolist(), 0, 0, 59, 58]:
-        np.testing.assert_array_equal(picture(Path(f"{video}#{k}"))[..., :3], truth[k])
 
 
 def test_frames_and_files_come_once_each(video: Path, truth: list[np.ndarray], tmp_path: Path) -> None:

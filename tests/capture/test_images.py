@@ -25,21 +25,6 @@ def test_straight_alpha_over_a_background(pixel, background):
     np.testing.assert_allclose(one.alpha(0), [[alpha]], atol=1e-6)
 
 
-def test_opaque_full_range_is_exact():
-    assert stack((0, 255, 0, 255)).rgb(0, (0.3, 0.3, 0.3)).tolist() == [[[0.0, 1.0, 0.0]]]
-    sixteen = stack((0, 65535, 0, 65535), dtype=np.uint16)
-    assert sixteen.rgb(0).tolist() == [[[0.0, 1.0, 0.0]]]
-    assert sixteen.alpha(0).dtype == np.float32
-
-
-@pytest.mark.parametrize(
-    "data", [np.zeros((1, 2, 2, 3), np.uint8), np.zeros((1, 2, 2, 4)), np.zeros((2, 2, 4), "u1")]
-)
-def test_a_stack_of_another_shape_or_type_is_refused(data):
-    with pytest.raises(ValueError, match="expected uint8 or uint16"):
-        ImageStack(data)
-
-
 @pytest.mark.parametrize(
     ("mode", "colour", "expected"),
     [

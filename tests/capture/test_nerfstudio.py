@@ -42,11 +42,6 @@ def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, t
     assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
 
 
-def test_a_frames_own_intrinsics_win(studio) -> None:
-    edit(studio / "transforms.json", lambda v: v["frames"][1].update(fl_x=30.0))
-    assert load_capture(studio).Ks[:, 0, 0].tolist() == [20, 30, 20]
-
-
 def test_splits_are_the_files_own_lists(studio) -> None:
     lists = {
         "train_filenames": ["images/r_002.png", "images/r_000.png"],
@@ -176,10 +171,3 @@ class TestTimes:
         )
         (studio / "scene.json").write_text('{"fps": 12}')
         assert load_capture(studio).fps == 12
-
-
-@pytest.mark.parametrize("suffix", [".webp", ".tif"])
-def test_a_picture_of_another_kind_is_named_as_one(studio: Path, suffix: str) -> None:
-    (studio / "images" / f"r{suffix}").touch()
-    edit(studio / "transforms.json", lambda v: v["frames"][0].update(file_path=f"images/r{suffix}"))
-    refused(studio, f"r{suffix} is of a kind that is not read; expected one of .png")

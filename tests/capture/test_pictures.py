@@ -79,11 +79,6 @@ def test_their_components_are_those_of_the_stack(
     np.testing.assert_array_equal(found.residual_energy, expected.residual_energy)
 
 
-def test_each_is_decoded_once(capture: Capture, decoded: Counter[Path]) -> None:
-    components(observe(capture, FilePictures(capture)), 16)
-    assert decoded == Counter(capture.paths)
-
-
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -89,12 +89,6 @@ def test_with_and_without_numba(unfilter, width, filters, seed):
     np.testing.assert_array_equal(np.ascontiguousarray(got).view(">u2"), pixels)
 
 
-def test_a_clear_colour(tmp_path):
-    pixels = np.array([[[5, 6, 7], [5, 6, 8]]], np.uint16)
-    data = encode(pixels, 2, [0], extra=chunk(b"tRNS", struct.pack(">HHH", 5, 6, 8)))
-    assert png16.decode(data)[0].tolist() == [[5, 6, 7, 65535], [5, 6, 8, 0]]
-
-
 @pytest.mark.parametrize("pixel_format", ["rgba64be", "rgb48be", "gray16be", "ya16be"])
 @pytest.mark.parametrize("prediction", ["none", "sub", "up", "avg", "paeth", "mixed"])
 def test_files_written_by_ffmpeg(tmp_path, pixel_format, prediction):

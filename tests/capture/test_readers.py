@@ -1,6 +1,5 @@
 """Good datasets: what is read from a folder, a tree, magnified ground truth, and everything optional."""
 
-import json
 import math
 import os
 import shutil
@@ -79,22 +78,6 @@ def test_ground_truth_may_lack_timesteps(tree, gone):
     np.testing.assert_array_equal(load_images(capture).data, pictures[kept])
 
 
-def test_only_train_folders_and_fps_are_needed(tree):
-    shutil.rmtree(tree / "magnified")
-    for path in tree.glob("*/transforms_test.json"):
-        path.unlink()
-    assert len(load_capture(tree)) == 6
-
-
-def test_scene_json_is_kept_and_null_counts_as_unknown(tree):
-    scene = {"fps": 30.0, "n_timesteps": 3, "unit_scale_m": None, "alphas": [5], "note": "kept", "seed": 0}
-    (tree / "scene.json").write_text(json.dumps(scene))
-    capture = load_capture(tree)
-    assert (capture.fps, capture.unit_scale_m, capture.scene) == (30.0, None, scene)
-    edit(tree / "scene.json", lambda v: v.update(unit_scale_m=0.01))
-    assert load_capture(tree).unit_scale_m == 0.01
-
-
 @pytest.mark.parametrize(("colours", "text"), [("rgb", False), ("rgb", True), ("", False)])
 def test_points_with_colours_and_without_which_are_grey(tree, colours, text):
     names = {"r": "red", "g": "green", "b": "blue"}
@@ -128,17 +111,3 @@ def test_suffixes_are_tried_when_the_path_has_none(folder, file, written):
     Image.open(folder / "train/r_000.png").convert("RGB").save(folder / file, format="PNG")
     edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=written))
     assert load_capture(folder).paths[0].name == file
-
-
-def test_a_path_into_another_timestep_stays_inside(tree):
-    edit(
-        tree / "001" / "transforms_train.json",
-        lambda v: v["frames"][0].update(file_path="../000/train/r_000"),
-    )
-    images = {path.resolve() for path in load_capture(tree).paths}
-    assert (tree / "000/train/r_000.png").resolve() in images
-    assert (tree / "001/train/r_000.png").resolve() not in images
-
-
-def test_a_timestep_folder_of_a_tree_is_a_capture_too(tree):
-    assert len(load_capture(tree / "001")) == 2

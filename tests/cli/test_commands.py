@@ -51,22 +51,6 @@ def test_a_splat_file_is_named_as_one(run_path: Path, tmp_path: Path, capsys, na
     assert main(["export", str(run_path), "--out", f"{tmp_path}/x.PLY"]) == 0
 
 
-def test_a_sequence_is_not_named_as_a_file(run_path: Path, tmp_path: Path, capsys) -> None:
-    out = tmp_path / "x.ply"
-    assert main(["export", str(run_path), "--format", "ply-sequence", "--out", str(out)]) == 2
-    assert "a sequence is a folder of numbered files; expected a name such as x" in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_render_takes_the_test_cameras_by_default(run_path: Path, tmp_path: Path) -> None:
-    out = tmp_path / "x20"
-    assert main(["render", str(run_path), "--alpha", "20", "--out", str(out)]) == 0
-    names = {f"{t:03d}/r_{i:03d}.png" for t in range(N_TIMESTEPS) for i in range(2)}
-    assert tree(out, "*.png") == names
-    assert tree(out, "*.mp4") == {"r_000.mp4", "r_001.mp4"}
-    assert (recorded(out)["alpha"], recorded(out)["band_hz"]) == (20.0, None)
-
-
 def test_render_takes_split_band_and_no_video(run_path: Path, tmp_path: Path) -> None:
     out = tmp_path / "train"
     options = ["--split", "train", "--band", "4", "6", "--no-video", "--alpha", "-1"]
@@ -194,13 +178,6 @@ def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, 
     assert "--band 6.4 7: no motion was found there" in capsys.readouterr().err
     assert not out.exists()
     assert main([*command, "--allow-empty-band"]) == 0
-
-
-def test_generate_runs_the_generator(capfd) -> None:
-    assert main(["generate", "--help"]) == 0
-    assert "--views" in capfd.readouterr().out
-    assert main(["generate", "no-such-scene", "--out", "x"]) == 2
-    assert "no-such-scene" in capfd.readouterr().err
 
 
 def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.MonkeyPatch, capsys) -> None:

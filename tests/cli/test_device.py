@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
-from tests.helpers.cuda import needs_cuda
 from tests.helpers.synthetic import moving_run
-from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.device import check_device, full_precision
 from tg4mm.run import Run
-from tg4mm.show.render.cameras import capture_cameras
-from tg4mm.show.render.sequence import RenderRequest, render_sequence
 
 
 @pytest.fixture(scope="module")
@@ -71,28 +63,3 @@ def test_full_precision_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> 
     assert torch.backends.cudnn.allow_tf32
     with full_precision("cpu"):
         assert torch.backends.cudnn.allow_tf32
-
-
-@needs_cuda
-def test_pictures_rendered_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
-    cameras = capture_cameras(load_capture(run.dataset, split="test"))
-    request = RenderRequest(Magnification.of(5))
-    here, there = (
-        render_sequence(run, cameras, request, tmp_path / d, video=False, device=d) for d in ("cpu", "cuda")
-    )
-    for path in here.rglob("*.png"):
-        a, b = read_png(path).astype(int), read_png(there / path.relative_to(here)).astype(int)
-        assert np.abs(a - b).max() <= 3
-        assert np.abs(a - b).mean() < 0.02
-
-
-@needs_cuda
-def test_the_commands_run_on_cuda(run: Run, tmp_path: Path) -> None:
-    few = ["space.iterations=30", "motion.iterations=5"]
-    trained = tmp_path / "run"
-    options = [x for s in few for x in ("--set", s)]
-    assert main(["train", str(run.dataset), "--out", str(trained), "--device", "cuda", *options]) == 0
-    out = tmp_path / "pictures"
-    assert main(["render", str(trained), "--alpha", "5", "--out", str(out), "--device", "cuda"]) == 0
-    assert main(["evaluate", str(trained), "--device", "cuda"]) == 0
-    shutil.rmtree(trained)

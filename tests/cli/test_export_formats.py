@@ -7,7 +7,6 @@ from pathlib import Path
 import gsply
 import numpy as np
 import pytest
-from pxr import Usd
 
 from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import moving_run
@@ -15,7 +14,6 @@ from tg4mm.cli import main
 from tg4mm.core.splatfile import SplatFile, positions_at
 from tg4mm.core.splatfile.axes import TURN
 from tg4mm.run import Run
-from tg4mm.show.export.formats import one_period
 from tg4mm.show.export.splat import splat_of
 
 N_TIMESTEPS = 12
@@ -57,32 +55,6 @@ def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys) -> None:
     for t in (0, 2, 5):
         read = gsply.read_spz(str(tmp_path / "frames" / f"frame_{t:04d}.spz"))
         np.testing.assert_allclose(read.means @ TURN, positions_at(splat, t, 20.0), atol=1e-5)
-
-
-@pytest.mark.parametrize(("hz", "length"), [((5.0,), 6), ((7.0,), 5), ((0.5, 0.9), 12)])
-def test_a_period_is_rounded_up_and_no_longer_than_the_run(tmp_path, hz, length) -> None:
-    assert one_period(made(tmp_path, freqs=hz)) == range(length)
-
-
-@pytest.mark.parametrize("format", ["spz", "ply-sequence"])
-def test_timesteps_that_are_asked_for(run, tmp_path, format) -> None:
-    assert export(run, tmp_path / "frames", format, "--timesteps", "0-2,11") == 0
-    assert sorted(path.stem[-4:] for path in (tmp_path / "frames").glob("frame_*")) == [
-        "0000",
-        "0001",
-        "0002",
-        "0011",
-    ]
-
-
-def test_usd_has_every_timestep(run, splat, tmp_path, capsys) -> None:
-    assert export(run, tmp_path / "a.usdc", "usd", "--alpha", "20") == 0
-    assert "scale" not in capsys.readouterr().err
-    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    positions = stage.GetDefaultPrim().GetAttribute("positions")
-    assert positions.GetTimeSamples() == list(range(N_TIMESTEPS))
-    for t in (0, 7):
-        np.testing.assert_allclose(np.array(positions.Get(t)), positions_at(splat, t, 20.0), atol=1e-5)
 
 
 def test_gltf_holds_the_band_magnified(run, splat, tmp_path) -> None:

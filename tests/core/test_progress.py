@@ -40,11 +40,6 @@ def test_line_holds_counts_elapsed_time_left_and_figures() -> None:
     ]
 
 
-def test_a_line_after_two_seconds_then_one_in_five_and_one_at_the_end() -> None:
-    printed = lines(*((1.0, i) for i in range(1, 12)))
-    assert [line.split(" it")[0] for line in printed] == ["space: 2/100", "space: 7/100", "space: 11/100"]
-
-
 def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,15 +48,6 @@ def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
     with progress("adjusting", 1, "run"):
         time.sleep(0.2)
     assert capsys.readouterr().err.startswith("adjusting: 0/1 run, 0:00 elapsed, time left unknown\n")
-
-
-def test_what_all_units_leave_to_be_done_has_no_time_left() -> None:
-    stream, clock = io.StringIO(), Clock()
-    job = PlainProgress("poses", 4, "pictures", 0, stream, clock)
-    clock.now += 3.0
-    job.update(4)
-    job.tick()
-    assert stream.getvalue() == "poses: 4/4 pictures, 0:03 elapsed, time left unknown\n"
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(1.0, 0), (3.0, 2)])

@@ -51,10 +51,6 @@ def made(tmp_path: Path) -> Made:
     return made
 
 
-def test_a_second_call_does_nothing(made):
-    assert made() == []
-
-
 def test_another_request_does_what_depends_on_it_and_keeps_the_folder_of_before(made):
     assert made(run=1) == ["run", "page"]
     assert (made.root / "page").read_text() == "run 1"

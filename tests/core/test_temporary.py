@@ -73,24 +73,6 @@ def test_from_another_machine_an_hour_without_a_change_tells(
     assert os.listdir(tmp_path) == [".vimrc.tmp"]
 
 
-def test_in_a_container_where_all_have_one_number_the_time_tells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own = temporary_name(tmp_path / "a.json")
-    own.touch()
-    monkeypatch.setattr(temporary, "_STARTED", time.time() + 5)
-    remove_leftovers(tmp_path)
-    assert not own.exists()
-
-
-def test_replacing_writes_to_the_name_of_a_temporary_file(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.ply") as path:
-        assert path.suffix == ".ply"
-        assert is_temporary(path, "a.ply")
-        path.touch()
-    assert os.listdir(tmp_path) == ["a.ply"]
-
-
 @pytest.mark.parametrize("writer", ["write_atomic", "replacing", "whole"])
 def test_what_is_written_is_on_disk_before_it_has_its_name(
     writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -54,12 +53,6 @@ def test_values_that_may_change_and_values_that_are_not_shown(tmp_path: Path) ->
         work.claim(ASKED | {"cameras": {"seed": 1, "views": 3}})
 
 
-def test_a_record_may_hold_more_than_was_asked(tmp_path: Path) -> None:
-    for version in (1, 2):  # which says nothing of what was asked
-        folder(tmp_path).claim(ASKED, {"version": version, "asked": ASKED}, lambda found: found["asked"])
-    assert folder(tmp_path).read() == {"version": 1, "asked": ASKED}
-
-
 @pytest.mark.parametrize("text", ["{", "[]", "NaN", '{"a": 1, "a": 2}', "\xff"])
 def test_a_torn_record_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "work.json").write_text(text, encoding="latin-1")
@@ -76,13 +69,6 @@ def test_somebody_elses_folder_is_left_alone(tmp_path: Path) -> None:
     folder(tmp_path, strangers="*.png").claim(ASKED)  # of which none is there
     with pytest.raises(RunError, match=r"holiday\.txt is a file, expected a folder"):
         folder(tmp_path / "holiday.txt").claim(ASKED)
-
-
-def test_what_a_kill_left_before_the_record_was_written_is_nothing(tmp_path: Path) -> None:
-    (tmp_path / ".work.json.node7-1.tmp").write_text("half")
-    (tmp_path / ".lock").touch()
-    folder(tmp_path).claim(ASKED)
-    assert json.loads((tmp_path / "work.json").read_text()) == ASKED
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
@@ -103,10 +89,3 @@ def test_a_second_holder_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
                 pass
     assert not (tmp_path / "new" / "run").exists()
     assert os.listdir(tmp_path / "mine") == []
-
-
-def test_a_lock_is_given_back_after_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), folder(tmp_path / "run").held("works"):
-        raise ZeroDivisionError
-    with folder(tmp_path / "run").held("works"):
-        pass

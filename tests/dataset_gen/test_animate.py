@@ -11,7 +11,6 @@ bpy = pytest.importorskip("bpy")
 from dataset_gen import animate, build  # noqa: E402
 from dataset_gen import meshes as m  # noqa: E402
 from dataset_gen.cameras import CameraSetup, cameras_at  # noqa: E402
-from dataset_gen.errors import GenerateError  # noqa: E402
 from dataset_gen.scene import Gradient, Part, Scene, Surface  # noqa: E402
 from dataset_gen.vibration import Body, MotionDescription, solve  # noqa: E402
 
@@ -115,23 +114,6 @@ def test_its_cameras_stand_where_the_dataset_s_do(saved):
                 assert found.data.angle == pytest.approx(camera.angle_x, rel=1e-5)
     assert bpy.context.scene.camera.name == "train r_000"
     assert "camera" not in bpy.data.objects
-
-
-def test_its_pictures_lie_in_the_file(saved):
-    images = [image for image in bpy.data.images if image.users]
-    assert len(images) >= 3
-    assert all(image.packed_files for image in images)
-    # They are still the pictures that were painted, not black.
-    colour = next(image for image in images if "colour" in image.name)
-    assert np.array(colour.pixels[:]).reshape(-1, 4)[:, :3].max() > 0.5
-
-
-def test_a_file_that_cannot_be_written_is_one_line(tmp_path):
-    (tmp_path / "file").write_text("")
-    target = tmp_path / "file" / "x.blend"
-    with pytest.raises(GenerateError, match=r"x\.blend cannot be written: ") as caught:
-        animate.save_animation(build.build(scene()), solved(), 4, target)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_shape_key_s_value_stays_within_its_limits_at_the_largest_alpha(saved):

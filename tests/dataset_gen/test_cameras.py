@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from dataset_gen.cameras import (
     CameraSetup,
     cameras_at,
     clock_offsets,
-    films,
     look_at,
     scene_cameras,
     scene_time,
@@ -24,8 +22,6 @@ from dataset_gen.cameras import (
 )
 from dataset_gen.errors import GenerateError
 
-# Data of [3DMM], where a checkout has it beside it; the table below stands in for it elsewhere.
-PUBLISHED = Path(__file__).resolve().parents[3] / "shared/data/mic_5Hz_000"
 # From transforms_train.json and transforms_test.json there: position of the camera, as written.
 TRAIN_29 = (1.14926028, 2.58125353, 2.87512302)
 TEST_8 = (2.96205878, -2.39862895, 1.31254947)
@@ -116,39 +112,3 @@ def test_clips_follow_one_another_with_pauses():
     assert gaps.min() >= 75 / 30 + 2.0 - 1e-6
     assert gaps.max() <= 75 / 30 + 10.0 + 1e-6
     assert len(set((starts * 3.4 % 1.0).round(3))) == 7  # each its own phase
-
-
-def test_clips_are_one_camera_in_places_all_around():
-    cameras = cameras_at(CLIPS, 0)["train"]
-    assert cameras == cameras_at(CLIPS, 74)["train"]
-    assert [camera.name for camera in cameras] == [f"r_{i:03d}" for i in range(7)]
-    assert len({camera.angle_x for camera in cameras}) == 1  # one lens
-    places = np.array([camera.position for camera in cameras])
-    assert np.linalg.norm(places[:, None] - places, axis=-1)[~np.eye(7, dtype=bool)].min() > 1.0
-
-
-def test_a_sweep_shows_the_scene_at_rest_and_has_no_time():
-    fixed, *sweep = cameras_at(SWEEP, 0)["train"]
-    assert scene_time(SWEEP, fixed, 5) == pytest.approx(5 / 30)
-    assert films(SWEEP, fixed)
-    assert len(sweep) == 4
-    assert {scene_time(SWEEP, camera, 0) for camera in sweep} == {None}
-    assert not any(films(SWEEP, camera) for camera in sweep)
-    assert clock_offsets(SWEEP) == (0.0,)
-
-
-@pytest.mark.parametrize(
-    ("setup", "kind"),
-    [
-        (CameraSetup(), "rig"),
-        (RIG, "rig"),
-        (SWEEP, "tripod"),
-        (CameraSetup("handheld"), "handheld"),
-        (CLIPS, "clips"),
-        (FLAT, "flat"),
-        (CameraSetup("given", given=(train_cameras(3)[0],)), "flat"),
-        (replace(RIG, n_timesteps=1), "photos"),
-    ],
-)
-def test_kind_of_capture(setup, kind):
-    assert setup.capture_kind == kind

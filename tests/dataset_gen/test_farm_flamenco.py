@@ -79,18 +79,6 @@ def test_parts_wait_for_the_preparation_and_the_end_for_all_parts() -> None:
     assert [task["type"] for task in tasks] == ["misc", "blender", "blender", "blender", "misc"]
 
 
-def test_a_blend_file_goes_with_its_motion() -> None:
-    tasks = compiled(scene="", blendfile="/my files/a.blend", motion="/m.yaml")
-    expected = commands("py", ["--blend", "/my files/a.blend", "--motion", "/m.yaml"], "/data", 3)
-    assert command_lines(tasks)[0] == expected.prepare
-
-
-def test_quoted_words_of_the_options_stay_whole() -> None:
-    tasks = compiled(options="""  --motion "/my files/m.yaml"  --name 'a b'c '' """)
-    words = command_lines(tasks)[-1]
-    assert words[4:-3] == ("--motion", "/my files/m.yaml", "--name", "a bc", "")
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -29,23 +29,6 @@ def test_every_command_is_one_that_the_generator_understands() -> None:
     assert requests[4].finish
 
 
-@pytest.mark.parametrize(("parts", "processes"), [(0, 0), (1, -1)])
-def test_impossible_numbers_are_refused(parts: int, processes: int) -> None:
-    with pytest.raises(ValueError, match="below"):
-        commands("py", [], "out", parts, processes)
-
-
-def test_a_set_is_named_after_its_scene_unless_it_says_otherwise() -> None:
-    sets = {"mic": None, "loud": {"options": "mic --amplitude 0.02", "parts": 7}}
-    found = farm_sets({**SMALL, "parts": 2, "threads": 3, "sets": sets})
-    assert [(s.name, s.folder, s.parts) for s in found] == [
-        ("mic", "mic_5Hz_0_005", 2),
-        ("loud", "mic_5Hz_0_02", 7),
-    ]
-    assert len(found[1].commands.parts) == 7
-    assert found[0].commands.parts[0][-4:] == ("--part", "1/2", "--processes", "3")
-
-
 @pytest.mark.parametrize(
     ("config", "message"),
     [

@@ -122,30 +122,6 @@ def test_a_part_that_failed_is_all_that_runs_again(farm: StandIn) -> None:
     assert [call.split()[1] for call in farm.calls()] == ["2/3", "finish"]
 
 
-def test_a_dry_run_names_every_part_of_every_set(tmp_path: Path) -> None:
-    farm = StandIn(tmp_path, {"mic": None, "loud": {"options": "mic --amplitude 0.02", "parts": 2}})
-    done = farm.run("--cores", "2", "--dry-run")
-    assert done.returncode == 0, done.stderr
-    said = done.stdout + done.stderr
-    assert farm.calls() == []
-    assert not farm.out.exists()
-    for target in (
-        "mic_5Hz_0_005/.parts/3_of_3.done",
-        "mic_5Hz_0_02/.parts/2_of_2.done",
-        "my sets/index.html",
-    ):
-        assert target in said
-    assert "3_of_2" not in said
-
-
-def test_what_is_wrong_with_a_configuration_is_said(tmp_path: Path) -> None:
-    done = StandIn(tmp_path, {"mice": None}).run("--cores", "1", "--dry-run")
-    assert done.returncode == 1
-    said = done.stdout + done.stderr
-    assert "set 'mice': scene 'mice' is none of" in said
-    assert "Traceback" not in said
-
-
 @pytest.mark.parametrize("name", ["local", "slurm", "kubernetes"])
 def test_the_profiles_are_accepted(farm: StandIn, name: str) -> None:
     done = farm.run("--profile", str(FARM / "profiles" / name), "--dry-run")

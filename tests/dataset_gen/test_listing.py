@@ -11,11 +11,6 @@ from dataset_gen.errors import GenerateError  # noqa: E402
 from dataset_gen.options import parser, request_from  # noqa: E402
 from tests.dataset_gen.sources_blends import link, new_scene, save, tetrahedron  # noqa: E402
 
-MOTION = """
-modes:
-  - {name: sway, kind: group, group: GROUP, frequency: 5, amplitude: 0.25, direction: [1, 0, 0]}
-"""
-
 
 @pytest.fixture(scope="module")
 def blend(tmp_path_factory):
@@ -40,11 +35,6 @@ def listed(*arguments):
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def with_motion(folder, group):
-    (folder / "motion.yaml").write_text(MOTION.replace("GROUP", group))
-    return folder / "motion.yaml"
-
-
 def test_parts_boxes_groups_and_scale(blend):
     done = listed("--blend", blend)
     assert done.returncode == 0, done.stderr
@@ -52,20 +42,6 @@ def test_parts_boxes_groups_and_scale(blend):
     assert lines[0] == "1 part, 4 vertices"
     assert lines[1] == "scale: 1 scene unit is 1 mm; metres are known"
     assert " ".join(lines[-1].split()) == "tongue 4 (0, 0, 0) (1, 2, 3) tip, nobody (empty)"
-
-
-def test_alone_it_names_the_scenes_and_what_moves():
-    done = listed()
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    names = ["chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship"]
-    assert [line.split()[0] for line in lines] == names
-    assert lines[names.index("mic")].split(maxsplit=1)[1].startswith("The rod bends in its first mode")
-
-
-def test_amplitudes_are_in_the_files_own_unit(blend, tmp_path):
-    done = listed("--blend", blend, "--motion", with_motion(tmp_path, "tip"))
-    assert done.stdout.splitlines()[-1] == "mode sway: 5 Hz, up to 0.25 scene units = 0.25 mm"
 
 
 def test_a_mesh_says_how_it_was_scaled(stl):

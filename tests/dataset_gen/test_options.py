@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dataset_gen.__main__ import main
-from dataset_gen.options import PRESETS, Request, parser, request_from
+from dataset_gen.options import Request, parser, request_from
 from dataset_gen.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -144,12 +144,6 @@ def test_effects_that_cannot_be_are_one_line_and_exit_2(arguments, message, tmp_
     test_bad_input_is_one_line_and_exit_2(["mic", *arguments.split()], message, tmp_path, capsys)
 
 
-def test_clips_are_seven_unless_said_otherwise():
-    assert settings("mic", "--cameras", "clips").cameras.views == 7
-    assert settings("mic", "--cameras", "clips", "--views", "12").cameras.views == 12
-    assert settings("mic", "--cameras", "clips", "--preset", "smoke").cameras.views == 4
-
-
 def test_a_motion_that_is_not_steady_is_refused_for_clips(tmp_path, capsys):
     file = tmp_path / "m.yaml"
     for more in ("decay: 1.0", "name: b, kind: drift, rate: 0.01, direction: [1, 0, 0]"):
@@ -175,14 +169,6 @@ def test_what_an_animation_has_no_use_for_is_refused(arguments, named, tmp_path,
     assert main(["mic", "--save-blend", str(tmp_path / "a.blend"), *arguments]) == 2
     err = capsys.readouterr().err
     assert err == f"error: {named}: --save-blend only saves the animation, it renders nothing\n"
-
-
-def test_the_presets_and_defaults_go_with_every_kind_of_camera():
-    for preset in PRESETS:
-        for kind in ("orbit", "rig", "sweep", "handheld"):
-            assert settings("mic", "--preset", preset, "--cameras", kind).cameras.kind == kind
-    assert settings("mic", "--test-views", "0").cameras.test_views == 0
-    assert settings("mic", "--engine", "eevee").device == "cpu"
 
 
 @pytest.mark.parametrize(
@@ -215,14 +201,6 @@ def test_a_foreign_folder_is_refused_and_stays(tmp_path, capsys, file, content, 
 )
 def test_folder_name(arguments, name):
     assert settings("mic", *arguments).folder == name
-
-
-def test_all_is_every_built_in_scene_with_its_own_motion():
-    sets = request("all").sets
-    assert " ".join(s.scene for s in sets) == "chair drums ficus hotdog lego materials mic ship"
-    published = {"mic": 5.0, "chair": 5.0, "hotdog": 5.0, "ficus": 3.0, "ship": 3.0}
-    frequencies = {s.scene: s.motion.main.frequency_hz for s in sets}
-    assert {name: frequencies[name] for name in published} == published
 
 
 def test_settings_survive_json():

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from dataset_gen import png
-from dataset_gen.errors import GenerateError
-from dataset_gen.pictures import PictureFormat, over_white, straight, to_display
+from dataset_gen.pictures import PictureFormat, straight, to_display
 from tg4mm.capture.pictures import ImageStack
 from tg4mm.core.pictures.decode import decode
 
@@ -85,25 +84,3 @@ def test_exr_keeps_linear_light_premultiplied(tmp_path):
         assert sorted(channels) == ["A", "B", "G", "R"]
         for i, name in enumerate("RGBA"):
             np.testing.assert_allclose(channels[name].pixels, linear[..., i], rtol=6e-4, atol=1e-7)
-
-
-def test_on_white_opaque_pixels_keep_their_brightness():
-    pixels = np.array([[[3.0, 0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0], [0.2, 0.2, 0.2, 0.5]]], np.float32)
-    got = over_white(pixels)
-    np.testing.assert_allclose(got[0, 0], [3.0, 0.5, 0.0])
-    np.testing.assert_allclose(got[0, 1], 1.0)
-    np.testing.assert_allclose(
-        to_display(got[0, 2]), to_display(np.float32([0.4] * 3)) * 0.5 + 0.5, rtol=1e-5
-    )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("gif",), "--images 'gif' is none of png8, png16, exr"),
-        (("exr", "red"), "--background 'red' is none of"),
-    ],
-)
-def test_unknown_formats_are_refused(arguments, message):
-    with pytest.raises(GenerateError, match=message):
-        PictureFormat(*arguments)

@@ -1,9 +1,7 @@
 """Every file of the set comes from exactly one shot, and equal states are rendered once."""
 
-import pytest
-
 from dataset_gen.options import parser, request_from
-from dataset_gen.plan import RESEEDED, ranges, shots
+from dataset_gen.plan import RESEEDED, shots
 from dataset_gen.prepare import builtin_bodies, motion_of
 
 
@@ -34,14 +32,6 @@ def test_every_file_is_named_once():
     assert set(names) == expected
 
 
-@pytest.mark.parametrize(
-    ("truth", "splits"), [("none", set()), ("test", {"test"}), ("all", {"test", "train"})]
-)
-def test_truth_is_planned_for_the_splits_asked_for(truth, splits):
-    _, every, _ = plan(f"--truth {truth}")
-    assert {shot.split for shot in every if shot.truth} == splits
-
-
 def test_a_sweep_is_taken_at_timestep_0_alone():
     _, every, _ = plan("--cameras sweep --views 6 --timesteps 8")
     names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]
@@ -54,11 +44,3 @@ def test_the_noise_is_measured_where_the_motion_is_largest():
     assert {picture.alpha for shot in again for picture in shot.pictures} == {-1, 0, 5, 10, 20, 50, 100}
     assert all(picture.path.startswith(RESEEDED) for shot in again for picture in shot.pictures)
     assert [shot.state.at_rest for shot in again].count(True) == 1  # what "nothing moves" is scored by
-
-
-@pytest.mark.parametrize(("count", "parts"), [(10, 3), (7, 7), (300, 1), (301, 2)])
-def test_ranges_cover_everything_once(count, parts):
-    cut = ranges(count, parts)
-    assert [i for part in cut for i in part] == list(range(count))
-    assert len(cut) == parts
-    assert max(map(len, cut)) - min(map(len, cut)) <= 1

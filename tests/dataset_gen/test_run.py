@@ -104,11 +104,6 @@ def test_resuming_renders_only_what_is_missing(made):
     assert touched == {"001/train/r_001.png", "002/train/r_001.png"}
 
 
-def test_a_changed_configuration_is_refused(made):
-    with pytest.raises(GenerateError, match=r"was made with seed = 0, asked is 7"):
-        generate(tiny("--seed", "7"), made.parent)
-
-
 @pytest.mark.slow
 def test_in_parts_the_same_files_come_out(made, tmp_path):
     stream = io.StringIO()
@@ -201,34 +196,3 @@ def test_inside_blender_the_same_arguments_work(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "mic_5Hz_0_005/points3d.ply").exists()
-
-
-THREADS_AFTER_A_PICTURE = """
-import os, sys
-sys.path.insert(0, sys.argv[1])
-from dataset_gen.blender_main import import_bpy
-before = os.sched_getaffinity(0)
-import_bpy(int(sys.argv[2]))
-import bpy
-scene = bpy.context.scene
-scene.render.engine, scene.cycles.samples = "CYCLES", 1
-scene.render.threads_mode, scene.render.threads = "FIXED", 1
-scene.render.resolution_x = scene.render.resolution_y = 16
-bpy.ops.render.render()
-threads = os.listdir("/proc/self/task")
-assert all(os.sched_getaffinity(int(thread)) == before for thread in threads)
-print("threads", len(threads))
-"""
-
-
-@pytest.mark.skipif(
-    not sys.platform.startswith("linux") or len(os.sched_getaffinity(0)) < 2,
-    reason="counts the threads of a process that may use two cores, from /proc",
-)
-def test_a_worker_of_one_thread_has_no_second_one_that_looks_for_work():
-    def threads(count: int) -> int:
-        command = [sys.executable, "-c", THREADS_AFTER_A_PICTURE, str(ROOT), str(count)]
-        out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        return int(out.split("threads ")[1])
-
-    assert threads(1) < threads(0)

@@ -13,7 +13,7 @@ pytest.importorskip("OpenEXR")
 
 from dataset_gen.cameras import cameras_at, clock_offsets
 from dataset_gen.effects import Record
-from dataset_gen.effects.codec import decode, encode
+from dataset_gen.effects.codec import encode
 from dataset_gen.options import parser, request_from
 from dataset_gen.plan import UNCODED
 from dataset_gen.prepare import builtin_bodies, motion_of, plan
@@ -114,12 +114,6 @@ def test_the_whole_tree_with_every_effect(every):
     }  # fmt: skip
 
 
-def test_the_pictures_are_the_frames_of_the_kept_video(every):
-    for i in range(3):
-        for t, picture in enumerate(decode(every / f"video/r_{i:03d}.mp4")):
-            np.testing.assert_array_equal(picture, pixels(every / f"{t:03d}/train/r_{i:03d}.png"))
-
-
 def test_the_pose_file_has_the_nominal_pose_and_the_truth_the_true_one(every):
     truth = json.loads((every / "truth/cameras.json").read_text())
     assert len(truth["frames"]) == 15
@@ -147,14 +141,6 @@ def test_gains_are_in_the_pictures(tmp_path, plain):
     assert (root / "003/test/r_000.png").read_bytes() == (plain / "003/test/r_000.png").read_bytes()
     spread = np.ptp([frame["gain"][1] for frame in truth.values()])
     assert 0.15 < spread < 0.25
-
-
-@pytest.mark.slow
-def test_test_views_and_magnified_truth_stay_as_they_are(every, plain):
-    sharp = made(every.parent / "sharp", "--views 3 --background white --sensor phone --jpeg 0")
-    for name in ("002/test/r_000.png", "magnified/x020/002/test/r_000.png"):
-        assert (every / name).read_bytes() == (sharp / name).read_bytes()
-    assert (every / "002/train/r_000.png").read_bytes() != (sharp / "002/train/r_000.png").read_bytes()
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 
 from dataset_gen.report import write_report
 from dataset_gen.report.dataset import read_dataset
-from dataset_gen.report.modes import phasor_maps, together, track_point
+from dataset_gen.report.modes import phasor_maps, track_point
 from dataset_gen.report.noise_floor import noise_floor
 from dataset_gen.report.pixels import (
     motion_from_truth,
@@ -49,23 +49,6 @@ def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
     np.testing.assert_allclose(middle, [[-1j * SWAY, 0, 0], [0, 0, -1j * HEAVE]], atol=1e-6)
     still = maps[:, SIZE // 2, 2]
     np.testing.assert_allclose(still, 0, atol=1e-9)
-
-
-def test_modes_that_go_alike_are_shown_together(tmp_path: Path) -> None:
-    made = Plane(tmp_path / "a", frequencies=(3.0, 3.0))
-    made.write()
-    made.truth()
-    dataset = read_dataset(made.root)
-    seen = seen_motion(dataset, dataset.views["test"])
-    assert seen is not None
-    assert dataset.motion is not None
-    assert phasor_maps(seen, dataset.motion) is None
-    motion, groups = together(dataset.motion)
-    assert groups == [[0, 1]]
-    maps = phasor_maps(seen, motion)
-    assert maps is not None
-    np.testing.assert_allclose(maps[0, SIZE // 2, SIZE // 2], [-1j * SWAY, 0, -1j * HEAVE], atol=1e-6)
-    assert "mode 1 and mode 2 together, 3 Hz" in words(write_report(made.root).read_text())
 
 
 def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
@@ -107,13 +90,3 @@ def test_a_perfect_method_scores_what_the_noise_says(plane: Path) -> None:
         assert row.still.psnr_db > row.still_own_noise.psnr_db
     assert rows[5].still.psnr_db < rows[0].still.psnr_db
     assert rows[5].still_own_noise.psnr_db < rows[5].perfect_psnr_db
-
-
-def test_equal_second_renders_are_said_to_be_equal(tmp_path: Path) -> None:
-    made = Plane(tmp_path / "a")
-    made.write()
-    made.picture(2, 0, made.root / "report/reseeded/002/test/r_000.png")
-    row = noise_floor(read_dataset(made.root))[0]
-    assert row.pair is not None
-    assert row.pair.psnr_db == row.perfect_psnr_db == 100
-    assert "Here the second render is equal" in words(write_report(made.root).read_text())

@@ -155,31 +155,6 @@ def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_gre
     assert np.isclose(picture[16, 16, 0], 0.5, atol=0.02)  # the neutral texture, shining with strength 1
 
 
-def test_an_image_that_cannot_be_read_is_replaced_and_packed_ones_stay(tmp_path):
-    new_scene()
-    (tmp_path / "broken.png").write_bytes(b"no picture at all")
-    packed = bpy.data.images.new("packed", 4, 4)
-    packed.pixels.foreach_set(np.tile(np.float32([0.2, 0.4, 0.6, 1.0]), 16))
-    packed.pack()
-    broken = bpy.data.images.new("broken", 4, 4)
-    broken.filepath, broken.source = str(tmp_path / "broken.png"), "FILE"
-    for i, image in enumerate((packed, broken)):
-        mesh = tetrahedron()
-
-        def texture(tree, image=image):
-            node = tree.nodes.new("ShaderNodeTexImage")
-            node.image = image
-            return node.outputs[0]
-
-        mesh.materials.append(emission(image.name, texture))
-        link(image.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
-    loaded = open_blend(save(tmp_path))
-    assert sum("image" in line for line in loaded.warnings) == 1
-    assert any("broken.png cannot be read" in line for line in loaded.warnings)
-    nodes = loaded.stage.scene.objects["packed"].data.materials[0].node_tree.nodes
-    assert next(node for node in nodes if node.bl_idname == "ShaderNodeTexImage").image.name == "packed"
-
-
 def test_an_image_of_another_machine_is_found_by_its_name_near_the_file(tmp_path):
     """The original NeRF-synthetic files name their HDRs by absolute paths of their makers' machines."""
     scene = new_scene()
@@ -206,29 +181,6 @@ def test_an_image_of_another_machine_is_found_by_its_name_near_the_file(tmp_path
     loaded.stage.scene.render.film_transparent = False
     colour = render_stage(loaded.stage, tmp_path / "a.exr", POSE, samples=8)[10:20, 10:20, :3].mean((0, 1))
     assert colour[1] > 2 * colour[0] > 0
-
-
-def test_a_material_whose_nodes_are_lost_with_a_library_gets_its_viewport_colour(tmp_path):
-    new_scene()
-    group = bpy.data.node_groups.new("stone", "ShaderNodeTree")
-    group.use_fake_user = True
-    library = save(tmp_path, "nodes.blend")
-    new_scene()
-    with bpy.data.libraries.load(str(library), link=True) as (source, target):
-        target.node_groups = source.node_groups
-    mesh = tetrahedron()
-    mesh.materials.append(principled("rock"))
-    mesh.materials[0].diffuse_color = (0.1, 0.5, 0.2, 1.0)
-    mesh.materials[0].node_tree.nodes.new("ShaderNodeGroup").node_tree = target.node_groups[0]
-    link("part", mesh)
-    path = save(tmp_path)
-    assert not any("lost" in line for line in open_blend(path).warnings)
-    library.unlink()
-    loaded = open_blend(path)
-    assert any("materials rock: part of their nodes is lost" in line for line in loaded.warnings)
-    nodes = loaded.stage.objects[0].data.materials[0].node_tree.nodes
-    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    assert np.allclose(shader.inputs["Base Color"].default_value, (0.1, 0.5, 0.2, 1.0))
 
 
 @pytest.mark.skipif(FIVE, reason="from 5.0 on every material has nodes")

@@ -90,16 +90,6 @@ def test_every_format_gives_the_shape_upright_centred_and_of_the_fixed_size(tmp_
     assert loaded.unit_scale_m == (pytest.approx(1.0 / scale) if metres else None)
 
 
-def test_usd_in_centimetres_is_known_in_metres(tmp_path):
-    coloured()
-    path = export(tmp_path / "user.usda", convert_scene_units="CENTIMETERS")
-    assert "metersPerUnit = 0.01" in path.read_text()
-    loaded = open_mesh(path)
-    wanted, scale = fitted_corners()
-    assert_same_set(loaded.bodies[0].vertices, wanted, 2e-5)
-    assert loaded.unit_scale_m == pytest.approx(1.0 / scale)
-
-
 def mean_colour(loaded, tmp_path):
     picture = render_stage(loaded.stage, tmp_path / "look.exr", view_from((4, 3, 2)), samples=4)
     covered = picture[..., 3] > 0.99
@@ -115,15 +105,6 @@ def test_vertex_colours_are_shown_where_there_is_no_material(tmp_path, suffix):
     colour = mean_colour(loaded, tmp_path)
     assert colour[0] > 3 * colour[1] > 0
     assert not any("texture" in line for line in loaded.warnings)
-
-
-def test_without_colour_it_is_grey_and_warned_of(tmp_path):
-    coloured(painted=False)
-    loaded = open_mesh(export(tmp_path / "user.stl"))
-    colour = mean_colour(loaded, tmp_path)
-    assert 0.05 < colour.mean() < 1.0
-    assert np.ptp(colour) < 0.1 * colour.mean()
-    assert any("no texture and no vertex colours" in line for line in loaded.warnings)
 
 
 def test_a_texture_of_the_file_is_shown_and_a_lost_one_is_named(tmp_path):

@@ -57,15 +57,6 @@ def test_the_sphere_around_the_scene_leaves_a_wide_floor_out(tmp_path):
     assert any("without floor" in line for line in wide.warnings)
 
 
-def test_a_scene_of_which_nothing_renders_is_one_line(tmp_path):
-    new_scene()
-    link("part", tetrahedron()).hide_render = True
-    with pytest.raises(
-        GenerateError, match=r"user\.blend: nothing in scene 'Scene' is a surface that renders"
-    ):
-        open_blend(save(tmp_path))
-
-
 def test_vertices_that_are_no_places_are_one_line(tmp_path):
     new_scene()
     mesh = tetrahedron()
@@ -255,13 +246,3 @@ def test_what_the_camera_does_not_see_lights_but_is_no_part(tmp_path):
     assert "catcher" not in loaded.stage.scene.objects
     assert any("shadow catcher or holdout: catcher" in line for line in loaded.warnings)
     assert loaded.radius < 3
-
-
-def test_volumes_and_grease_pencil_are_named_in_a_warning(tmp_path):
-    new_scene()
-    link("part", tetrahedron())
-    link("smoke", bpy.data.volumes.new("smoke"))
-    link("dots", bpy.data.pointclouds.new("dots"))
-    warnings = open_blend(save(tmp_path)).warnings
-    assert "left out, volume: smoke" in warnings
-    assert "left out, pointcloud: dots" in warnings

@@ -1,8 +1,6 @@
 """Motion descriptions: what a person writes, its round trip, and every mistake as one line."""
 
-import builtins
 import json
-import sys
 
 import pytest
 
@@ -97,24 +95,6 @@ def test_yaml_as_a_person_writes_it(tmp_path):
     assert (drift.amplitude, drift.magnified, drift.frequency_hz) == (0.001, False, 0.0)
     assert description.main is mast
     assert description.source == "motion.yaml"
-
-
-def test_json_needs_no_pyyaml(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without_yaml(name, *args, **kwargs):
-        if name == "yaml":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.delitem(sys.modules, "yaml", raising=False)
-    monkeypatch.setattr(builtins, "__import__", without_yaml)
-    assert read(tmp_path, json.dumps({"modes": [SWAY]}), "m.json").main.name == "sway"
-    with pytest.raises(GenerateError) as caught:
-        read(tmp_path, "modes: []")
-    assert f"needs PyYAML, which this Python lacks: '{sys.executable}' -m pip install PyYAML" in str(
-        caught.value
-    )
 
 
 @pytest.mark.parametrize(
@@ -254,19 +234,3 @@ def test_every_mistake_in_a_mode_is_one_line_with_mode_key_and_value(kind, chang
     text = message({"modes": [SWAY | {"name": "main"}, mode(kind) | change]})
     assert text.startswith(f"mode '{kind}': ")
     assert expected in text
-
-
-def test_another_frequency_or_amplitude_takes_modes_of_the_same_frequency_along():
-    first = SWAY | {"frequency": 5, "amplitude": 0.004, "decay": 2}
-    second = mode("rock", name="second") | {"frequency": 5, "amplitude": 0.001}
-    other = mode("rock", name="other") | {"frequency": 10, "amplitude": 0.001}
-    pixels = mode("rock", name="pixels") | {"frequency": 5, "amplitude": None, "amplitude_px": 0.1}
-    every = MotionDescription.from_json({"modes": [first, second, other, pixels]}, "x.yaml")
-    changed = every.with_main(frequency_hz=3, amplitude_px=0.4)
-    assert changed.main.law == Vibration(3.0, 2.0)
-    assert [m.frequency_hz for m in changed.modes] == [3.0, 3.0, 10.0, 3.0]
-    assert [m.amplitude for m in changed.modes] == [None, None, 0.001, None]
-    assert [m.amplitude_px for m in changed.modes] == pytest.approx([0.4, 0.1, None, 0.1])
-    assert changed.source == "x.yaml"
-    assert [m.amplitude for m in every.with_main(amplitude=0.008).modes[:2]] == [0.008, 0.002]
-    assert every.with_main() == every

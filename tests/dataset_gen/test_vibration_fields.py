@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset_gen.vibration import reach
-from dataset_gen.vibration.fields import Jiggle, Rock, Twist, phasor
+from dataset_gen.vibration.fields import Rock, Twist
 from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel, bessel_zero
 
 BASE, TIP = np.array([0.2, -0.1, -0.3]), np.array([0.5, 0.2, 0.4])
@@ -49,16 +49,6 @@ def test_rocking_is_rigid_and_leaves_the_axis_alone(field):
     off = np.array([[0.1, 0.2, 0.3]]) + np.array([2.0, -1.0, 0.0]) / np.sqrt(5)
     np.testing.assert_allclose(field(off), np.cross(axis, off - [0.1, 0.2, 0.3]), atol=1e-15)
     assert np.linalg.norm(field(off)) == pytest.approx(1.0)
-
-
-def test_a_twist_turns_sections_in_proportion_to_their_height():
-    field = Twist((0.0, 0.0, -0.5), (0.0, 0.0, 2.0), 0.8)
-    where = points()
-    angle = np.clip((where[:, 2] + 0.5) / 0.8, 0, 1)
-    expected = angle[:, None] * np.stack([-where[:, 1], where[:, 0], 0 * angle], 1)
-    np.testing.assert_allclose(field(where), expected, atol=1e-15)
-    np.testing.assert_array_equal(field(where[where[:, 2] <= -0.5]), 0.0)
-    assert (where[:, 2] > 0.3).any()
 
 
 # Beams.
@@ -163,20 +153,6 @@ def test_a_plate_solves_its_equation_and_is_zero_at_and_outside_its_edges(nodes)
     np.testing.assert_array_equal(field(edges[2:]), 0.0)
 
 
-@pytest.mark.parametrize(
-    "field",
-    [
-        Membrane((0, 0, 0), (0, 0, 1), 1.0, thickness=0.1),
-        Plate((0, 0, 0), (0, 0, 1), (1, 0, 0), (1.0, 1.0), thickness=0.1),
-    ],
-)
-def test_thickness_ends_the_reach_along_the_normal_smoothly(field):
-    z = np.array([0.0, 0.05, -0.05, 0.075, 0.1, -0.1, 0.5])
-    height = field(np.stack([0 * z, 0 * z, z], 1))[:, 2]
-    np.testing.assert_allclose(height, [1.0, 1.0, 1.0, 0.5, 0.0, 0.0, 0.0], atol=1e-14)
-    np.testing.assert_array_equal(height[4:], 0.0)
-
-
 # Waves.
 
 
@@ -234,23 +210,4 @@ def test_a_rayleigh_wave_leaves_the_surface_free_of_traction():
 # Soft bodies and groups.
 
 
-@pytest.mark.parametrize("held", [-0.2, (0.1, 0.0, -0.2)])
-def test_a_jiggle_grows_from_what_holds_it_as_a_square_and_then_linearly(held):
-    field = Jiggle(held, 0.5, (0.0, 2.0, 0.0))
-    where = points()
-    d = np.linalg.norm(where - held, axis=1) if isinstance(held, tuple) else where[:, 2] - held
-    expected = np.where(d <= 0, 0, np.where(d < 0.5, (d / 0.5) ** 2, 2 * d / 0.5 - 1))
-    np.testing.assert_allclose(field(where), expected[:, None] * [0, 1, 0], atol=1e-14)
-    line = np.array([0.1, 0.0, -0.2]) + np.outer(np.array([0.5 - 1e-7, 0.5, 0.5 + 1e-7]), [0, 0, 1])
-    w = field(line)[:, 1]
-    assert (w[2] - w[1]) / 1e-7 == pytest.approx((w[1] - w[0]) / 1e-7, abs=1e-4)
-
-
 # Helpers.
-
-
-def test_phases_at_quarter_turns_are_exact():
-    turns = np.array([0, 90, 180, 270, 360, -90, 720])
-    np.testing.assert_array_equal(phasor(turns), [1, 1j, -1, -1j, 1, -1j, 1])
-    angles = np.random.default_rng(0).uniform(-1000, 1000, 100)
-    np.testing.assert_allclose(phasor(angles), np.exp(1j * np.radians(angles)), atol=1e-13)

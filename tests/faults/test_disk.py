@@ -87,20 +87,6 @@ def test_no_video_is_left_that_does_not_play(disk: Callable[[int], Path], kib: i
     assert os.listdir(folder) == []
 
 
-def test_with_room_the_same_video_is_written(disk: Callable[[int], Path]) -> None:
-    folder = disk(4096)
-    write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
-    assert os.listdir(folder) == ["a.mp4"]
-
-
-def test_nor_does_a_report_hold_one(disk: Callable[[int], Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tg4mm.show.report.videos import clip
-
-    monkeypatch.setattr(tempfile, "tempdir", str(disk(16)))
-    with pytest.raises(RunError, match="no video could be written"):
-        clip(np.stack(frames()), 10.0)
-
-
 def test_what_was_there_stays_whole(disk: Callable[[int], Path]) -> None:
     folder = disk(256)
     write_json(folder / "a.json", {"old": 1})

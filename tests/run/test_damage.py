@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -97,16 +96,6 @@ def test_results_from_before_digests_are_still_read(run: Run) -> None:
     assert model_hash(run.path) == before
 
 
-def test_a_motion_of_no_frequencies_is_read_back(run: Run) -> None:
-    """Of a capture in which nothing stands out: its tensors have no elements."""
-    n = len(run.load_space())
-    none = np.zeros((0, n, 3), np.complex64)
-    run.save_motion(replace(modal(), freqs_hz=np.zeros(0), displacement=none, rotation=none), {})
-    motion = run.load_motion()
-    assert motion is not None
-    assert motion.displacement.shape == (0, n, 3)
-
-
 @pytest.mark.parametrize(
     ("key", "text", "match"),
     [
@@ -177,21 +166,6 @@ def test_a_log_of_another_form_is_refused(run: Run, log: Any, match: str) -> Non
         run.log()
     with refused(match):
         run.record("space", {"seconds": 1.0})
-
-
-@pytest.mark.parametrize("text", ["9" * 5000, "[" * 100_000, '{"a": 1, "a": 2}', '{"format": "\\ud800"}'])
-def test_a_config_that_trips_parsers_is_one_line(run: Run, text: str) -> None:
-    (run.path / "config.json").write_text(text)
-    with refused("config.json is not readable JSON"):
-        Run.open(run.path)
-
-
-def test_a_dataset_beside_the_run_whose_name_cannot_be_is_looked_for_where_it_was(run: Run) -> None:
-    config = json.loads((run.path / "config.json").read_text())
-    for name in ("a\0b", "x" * 300):
-        changed = config | {"dataset": str(run.path / "gone"), "dataset_from_run": name}
-        (run.path / "config.json").write_text(json.dumps(changed))
-        assert Run.open(run.path).dataset == run.path / "gone"
 
 
 def test_a_checkpoint_that_a_kill_left_beside_its_result_is_forgotten(run: Run, tmp_path: Path) -> None:

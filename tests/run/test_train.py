@@ -12,8 +12,6 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.motion import MotionConfig
-from tg4mm.fit.space import SpaceConfig
 from tg4mm.run import Run
 from tg4mm.run.preset import presets
 from tg4mm.run.train import parse_settings, train
@@ -40,17 +38,6 @@ def trained(data: Path) -> Run:
 
 
 class TestSettings:
-    def test_none_given_are_the_defaults(self) -> None:
-        assert parse_settings({}) == {"space": SpaceConfig(), "motion": MotionConfig()}
-
-    def test_values_have_the_types_of_the_defaults(self) -> None:
-        given = {"space.l2": "1e-3", "space.init": "hull", "motion.components": "4", "space.seed": "7"}
-        configs = parse_settings(given)
-        assert configs["space"] == SpaceConfig(l2=1e-3, init="hull", seed=7)
-        assert configs["motion"] == MotionConfig(components=4)
-        assert type(configs["motion"].components) is int
-        assert type(parse_settings({"motion.ridge": "10"})["motion"].ridge) is float
-
     @pytest.mark.parametrize(
         ("name", "meant"),
         [
@@ -94,11 +81,6 @@ class TestSettings:
 
 
 class TestRequests:
-    def test_an_unknown_preset_is_refused(self, data: Path, tmp_path: Path) -> None:
-        with one_line("preset is 'papers', expected modal"):
-            train(data, tmp_path / "run", preset="papers")
-        assert not (tmp_path / "run").exists()
-
     @pytest.mark.parametrize(
         "wrong",
         [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "cloud"}],

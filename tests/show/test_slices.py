@@ -11,7 +11,7 @@ import torch
 from tg4mm.capture import Capture
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.show.slices import amplitude_spectrum, difference_maps, most_moving_line, space_time_slice
+from tg4mm.show.slices import amplitude_spectrum, difference_maps, space_time_slice
 from tg4mm.show.weights import blending_weights
 
 T, H, W, FPS, FREQ = 30, 12, 64, 30.0, 3.0
@@ -39,15 +39,6 @@ def test_a_row_slice_shows_the_sinusoid_and_its_frequency(video) -> None:
     frequencies = np.fft.rfftfreq(T, 1 / FPS)
     assert frequencies[amplitude.argmax()] == pytest.approx(FREQ)
     assert amplitude.max() == pytest.approx(4.0, rel=0.01)
-
-
-def test_the_most_moving_line_is_found(video) -> None:
-    assert most_moving_line(video) == ("row", ROW)
-    axis, column = most_moving_line(video, "column")
-    assert axis == "column"
-    assert abs(column - 31.5) <= 1.5
-    assert most_moving_line(np.swapaxes(video, 1, 2)) == ("column", ROW)
-    assert most_moving_line(np.zeros((3, 8, 6, 3))) == ("row", 4)
 
 
 def test_difference_maps_are_equation_17(video) -> None:
@@ -116,10 +107,3 @@ def test_one_behind_another_gets_what_the_first_lets_through() -> None:
     assert weights.shape == (2,)
     np.testing.assert_allclose(weights, [(back * (1 - front)).sum(), front.sum()], rtol=2e-3)
     assert weights[0] < 0.75 * back.sum()  # without the front one it would weigh this much more
-
-
-def test_each_image_counts_also_where_a_camera_took_several() -> None:
-    gaussians = balls([[0, 0, 0.0]], 0.2, [0.6])
-    near, far = (alpha_image(0.2, 0.6, DISTANCE * k).sum() for k in (1, 2))
-    weights = blending_weights(gaussians, capture(5, [0, 1, 0, 0, 1]))
-    np.testing.assert_allclose(weights, [3 * near + 2 * far], rtol=2e-3)

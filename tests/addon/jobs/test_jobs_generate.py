@@ -129,34 +129,6 @@ def test_refusals_come_before_anything_is_written(
     assert extension.jobs.commands.get(KIND) is None
 
 
-def test_what_the_generator_finds_wrong_is_one_line(extension: ModuleType, settings: Any) -> None:
-    settings.cameras = "given"
-    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
-    job = wait(extension, KIND)
-    assert (job.state.value, job.message) == ("failed", "--cameras given: the file holds no camera")
-    assert said(drawn(extension, "Generate"), job.message)
-
-
-def test_settings_that_would_change_nothing_are_not_sent(extension: ModuleType, settings: Any) -> None:
-    """The generator refuses --views with one camera, and --alphas without test views."""
-    settings.cameras, settings.test_views, settings.timesteps = "handheld", 0, 2
-    assert "alphas" not in drawn(extension, "Cameras and Pictures")
-    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
-    job = wait(extension, KIND)
-    assert job.state.value == "done", job.message
-    assert len(list(Path(job.results[-1]).glob("*/train/*.png"))) == 2
-
-
-def test_core_python_that_is_not_there(
-    extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", "/no/python")
-    with pytest.raises(RuntimeError, match="there is no file /no/python"):
-        bpy.ops.tg4mm.generate()
-    settings.in_blender = True
-    assert not extension.jobs.generating.host(bpy.context).is_core
-
-
 def test_core_python_runs_the_generator_where_it_is_named(
     extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -195,23 +195,6 @@ def test_undo_takes_the_preview_away_and_redo_brings_it_back(extension: ModuleTy
     assert state() == before
 
 
-def test_saved_file_has_no_preview(extension: ModuleType, scene: Any, tmp_path: Path) -> None:
-    before = state()
-    bpy.ops.tg4mm.preview_start()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
-    assert state() == before
-
-
-def test_preview_is_not_rendered(extension: ModuleType, scene: Any) -> None:
-    bpy.ops.tg4mm.preview_start()
-    own = extension.jobs.preview.MODIFIER
-    modifiers = [modifier for obj in bpy.data.objects for modifier in obj.modifiers]
-    assert own in [modifier.name for modifier in modifiers]
-    for modifier in modifiers:
-        assert modifier.show_render == (modifier.name != own)
-
-
 def test_gain_and_settings_change_what_is_shown(extension: ModuleType, scene: Any) -> None:
     settings = scene.tg4mm_generate
     settings.kind = "translate"
@@ -256,33 +239,6 @@ def test_refusals(extension: ModuleType, scene: Any, values: dict[str, Any], mes
     with pytest.raises(RuntimeError, match=message):
         bpy.ops.tg4mm.preview_start()
     assert state() == before
-
-
-def test_empty_scene_is_refused(extension: ModuleType) -> None:
-    with pytest.raises(RuntimeError, match="the scene shows no mesh"):
-        bpy.ops.tg4mm.preview_start()
-
-
-@pytest.mark.parametrize("kind", ["rock", "twist", "bending", "wave", "jiggle", "membrane", "plate"])
-def test_fitted_mode_can_be_shown(extension: ModuleType, scene: Any, kind: str) -> None:
-    scene.tg4mm_generate.kind = kind
-    name = "Plate" if kind in ("membrane", "plate") else "Beam"
-    for obj in bpy.data.objects:
-        obj.select_set(obj.name == name)
-    bpy.ops.tg4mm.use_selection()
-    assert bpy.ops.tg4mm.fit_mode() == {"FINISHED"}
-    assert bpy.ops.tg4mm.preview_start() == {"FINISHED"}
-    assert extension.jobs.preview.MODIFIER in bpy.data.objects[name].modifiers
-
-
-def test_bending_is_fitted_along_the_longest_side(extension: ModuleType) -> None:
-    add("cube", "Mast", location=(1, 2, 3), scale=(0.2, 0.1, 3))
-    settings = bpy.context.scene.tg4mm_generate
-    settings.kind = "bending"
-    bpy.ops.tg4mm.fit_mode()
-    assert tuple(settings.point) == pytest.approx((1, 2, 0))
-    assert tuple(settings.tip) == pytest.approx((1, 2, 6))
-    assert tuple(settings.direction) == (0, 1, 0)
 
 
 def test_fields_from_the_cursor(extension: ModuleType) -> None:

@@ -100,16 +100,6 @@ def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str
     assert complete.result == "/data/a b/ü_5Hz"
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["", "1/2", "space stage: 1/2 it, 0:05 elapsed", "error: no", '{"tg4mm": ', '{"tg4mm": "else"}', "\0\x1b[2K",
-     '{"tg4mm": "progress", "x": ' + "[" * 9000, '{"tg4mm": "complete", "path": 7}', '{"tg4mm": 1' + "0" * 9000 + "}"],
-)  # fmt: skip
-def test_other_lines_say_nothing(jobs: Any, line: str) -> None:
-    read = jobs.runner.read_line(line)
-    assert (read.error, read.warning, read.result, read.progress) == ("", "", "", None)
-
-
 def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
     first = step("import time\nfrom tg4mm.core import events\nfor i in range(3):\n"
                  "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
@@ -140,18 +130,6 @@ def test_failure_is_one_line(jobs: Any, step: Callable[..., Any], code: str, mes
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
     run(job)
     assert (job.state, job.message) == (jobs.runner.State.FAILED, message)
-
-
-def test_any_bytes_may_come(jobs: Any, step: Callable[..., Any]) -> None:
-    first, last = (
-        event("progress", label=label, done=k, total=4) for label, k in (("größe", 1), ("über", 3))
-    )
-    code = (f"import sys\nw = sys.stdout.buffer.write\nw({first!r}.encode() + b'\\r'); w(b'\\xff\\xfe\\0\\n')\n"
-            f"w(b'x' * 3_000_000); w(b'\\n' + {last!r}.encode())")  # fmt: skip
-    job = jobs.runner.Job([step(code)], environment(jobs))
-    seen = run(job)
-    assert job.state is jobs.runner.State.DONE
-    assert [(p.label, p.done) for p in seen][-1] == ("über", 3)
 
 
 def test_flood_of_lines_does_not_hold_up_a_poll(
@@ -225,20 +203,6 @@ def test_child_that_outlives_its_parent_does_not_hold_the_job(jobs: Any, step: C
     job = jobs.runner.Job([step(code)], environment(jobs))
     run(job, limit_s=3.5)
     assert job.state is jobs.runner.State.DONE
-
-
-def test_program_that_is_not_there(jobs: Any, step: Callable[..., Any]) -> None:
-    missing = jobs.runner.Step("nothing", ("/no/such/program",))
-    with pytest.raises(OSError, match="/no/such/program"):
-        jobs.runner.Job([missing])
-    job = jobs.runner.Job([step("pass"), missing], environment(jobs))
-    run(job)
-    assert (job.state, job.message) == (
-        jobs.runner.State.FAILED,
-        "/no/such/program cannot be run: No such file or directory",
-    )
-    with pytest.raises(ValueError, match="at least one program"):
-        jobs.runner.Job([])
 
 
 def test_environment_takes_nothing_from_the_folder_a_program_runs_in(

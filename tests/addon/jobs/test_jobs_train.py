@@ -93,15 +93,6 @@ def test_failure_is_one_line_and_imports_nothing(extension: ModuleType, core: Pa
     assert "tg4mm.train" in drawn(extension, "Train")
 
 
-def test_splats_that_cannot_be_read_are_reported(extension: ModuleType, core: Path) -> None:
-    (core / "made.ply").write_bytes(b"ply\n")
-    bpy.ops.tg4mm.train()
-    job = wait(extension, KIND, limit_s=30)
-    assert job.state.value == "failed"
-    assert job.message.startswith("trained, but not imported: ")
-    assert not bpy.data.objects
-
-
 def test_training_can_be_stopped(extension: ModuleType, core: Path) -> None:
     (core / "fails").write_text("hang")
     bpy.ops.tg4mm.train()
@@ -111,13 +102,6 @@ def test_training_can_be_stopped(extension: ModuleType, core: Path) -> None:
     assert job.state.value == "cancelled"
     assert len((core / "asked.txt").read_text().splitlines()) == 1
     assert not bpy.data.objects
-
-
-def test_job_outlives_the_file_it_was_started_from(extension: ModuleType, core: Path) -> None:
-    bpy.ops.tg4mm.train()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert wait(extension, KIND, limit_s=30).state.value == "done"
-    assert bpy.context.object.name == "data set_run"
 
 
 @pytest.mark.parametrize(
@@ -134,16 +118,6 @@ def test_refusals(extension: ModuleType, core: Path, values: dict[str, Any], mes
         settings = bpy.context.scene.tg4mm_train
         setattr(settings, name, value.replace("DATASET", settings.dataset))
     with pytest.raises(RuntimeError, match=message):
-        bpy.ops.tg4mm.train()
-
-
-def test_without_the_core_there_is_a_hint(extension: ModuleType) -> None:
-    shown = drawn(extension, "Train")
-    assert said(shown, "Training needs tg4mm in a Python of its own. Name that Python in the preferences.")
-    assert "preferences.addon_show" in shown
-    assert "tg4mm.train" not in shown
-    bpy.context.scene.tg4mm_train.dataset = "/data"
-    with pytest.raises(RuntimeError, match="Python of the Core is not named in the preferences"):
         bpy.ops.tg4mm.train()
 
 

@@ -197,16 +197,6 @@ def test_joined_objects_move_as_they_did(
     assert_alike(seen(moving), Seen(*map(np.concatenate, zip(*both, strict=True))))
 
 
-def test_a_part_of_another_file_is_told(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
-    write_splat(tmp_path / "other.ply", replace(some_splat(9), freqs_hz=np.array([3.0, 5.0, 8.0])))
-    other = import_splat(tmp_path / "other.ply")
-    assert warnings(moving) == warnings(other) == []
-    only(moving, other)
-    assert bpy.ops.object.join() == {"FINISHED"}
-    bpy.context.view_layer.update()
-    assert warnings(moving) == [extension.nodes.applied.OTHER]
-
-
 def edit(obj: Any, chosen: np.ndarray, operator: Any, **options: Any) -> None:
     """Run an operator of Edit Mode on the chosen vertices."""
     only(obj)
@@ -226,25 +216,6 @@ def test_deleted_gaussians_are_missed_by_nobody(extension: ModuleType, moving: A
     apply(moving)
     assert_alike(seen(moving), Seen(*(values[~gone[:40]] for values in before)))
     assert warnings(moving) == []
-
-
-def test_points_copied_in_edit_mode_move_as_their_originals(extension: ModuleType, moving: Any) -> None:
-    before = seen(moving)
-    edit(moving, np.ones(44, bool), bpy.ops.mesh.duplicate)
-    assert_alike(seen(moving), Seen(*(np.concatenate([values, values]) for values in before)))
-    assert warnings(moving) == []
-
-
-@pytest.mark.parametrize("lost", [[41], [40, 41, 42, 43]])
-def test_lost_references_are_said_and_the_motion_goes_on(
-    extension: ModuleType, moving: Any, lost: list[int]
-) -> None:
-    before, gone = seen(moving), np.isin(np.arange(44), lost)
-    edit(moving, gone, bpy.ops.mesh.delete, type="VERT")
-    assert_alike(seen(moving), before)
-    assert warnings(moving) == [extension.nodes.applied.LOST]
-    (part,) = extension.nodes.points.parts(moving.data)
-    assert part.applied is None
 
 
 def test_what_was_applied_is_read_from_the_mesh(extension: ModuleType, moving: Any, tmp_path: Path) -> None:

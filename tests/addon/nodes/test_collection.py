@@ -78,12 +78,3 @@ def test_one_of_no_scene_or_of_a_library_does_not_take_it(
         other = wanted.collections[0]
         bpy.context.scene.collection.children.link(other)
     assert holders(splat_path, other) == [bpy.context.scene.collection]
-
-
-def test_the_probe_sphere_is_seen_too(extension: ModuleType, splat_path: Path) -> None:
-    import_splat(splat_path)
-    _, layer = nested("hidden")
-    hide(layer, "shut")
-    with bpy.context.temp_override(collection=layer.collection):
-        assert bpy.ops.tg4mm.add_probe_sphere() == {"FINISHED"}
-    assert bpy.data.objects["bell probe"].visible_get()

@@ -120,25 +120,6 @@ def test_arrows_run_from_rest_along_the_magnified_displacement(
     assert still is None or len(still.points) == 0
 
 
-def test_dots_sit_where_the_gaussians_are(extension: ModuleType, moving: Any, splat_path: Path) -> None:
-    put, names = setter(extension, moving), extension.names
-    put(names.DRAW, "Points")
-    put(names.ALPHA, 3.0)
-    geometry = evaluated(moving, 4)
-    splat = read_splat(splat_path)
-    places = read(geometry.pointcloud, "position", "vector", 3)
-    np.testing.assert_allclose(places, positions_at(splat, 3, 3.0), atol=1e-3)
-    radii = read(geometry.pointcloud, "radius", "value", 1)[:, 0]
-    np.testing.assert_allclose(radii, splat.scales.mean(axis=1), rtol=1e-4)
-
-
-def test_splats_end_at_three_deviations(extension: ModuleType, moving: Any, splat_path: Path) -> None:
-    put, names = setter(extension, moving), extension.names
-    put(names.DRAW, "Splats")
-    lengths = np.linalg.norm(transforms(moving, 1)[:, :3, :3], axis=1)
-    np.testing.assert_allclose(lengths, 3 * read_splat(splat_path).scales, rtol=1e-4)
-
-
 def test_solid_view_has_a_mesh_with_an_active_colour(
     extension: ModuleType, moving: Any, splat_path: Path
 ) -> None:
@@ -177,32 +158,6 @@ def test_points_are_coloured_balls_in_solid_view(
     assert bpy.ops.tg4mm.solid_colours(on=False) == {"FINISHED"}
     geometry = evaluated(moving, 4)
     assert len(geometry.pointcloud.points) == n
-
-
-def test_an_import_starts_with_the_range_that_fits_all_modes(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
-    modifier = extension.nodes.scene.splat_modifier(obj)
-    each = [largest_excursion(phasors)[0] ** 2 for phasors in read_splat(splat_path).displacement]
-    largest = np.sqrt(sum(each).max())
-    assert extension.compat.get_input(modifier, extension.names.COLOUR_RANGE) == pytest.approx(
-        largest, rel=1e-4
-    )
-    assert largest > 1.05 * np.sqrt(np.max(each))  # more than any mode alone
-
-
-def test_a_range_is_fitted_only_to_what_moves(extension: ModuleType, moving: Any) -> None:
-    put, names = setter(extension, moving), extension.names
-    modifier = extension.nodes.scene.splat_modifier(moving)
-    before = extension.compat.get_input(modifier, names.COLOUR_RANGE)
-    put(names.LOW, 20.0)
-    put(names.HIGH, 30.0)
-    with pytest.raises(RuntimeError, match="Nothing moves in the band"):
-        bpy.ops.tg4mm.fit_colour_range()
-    put(names.LOW, 0.0)
-    moving.data.attributes.remove(moving.data.attributes["mode_1_amplitude"])
-    with pytest.raises(RuntimeError, match="'mode_1_amplitude' of the points is gone; import the file again"):
-        bpy.ops.tg4mm.fit_colour_range()
-    assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == before
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -77,14 +77,3 @@ def test_a_node_that_is_missing_is_one_line_and_nothing_is_left(
         bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path))
     assert not bpy.data.objects
     assert not bpy.data.meshes
-
-
-def test_a_type_without_splats_is_one_line(extension: ModuleType) -> None:
-    with pytest.raises(extension.compat.MissingInBlender, match="has no Gaussian splats in the node"):
-        extension.compat.choose_splats(SimpleNamespace(inputs={}))
-
-
-def test_a_newer_blender_is_said(extension: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert extension.compat.untried() == ""
-    monkeypatch.setattr(extension.compat, "NEWEST_TRIED", (4, 0))
-    assert extension.compat.untried() == f"Blender {bpy.app.version_string}: tried up to 4.0"

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.addon.conftest import some_splat
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
@@ -97,45 +96,6 @@ def test_colours_by_motion_come_with_a_legend(
     assert (function, still, rows) == (plots.phase_legend, pytest.approx(0.05), plots.STANDARD_PHASE)
 
 
-def test_legend_stays_with_its_object_and_can_be_switched_off(
-    extension: ModuleType, splat_path: Path
-) -> None:
-    obj, names = import_splat(splat_path), extension.names
-    setter(extension, obj)(names.COLOUR_BY, names.PHASE_COLOUR)
-    other = import_splat(splat_path)
-    space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True))
-    settings = SimpleNamespace(tg4mm_view=SimpleNamespace(legend=True))
-    context = SimpleNamespace(
-        object=obj,
-        space_data=space,
-        window_manager=settings,
-        preferences=bpy.context.preferences,
-        scene=bpy.context.scene,
-        view_layer=bpy.context.view_layer,
-    )
-    wanted = extension.panels.overlay.wanted
-    phase, amplitude = extension.panels.plots.phase_legend, extension.panels.plots.amplitude_legend
-    for active in (obj, other, None):  # whichever is active
-        context.object = active
-        assert [(label, picture[0]) for label, picture in wanted(context)] == [(obj.name, phase)]
-    setter(extension, other)(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
-    context.object = other
-    assert [(label, picture[0]) for label, picture in wanted(context)] == [
-        (other.name, amplitude),
-        (obj.name, phase),
-    ]
-    setter(extension, other)(names.COLOUR_BY, names.PHASE_COLOUR)
-    assert [label for label, _ in wanted(context)] == [f"{other.name}, {obj.name}"]  # alike: one for both
-    space.overlay.show_overlays = False
-    assert wanted(context) == []
-    space.overlay.show_overlays, settings.tg4mm_view.legend = True, False
-    assert wanted(context) == []
-    settings.tg4mm_view.legend = True
-    for hidden in (obj, other):
-        hidden.hide_set(True)
-    assert wanted(context) == []
-
-
 def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     assert "Nothing probed yet" in drawn(extension, obj)
@@ -149,14 +109,6 @@ def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path:
         assert f"{ellipse.amplitude:.4g} scene units" in layout.drawn
     extension.probe.picking.forget(obj)
     assert "Nothing probed yet" in drawn(extension, obj)
-
-
-def test_static_file_has_no_motion_controls(extension: ModuleType, tmp_path: Path) -> None:
-    write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
-    shown = drawn(extension, import_splat(tmp_path / "still.ply"))
-    assert "This file holds no motion" in shown
-    assert not {extension.names.ALPHA, "View Colours", extension.names.COLOUR_BY} & set(shown)
-    assert not {"tg4mm.band", "tg4mm.probe"} & set(shown)
 
 
 def test_what_makes_native_splats_coarse_is_told_and_goes(

@@ -52,15 +52,6 @@ def test_a_selected_point_is_read(extension: ModuleType, moving: Any, splat_path
     assert found.deviations is None  # the file does not say them
 
 
-def test_of_several_the_mean_by_opacity(extension: ModuleType, moving: Any, splat_path: Path) -> None:
-    select(moving, [2, 5, 11])
-    found = reading(extension, moving, "SELECTION")
-    np.testing.assert_allclose(found.phasors, mean_of(splat_path, [2, 5, 11]), rtol=1e-5)
-    assert found.label == "3 points"
-    plain = read_splat(splat_path).displacement[:, [2, 5, 11]].mean(axis=1)
-    assert np.abs(found.phasors - plain).max() > 1e-3
-
-
 def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) -> None:
     import bmesh
 
@@ -80,17 +71,6 @@ def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) 
     assert len(bpy.data.meshes) == meshes
     again = reading(extension, moving, "SELECTION")  # still selected after Edit Mode
     np.testing.assert_array_equal(again.phasors, found.phasors)
-
-
-def test_nothing_selected_is_said_in_a_line(extension: ModuleType, moving: Any) -> None:
-    with pytest.raises(RuntimeError, match="No point is selected"):
-        bpy.ops.tg4mm.probe(source="SELECTION")
-    assert extension.probe.picking.stored(moving) is None
-    with pytest.raises(RuntimeError, match="No sphere is there: add one"):
-        bpy.ops.tg4mm.probe(source="SPHERE")
-    setter(extension, moving)(extension.names.MIN_OPACITY, 1.0)
-    with pytest.raises(RuntimeError, match="No Gaussian is as opaque as Minimum Opacity, 1"):
-        bpy.ops.tg4mm.probe(source="CURSOR")
 
 
 def test_the_nearest_drawn_gaussian_to_the_cursor(
@@ -167,15 +147,6 @@ def test_direction_and_phase_of_a_line(extension: ModuleType) -> None:
     assert (still.amplitude, still.phase_deg, still.direction) == (0.0, 0.0, (0.0, 0.0, 0.0))
 
 
-def test_phase_is_that_of_the_colours(extension: ModuleType, moving: Any) -> None:
-    for i in range(5):
-        select(moving, [i])
-        found = reading(extension, moving, "SELECTION")
-        for k, e in enumerate(extension.probe.probe.ellipses(found)):
-            turns = moving.data.attributes[extension.names.phase(k)].data[i].value
-            assert (e.phase_deg / 360 - turns + 0.5) % 1 == pytest.approx(0.5, abs=1e-5)
-
-
 def test_series_is_the_motion_that_was_measured(extension: ModuleType, moving: Any, splat_path: Path) -> None:
     setter(extension, moving)(extension.names.ALPHA, 30.0)
     bpy.ops.tg4mm.band(frequency=5.0)
@@ -235,16 +206,6 @@ def test_csv_holds_the_series_and_the_phasors(
     assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
 
-def test_a_name_with_a_line_break_stays_in_the_head(
-    extension: ModuleType, moving: Any, tmp_path: Path
-) -> None:
-    select(moving, [1])
-    reading(extension, moving, "SELECTION")
-    moving.name = "bell\n1,2,3,4"
-    assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="SERIES") == {"FINISHED"}
-    assert len(table(tmp_path / "a.csv")[1]) == 48
-
-
 def test_export_without_a_reading_or_a_folder(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="Nothing is probed yet"):
         bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"))
@@ -253,14 +214,6 @@ def test_export_without_a_reading_or_a_folder(extension: ModuleType, moving: Any
     with pytest.raises(RuntimeError, match=r"none/a\.csv: cannot be written: No such file"):
         bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "none" / "a.csv"))
     assert not (tmp_path / "none").exists()
-
-
-def test_a_still_file_cannot_be_probed(extension: ModuleType, tmp_path: Path) -> None:
-    write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
-    import_splat(tmp_path / "still.ply")
-    assert not bpy.ops.tg4mm.probe.poll()
-    assert not bpy.ops.tg4mm.export_probe.poll()
-    assert not bpy.ops.tg4mm.add_probe_sphere.poll()
 
 
 def test_a_lost_attribute_is_said(extension: ModuleType, moving: Any) -> None:
@@ -283,22 +236,6 @@ def test_a_reading_is_saved_with_the_file(extension: ModuleType, sure: Any, tmp_
     assert (again.label, again.fps, again.n_timesteps) == (found.label, 24.0, 48)
     extension.probe.picking.forget(obj)
     assert extension.names.PROBE_DEVIATIONS not in obj
-
-
-def test_curve_marks_the_current_frame(extension: ModuleType, moving: Any) -> None:
-    put, names = setter(extension, moving), extension.names
-    select(moving, [2])
-    found = reading(extension, moving, "SELECTION")
-    part = extension.probe.picking.time_part
-    for first, speed, frame, expected in ((1, 1.0, 1, 0.0), (1, 1.0, 48, 1.0), (11, 0.5, 58, 0.5)):
-        put(names.FIRST, float(first))
-        put(names.SPEED, speed)
-        bpy.context.scene.frame_set(frame)
-        assert part(bpy.context, moving, found) == pytest.approx(expected)
-    unit = extension.units.unit_of(None)
-    function, *arguments = extension.probe.picking.curve_picture(found, unit, 0.5)
-    expected = extension.panels.plots.series(*extension.probe.probe.series(found, 8), unit)
-    np.testing.assert_array_equal(function(*arguments), extension.panels.plots.mark_time(expected, 0.5))
 
 
 @pytest.fixture

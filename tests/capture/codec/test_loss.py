@@ -12,7 +12,6 @@ from tg4mm.capture.codec import Tone, codec_losses
 from tg4mm.capture.codec.loss import _stored
 from tg4mm.capture.codec.probe import probe
 from tg4mm.capture.codec.trial import gain_of, shifts_of
-from tg4mm.core.errors import Tg4mmError
 
 FPS, N, AMPLITUDE = 30.0, 120, 0.04
 REGION = np.zeros((120, 160), bool)
@@ -75,12 +74,6 @@ def test_a_video_that_cannot_be_read_is_marked(tmp_path: Path) -> None:
     (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "cannot be tested" in loss.why
-
-
-def test_a_region_of_another_size_is_refused(tmp_path: Path) -> None:
-    path = film(tmp_path / "a.mp4", 9.0, "libx264", crf="30")
-    with pytest.raises(Tg4mmError, match=r"shape \(10, 10\), the video's pictures \(120, 160\)"):
-        codec_losses(path, [np.ones((10, 10))], [[Tone(9.0, np.array([0.02, 0]))]], FPS)
 
 
 def test_directions_turn_with_the_picture() -> None:

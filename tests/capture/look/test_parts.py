@@ -10,7 +10,6 @@ from tg4mm.capture.look.cells import Grid, Template
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, knocks
 from tg4mm.capture.look.ringing import fitted
 from tg4mm.capture.look.scene import find_masks
-from tg4mm.capture.look.search import images
 from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
 
 FPS = 30.0
@@ -76,12 +75,6 @@ def test_a_knock_is_a_step_that_stays() -> None:
     bumped = still.copy()
     bumped[50:54] += 3
     assert knocks(bumped) == []
-
-
-def test_images_of_a_line_by_every_second_to_fourth_picture() -> None:
-    assert min(abs(f - 3.7) for f in images(11.3, 30.0)) < 1e-9  # half the rate less it
-    assert min(abs(f - 6.2) for f in images(1.3, 30.0)) < 1e-9  # a quarter of the rate less it
-    assert min(abs(f - 26.4) for f in images(23.6, 120.0, (12,))) < 1e-9  # key frames at every twelfth
 
 
 def test_a_hit_is_one_though_few_pictures_keep_small_motion() -> None:

@@ -37,8 +37,3 @@ def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_
     for amplitude, region, is_marked in cases:
         own = replace(line, amplitude_px=amplitude, region=region)
         assert bool(marked([own], 30.0, 6.0)[0].mark) == is_marked
-
-
-def test_marked_lines_are_no_vibrations() -> None:
-    assert len(found().vibrations) == 1
-    assert found("2 × 2.600 Hz").vibrations == ()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import SIZE, still, write_video
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main
@@ -59,14 +59,6 @@ def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture)
         q = K @ (viewmat[:3, :3] @ np.array(world) + viewmat[:3, 3])
         np.testing.assert_allclose(q[:2] / q[2], pixel)
     assert json.loads((capture.root / "scene.json").read_text())["pixels_per_unit"] == focal
-
-
-def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
-    from tg4mm.capture.video import video_frames
-
-    images = load_images(capture)
-    for image, frame in zip(images.data, video_frames(video), strict=True):
-        np.testing.assert_array_equal(image[..., :3], frame.rgb)
 
 
 def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, tmp_path: Path) -> None:
@@ -125,14 +117,3 @@ def test_what_makes_no_sense_is_refused(video: Path, tmp_path: Path) -> None:
         Tg4mmError, match=r"--kind is tripod, but .* holds one recording, which can be flat or"
     ):
         reconstruct(video, tmp_path / "c", SfmConfig(kind="tripod"))
-
-
-@pytest.mark.slow
-def test_more_than_a_thousand_timesteps(tmp_path: Path) -> None:
-    frames = still(30, shifts=[k % 2 for k in range(30)], size=(48, 32))
-    path = write_video(tmp_path / "long.mp4", frames * 34, 240)
-    reconstruct(path, tmp_path / "out")
-    capture = load_capture(tmp_path / "out")
-    assert capture.n_timesteps == 1020
-    assert [capture.paths[t].name for t in (7, 999, 1019)] == ["long.mp4#7", "long.mp4#999", "long.mp4#1019"]
-    np.testing.assert_array_equal(capture.timesteps, np.arange(1020))

@@ -7,23 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save
 from tg4mm.capture import load_capture
 from tg4mm.capture.sfm import engine, mapping, pairs, reconstruct
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.pairs import matched, most_alike
-
-
-def test_groups_of_pictures_from_one_place_are_tied_together() -> None:
-    """Two groups each larger than the number of nearest ones, hardly alike across."""
-    group = np.repeat([0, 1], 12)
-    alike = np.where(group[:, None] == group, 500, 5)
-    chosen = np.array(most_alike(alike, most=4))
-    edges = csr_matrix((np.ones(len(chosen)), chosen.T), shape=(24, 24))
-    assert connected_components(edges, directed=False)[0] == 1
 
 
 def test_mutually_nearest_descriptors_are_counted_and_doubtful_ones_are_not() -> None:

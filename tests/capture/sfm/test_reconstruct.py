@@ -15,7 +15,6 @@ from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, surface_d
 from tests.capture.sfm.videos import still
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.cameras import optical_axes
-from tg4mm.capture.sfm import reconstruct as module
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 from tg4mm.capture.sfm.sources import find_sources
@@ -103,14 +102,6 @@ def test_the_lens_is_found_and_the_pictures_are_straight(dataset: Path, cameras:
         assert difference.mean() < 0.5 * np.abs(bent - true[..., :3])[solid].mean()
 
 
-def test_a_finished_one_is_not_made_again(dataset: Path, photographs: Path, monkeypatch) -> None:
-    monkeypatch.setattr(module, "_model", None)
-    before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
-    report = reconstruct(photographs, dataset, SfmConfig(), threads=1)
-    assert report == json.loads((dataset / "scene.json").read_text())["sfm"]
-    assert {path: path.stat().st_mtime_ns for path in dataset.rglob("*")} == before
-
-
 def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: Path, tmp_path: Path) -> None:
     out = tmp_path / "box"
     shutil.copytree(dataset, out)
@@ -184,17 +175,6 @@ def test_pictures_without_texture_are_refused(tmp_path: Path, cameras: np.ndarra
         reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
 
 
-def test_pictures_of_different_things_are_refused(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    for i in range(3):
-        coarse = rng.integers(0, 256, (18, 24, 3), np.uint8)
-        path = tmp_path / "in" / f"{i}.png"
-        path.parent.mkdir(exist_ok=True)
-        Image.fromarray(coarse).resize((240, 180), Image.Resampling.BICUBIC).save(path)
-    with pytest.raises(CaptureError, match="no two of the 3 pictures overlap"):
-        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
-
-
 def test_a_picture_of_something_else_is_left_out_and_named(
     tmp_path: Path, photographs: Path, cameras: np.ndarray
 ) -> None:
@@ -253,12 +233,6 @@ def test_fixed_cameras_become_a_tree_with_one_pose_each(
     true, _ = optical_axes(cameras[[0, 5, 10]])
     ratio = [np.linalg.norm(c[0] - c[1]) / np.linalg.norm(c[1] - c[2]) for c in (ours, true)]
     assert ratio[0] == pytest.approx(ratio[1], rel=0.01)
-
-
-def test_fixed_cameras_need_a_frame_rate(fixed: Path, tmp_path: Path) -> None:
-    with pytest.raises(Tg4mmError, match="--fps is missing: the pictures in cam_0, cam_1, cam_2 need"):
-        reconstruct(fixed, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def other_things(folder: Path, camera: str) -> None:

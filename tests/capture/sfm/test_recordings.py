@@ -88,12 +88,6 @@ def test_a_tripod_is_one_fixed_camera_and_pictures_at_rest(tripod_dataset: Path)
     assert ["time" in frame for frame in frames] == [True] + [False] * 12
 
 
-def test_its_cameras_come_back(tripod_dataset: Path) -> None:
-    capture = load_capture(tripod_dataset)
-    rows = list(rows_of(capture, 0).values())
-    assert place_error(capture, rows, np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.05
-
-
 def test_photographs_stored_sideways_are_set_upright(tmp_path: Path) -> None:
     """As phones store them: the sensor's picture, and how to turn it in EXIF."""
     exif = Image.Exif()
@@ -189,16 +183,6 @@ def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(
     assert capture.timesteps.tolist() == list(range(22))
     np.testing.assert_allclose(capture.times_s, np.array(kept) / 30)
     assert place_error(capture, list(range(22)), walk[kept]) < 0.05
-
-
-def test_a_moving_cameras_video_is_photographs_where_asked(walk: np.ndarray, tmp_path: Path) -> None:
-    path = write_video(tmp_path / "walk.mp4", filmed(walk), 30, crf=8)
-    reconstruct(path, tmp_path / "out", SfmConfig(kind="photos", frames=8), threads=1)
-    capture = load_capture(tmp_path / "out")
-    assert (capture.kind, capture.n_timesteps, len(capture)) == ("photos", 1, 8)
-    rows = [int(path.stem) for path in capture.paths]
-    assert [row // 3 for row in rows] == list(range(8))  # the sharpest of every three
-    assert place_error(capture, list(range(8)), walk[rows]) < 0.06
 
 
 def test_two_cameras_that_stay_put_are_named_as_such(tmp_path: Path) -> None:

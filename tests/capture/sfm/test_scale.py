@@ -17,7 +17,6 @@ from tg4mm.capture.sfm.depth import CLICK_PX, triangulated
 from tg4mm.capture.sfm.points import Similarity
 from tg4mm.capture.sfm.scale import Length, MeasuredLength, measured_length, read_length
 from tg4mm.capture.sfm.staging import Shot
-from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -208,10 +207,3 @@ class TestFile:
         (tmp_path / "a.json").write_text(text)
         with pytest.raises(Tg4mmError, match=match):
             read_length(tmp_path / "a.json")
-
-    def test_no_file(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        code = main(
-            ["sfm", str(tmp_path), "--out", str(tmp_path / "o"), "--length-file", str(tmp_path / "a.yml")]
-        )
-        assert code == 2
-        assert "a.yml: cannot be read" in capsys.readouterr().err

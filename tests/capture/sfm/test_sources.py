@@ -9,7 +9,6 @@ import pytest
 
 from tests.capture.sfm.scenes import save
 from tg4mm.capture.sfm.kind import possible_kinds
-from tg4mm.capture.sfm.pairs import OVERLAP, picture_pairs
 from tg4mm.capture.sfm.sources import find_sources, suggested_command
 from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name
 from tg4mm.cli import main
@@ -73,15 +72,6 @@ def test_pictures_with_a_rate_are_a_recording(tmp_path: Path) -> None:
     sources = find_sources(tmp_path / "cam", timed=True)
     assert sources.photographs is None
     assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam", 4)]
-
-
-def test_a_recording_called_sweep_is_none_where_it_is_alone(tmp_path: Path) -> None:
-    fill(tmp_path / "sweep", 4)
-    photographs = find_sources(tmp_path / "sweep").photographs
-    assert photographs is not None
-    assert photographs.name == "sweep_0"
-    videos(tmp_path, "sweep.mp4")
-    assert [clip.name for clip in find_sources(tmp_path / "sweep.mp4").clips] == ["sweep_0"]
 
 
 def test_what_is_refused(tmp_path: Path) -> None:
@@ -188,12 +178,3 @@ def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) 
     assert (picture[:, :4] == 255).all()
     assert not (masks / f"{staged_name(solid)}.png").exists()
     assert (tmp_path / "work" / "images" / staged_name(solid)).read_bytes() == solid.path.read_bytes()
-
-
-def test_every_pair_or_a_sequence() -> None:
-    names = [f"{i:03d}" for i in range(100)]
-    assert len(picture_pairs(names[:6])) == 15
-    pairs = picture_pairs(names, sequence=100)
-    assert len(set(pairs)) == len(pairs)
-    steps = {int(b) - int(a) for a, b in pairs}
-    assert steps == {*range(1, OVERLAP + 1), 2 * OVERLAP, 4 * OVERLAP, 8 * OVERLAP}

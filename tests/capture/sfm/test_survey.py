@@ -10,12 +10,11 @@ from PIL import Image
 
 from tests.capture.sfm.scenes import save
 from tests.capture.sfm.videos import looked, still, texture, write_video
-from tg4mm.capture.sfm import survey as module
-from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.clip import Clip
 from tg4mm.capture.sfm.defects import check_usable
 from tg4mm.capture.sfm.kind import kind_of
 from tg4mm.capture.sfm.sources import Sources
-from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks
+from tg4mm.capture.sfm.steadiness import ShiftMeter
 from tg4mm.core.errors import CaptureError
 
 
@@ -39,35 +38,8 @@ class TestShift:
         other[40:120, 60:140] = picture[40:120, 57:137]
         np.testing.assert_allclose(ShiftMeter(picture).shift(other), (0, 0), atol=0.05)
 
-    def test_another_picture_has_no_shift(self) -> None:
-        first, other = (texture((256, 192), seed)[..., 1].astype(np.float32) for seed in (0, 5))
-        assert np.isnan(ShiftMeter(first).shift(other)).all()
-
-
-class TestKnock:
-    times_s = np.arange(120) / 30
-
-    def shifts(self, at: int | None = None, by: float = 3.0) -> np.ndarray:
-        """A camera that trembles by a tenth of a pixel, and is knocked before frame `at`."""
-        shifts = np.random.default_rng(0).normal(0, 0.1, (120, 2))
-        if at is not None:
-            shifts[at:] += [0.6 * by, -0.8 * by]
-        return shifts
-
-    @pytest.mark.parametrize("at", [8, 60, 61, 110])
-    @pytest.mark.parametrize("by", [1.0, 3.0, 40.0])
-    def test_a_step_is_found_with_its_frame_and_length(self, at: int, by: float) -> None:
-        (knock,) = find_knocks(self.shifts(at, by), self.times_s)
-        assert (knock.frame, knock.time_s) == (at, at / 30)
-        assert knock.shift_px == pytest.approx(by, abs=0.2)
-
 
 class TestFaults:
-    def test_too_short(self, tmp_path: Path) -> None:
-        path = write_video(tmp_path / "a.mp4", still(30))
-        with pytest.raises(CaptureError, match=r"holds 1 frames from 0\.5 s to 0\.51 s, at least 2"):
-            looked(path, Window(0.5, 0.51))
-
     def test_a_camera_that_moves_is_not_fixed(self, tmp_path: Path) -> None:
         survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))
         with pytest.raises(
@@ -101,19 +73,6 @@ class TestSurvey:
         with pytest.raises(CaptureError, match=r"2\.png: frame 2 is 60×30 pixels, the first is 60×40"):
             looked(tmp_path / "cam")
 
-    def test_a_look_is_taken_once(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        path = write_video(tmp_path / "a.mp4", still(12, noise=9))
-        first = looked(path)
-        monkeypatch.setattr(module, "clip_frames", None)
-        again = looked(path)
-        assert (again.fps, again.times, again.size, again.mean) == (
-            first.fps,
-            first.times,
-            first.size,
-            first.mean,
-        )
-        np.testing.assert_array_equal(again.shifts_px, first.shifts_px)
-
 
 class TestKind:
     def kind(self, tmp_path: Path, sweep: bool, **videos: dict) -> tuple[str, str]:
@@ -132,10 +91,6 @@ class TestKind:
         assert self.kind(tmp_path, False, a=put) == ("flat", "holds one recording; the camera stays put")
         assert self.kind(tmp_path, True, b=put)[0] == "tripod"
         assert self.kind(tmp_path, False, c=walked) == ("handheld", "holds one recording; the camera moves")
-
-    def test_a_knocked_camera_is_a_fixed_one_all_the_same(self, tmp_path: Path) -> None:
-        knocked = {"frames": still(40, shifts=[0] * 20 + [9] * 20)}
-        assert self.kind(tmp_path, False, a=knocked)[0] == "flat"
 
     def test_several_are_a_rig_and_clips_are_named(self, tmp_path: Path) -> None:
         put = {"frames": still(20)}

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, surface_distance
 from tests.fit.space.scenes import views_of
-from tg4mm.capture.sfm import SfmPoints, TriangulationConfig, triangulate_views
+from tg4mm.capture.sfm import SfmPoints, triangulate_views
 from tg4mm.capture.sfm.points import outside_masks
-from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, initial
 from tg4mm.fit.space.initial import initial_points
 
@@ -48,16 +45,6 @@ def test_points_lie_on_the_surface(found: SfmPoints) -> None:
     assert np.median(surface_distance(found.xyz + [0.05, 0.05, 0.05])) > PIXEL
 
 
-def test_points_have_colour_error_and_views(box: RestViews, found: SfmPoints) -> None:
-    assert (found.xyz.dtype, found.rgb.dtype) == (np.float32, np.uint8)
-    assert found.errors_px.shape == found.n_views.shape == (len(found),)
-    assert 0 < found.errors_px.mean() < 1
-    assert found.errors_px.max() <= TriangulationConfig().error_px
-    assert found.n_views.min() >= 3
-    seen = initial.mean_colours(found.xyz, box) * 255
-    assert np.abs(seen - found.rgb).mean() < np.abs(seen - found.rgb[::-1]).mean()
-
-
 def test_no_point_is_where_a_picture_shows_background(box: RestViews, found: SfmPoints) -> None:
     masks = box.alpha > 0.5
     assert not outside_masks(found.xyz, box.viewmats, box.Ks, masks).any()
@@ -90,8 +77,3 @@ class TestStart:
             first = initial_points(plain, None, "sfm", 300, np.random.default_rng(0))
         assert first.source.startswith("hull (sfm found ")
         assert len(first.xyz) == initial.FEWEST
-
-    def test_without_pycolmap_it_is_refused_in_one_line(self, box: RestViews, monkeypatch) -> None:
-        monkeypatch.setitem(sys.modules, "pycolmap", None)
-        with pytest.raises(Tg4mmError, match=r"needs pycolmap .*pip install '\.\[sfm\]'"):
-            initial_points(box, None, "sfm", 100, np.random.default_rng(0))

@@ -7,7 +7,6 @@ import pytest
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture
 from tg4mm.capture.sfm.undistort import Key, Lens, lenses
-from tg4mm.core.errors import CaptureError
 
 pycolmap = pytest.importorskip("pycolmap")
 SIZE = (160, 120)
@@ -65,13 +64,6 @@ def test_cameras_get_one_size_and_their_principal_points_move_along() -> None:
     cropped = both[two].apply(sharp)
     true = picture(viewmat, both[two].K, both[two].size)
     assert np.abs(cropped.astype(int) - true.astype(int)).mean() < 0.5
-
-
-def test_cameras_of_other_sizes_are_refused() -> None:
-    with pytest.raises(
-        CaptureError, match=r"pictures of .*160×120.*320×240.* pixels, which one dataset cannot hold"
-    ):
-        lenses({(1, 0): camera(model="PINHOLE"), (2, 0): camera(size=(320, 240), model="PINHOLE")})
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])

@@ -175,17 +175,6 @@ def test_missing_and_jittered_frames_do_no_harm() -> None:
     assert abs(line.hz - 11.3) < 3 * line.hz_deviation < 0.01
 
 
-@pytest.mark.parametrize("n", [3, 11])
-def test_of_too_few_samples_there_is_no_line(n: int) -> None:
-    found = find_lines(np.cos(np.arange(n)), np.arange(n) / FPS)
-    assert found.lines == ()
-    assert found.residual.shape == (n, 1)
-
-
-def test_a_constant_has_no_line() -> None:
-    assert find_lines(np.full((40, 2), 3.0), np.arange(40) / FPS).lines == ()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", ["white", "red"])
 def test_deviations_hold_what_they_say(colour: str) -> None:

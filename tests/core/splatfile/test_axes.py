@@ -6,7 +6,6 @@ import torch
 
 from tests.core.splatfile.conftest import random_splat
 from tests.core.splatfile.formats.conftest import turned
-from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import positions_at, rotations_at
 from tg4mm.core.splatfile.axes import TURN, harmonics_turn, transformed, y_up
 from tg4mm.fit.rasterize.reference import rotation_matrices, sh_colours
@@ -95,8 +94,3 @@ def test_a_stretched_scene_has_stretched_gaussians_and_no_metres():
         positions_at(other, 2.0, 9.0), positions_at(splat, 2.0, 9.0) @ linear.T, rtol=1e-4, atol=1e-4
     )
     assert other.unit_scale_m is None
-
-
-def test_a_flattened_scene_is_refused():
-    with pytest.raises(SplatFileError, match="scaled by 0 along one direction"):
-        transformed(random_splat(), np.diag([1.0, 0.0, 1.0]))

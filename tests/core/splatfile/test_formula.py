@@ -53,13 +53,6 @@ def test_displacement_grows_by_exactly_one_plus_alpha(seed, t, alpha):
     )
 
 
-@given(seeds, times)
-def test_alpha_0_is_the_identity_whatever_the_band(seed, t):
-    splat = random_splat(seed, m=3)
-    np.testing.assert_array_equal(positions_at(splat, t, 0.0, (1.0, 7.0)), positions_at(splat, t))
-    np.testing.assert_array_equal(rotations_at(splat, t, 0.0, (1.0, 7.0)), rotations_at(splat, t))
-
-
 @given(seeds, times, alphas, st.floats(0, 7), st.floats(7, 15))
 def test_modes_outside_the_band_keep_their_size(seed, t, alpha, low, high):
     assume(low < high)
@@ -113,8 +106,3 @@ def test_the_turn_follows_the_rest_rotation_in_world_axes(seed, t):
 def test_a_bad_band_is_refused(band):
     with pytest.raises(SplatFileError, match=r"band \(.*\) Hz; expected 0 ≤ low < high"):
         positions_at(random_splat(), 0, 1.0, band)
-
-
-def test_a_bad_alpha_is_refused():
-    with pytest.raises(SplatFileError, match="alpha is nan"):
-        positions_at(random_splat(), 0, math.nan)

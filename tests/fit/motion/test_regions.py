@@ -17,7 +17,7 @@ from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.fit.motion.spectrum import sinusoids
-from tg4mm.fit.motion.temporal.steady import RegionSeries, shift_series
+from tg4mm.fit.motion.temporal.steady import RegionSeries, moving_camera_series, shift_series
 
 SIZE, POST = 64, 1
 
@@ -118,3 +118,16 @@ def test_phasors_are_those_of_the_shifts(scene: Scene) -> None:
     series = scene.series(scene.shown(swing + np.outer(t, [0.02, -0.01])))
     found = np.linalg.solve(series.normals, series.phasors(sinusoids(t, hz))[..., None])[:, POST, :, 0]
     assert np.linalg.norm(found - phasors) < 0.1 * np.linalg.norm(phasors)
+
+
+def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene: Scene) -> None:
+    changes = scene.shown(SHIFTS)
+    fixed = scene.series(changes)
+    n = len(changes)
+    models = [scene.model(fixed.times_s[k : k + 1]) for k in range(n)]
+    moving = moving_camera_series(models, iter(changes), scene.labels)
+    np.testing.assert_array_equal(moving.times_s, fixed.times_s)
+    np.testing.assert_allclose(moving.sides, fixed.sides, atol=1e-4 * np.abs(fixed.sides).max())
+    for k in range(n):
+        np.testing.assert_allclose(moving.normals[k], fixed.normals[0], rtol=1e-4)
+        np.testing.assert_allclose(moving.axes[k], fixed.axes[0])

@@ -166,3 +166,21 @@ def test_pictures_that_changed_underneath_are_refused(interrupted: Run, views, p
     for changed in (replace(views, rgb=rgb), replace(views, viewmats=moved), RestViews(**fewer)):
         with pytest.raises(RunError, match="cameras or pictures of the dataset have changed since"):
             train_space(interrupted, changed, points, SHORT)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (without("gains"), "expected .*'gains'"),
+        (tensor("gains", lambda t: t[:3]), r"gains is torch.float32 \(3, 3\), expected float32 \(10, 3\)"),
+        (tensor("gains", lambda t: t - 2), "gains holds -.*, expected gains above 0"),
+    ],
+)
+def test_forged_gains_are_refused(
+    change: Callable, match: str, killed_once: dict[bool, Run], tmp_path: Path, views, points
+) -> None:
+    shutil.copytree(killed_once[True].path, tmp_path / "run")
+    run = Run.open(tmp_path / "run")
+    forge(run, change)
+    with pytest.raises(RunError, match=match):
+        train_space(run, views, points, replace(SHORT, gains=True))

@@ -51,13 +51,6 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
 
 
-def test_multiples_are_of_what_the_user_gives() -> None:
-    found = [
-        r.settings["motion.iterations"] for r in rows_of("iterations", "modal", {"motion.iterations": "40"})
-    ]
-    assert found == ["5", "10", "20", "40", "80"]
-
-
 @pytest.fixture(scope="module")
 def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("smoothness") / "out"

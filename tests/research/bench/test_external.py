@@ -160,22 +160,6 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(
     assert (out / "results.html").is_file()
 
 
-def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
-    out = tmp_path / "out"
-    before = run_linear(data, out)[1]["lines"]
-    (scores,) = (out / "runs").rglob("scores.json")
-    scores.write_text('{"version": 1, "entries')
-    status, results = run_linear(data, out)
-    assert (status, results["lines"][0]["alphas"]) == (0, before[0]["alphas"])
-
-
-def test_a_folder_without_pictures_has_failed(data: Path, tmp_path: Path) -> None:
-    (tmp_path / "theirs" / data.name).mkdir(parents=True)
-    status, results = run_linear(data, tmp_path / "out", "--external", f"none={tmp_path / 'theirs'}")
-    assert (status, [f["method"] for f in results["failed"]]) == (1, ["none"])
-    assert "holds no pictures such as" in results["failed"][0]["why"]
-
-
 def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: Path) -> None:
     own, out = tmp_path / data.name, tmp_path / "out"
     shutil.copytree(data, own)
@@ -297,30 +281,6 @@ def test_a_bad_picture_takes_its_alpha_along_and_no_more(
     }  # fmt: skip
     collected = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}", "--collect")
     assert [list(x["alphas"]) for x in collected[1]["lines"]] == [["0", "5", "20"], ["0", "5"]]
-
-
-def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: Path, capsys) -> None:
-    """It is said once, before anything is run, and a job of its own ends as well as with the α that is whole."""
-    own = shutil.copytree(data, tmp_path / data.name)
-    (own / "magnified" / "x020" / "003" / "test" / "r_000.png").unlink()
-    status, results = run_linear(own, tmp_path / "out", "--external", f"same={tmp_path}")
-    said = capsys.readouterr().err
-    assert said.index(f"{data.name}: left out: α = 20: ") < said.index(f"{data.name}, linear-2d")
-    assert [f["why"].partition(": ")[0] for f in results["failed"]] == ["α = 20"]
-    assert (status, [list(x["alphas"]) for x in results["lines"]]) == (1, [["0", "5"]] * 2)
-    assert run_linear(own, tmp_path / "five", "--alphas", "5")[0] == 0
-    options = ["--out", str(tmp_path / "out"), "--methods", "linear-2d"]
-    assert main(["bench", "job", str(own), "linear-2d", *options]) == 0
-
-
-def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(data, tmp_path / "theirs" / data.name)
-    arguments = ["bench", "scenes", str(data), "--methods", "", "--external", f"theirs={tmp_path / 'theirs'}"]
-    assert main([*arguments, "--out", str(out)]) == 0
-    page = (out / "results.md").read_text(encoding="utf-8")
-    assert "theirs" in page
-    assert "othing moves" not in page
 
 
 def test_scores_are_of_the_weights_and_programs_as_they_are(

@@ -111,15 +111,3 @@ def test_what_was_not_measured_is_not_judged() -> None:
     assert verdict(without, "leak")["reached"] is None
     of_no_row = [run | ({"displacement": None} if run["set"] == "a" else {}) for run in results()["runs"]]
     assert verdict(results(runs=of_no_row), "leak")["reached"] is True  # of the set that has it
-
-
-def test_sets_of_another_size_are_judged_apart() -> None:
-    sets = [
-        {"label": "a", "group": "one", "amplitude_px": 0.2},
-        {"label": "b", "group": "two", "amplitude_px": 0.2},
-    ]
-    runs = changed(0, ["displacement", "relative_error"], 0.5)["runs"]
-    found = {
-        v["group"]: v["reached"] for v in judge(results(sets=sets, runs=runs)) if "displacement" in v["goal"]
-    }
-    assert found == {"one": False, "two": True}

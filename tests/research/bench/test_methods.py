@@ -9,16 +9,13 @@ import pytest
 import torch
 
 from tests.research.bench.conftest import MODAL
-from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
-from tg4mm.research.bench.methods.tracking import HexPlane, checked_settings, tracking
+from tg4mm.research.bench.methods.tracking import HexPlane, tracking
 from tg4mm.research.bench.methods.video import (
     Linear2D,
     Phase2D,
     SmoothedPhase,
     band_response,
-    collapse,
-    laplacian,
 )
 from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.sets import BenchSet, open_set
@@ -113,43 +110,6 @@ def test_a_still_video_stays(method: Phase2D | Linear2D, band: tuple[float, floa
     assert np.abs(made - video).max() < 1e-4
 
 
-def test_half_octaves_ring_less_far_from_an_object_that_moves_than_sharp_octaves() -> None:
-    y, x = np.mgrid[:64, :64].astype(np.float64)
-
-    def video(times: float) -> np.ndarray:
-        shifts = times * 0.2 * np.sin(2 * np.pi * HZ * np.arange(T) / FPS)
-        edges = [np.exp(2 * (np.hypot(x - 20 - s, y - 32) - 7)) for s in shifts]
-        return np.stack([1 - 1 / (1 + edge) for edge in edges]).astype(np.float32)
-
-    response = band_response(band_set(3.5, 6.5), 20.0, Plan())
-    own, sharp = (PhaseMagnifier((64, 64), response, bands) for bands in (half_octave_bands((64, 64)), None))
-    far = np.hypot(x - 20, y - 32) > 30
-    errors = [np.square(made(video(1)).clip(0, 1) - 1)[:, far].mean() ** 0.5 for made in (own, sharp)]
-    assert errors[0] < 0.8 * errors[1]
-    assert gain(*(v[..., None] for v in (own(video(1)), video(21), video(1)))) > 0.6
-
-
-def test_sizes_that_are_no_power_of_two() -> None:
-    video = moving(0.1)[:, :50, :41]
-    response = band_response(band_set(3.5, 6.5), 5.0, Plan())
-    made = Phase2D().magnified(video, response, 5.0)
-    assert made.shape == video.shape
-    assert gain(made, moving(0.6)[:, :50, :41], video) == pytest.approx(1, abs=0.2)
-
-
-@pytest.mark.parametrize("size", [(64, 64), (50, 41), (9, 33)])
-def test_a_laplacian_pyramid_is_put_together_again(size: tuple[int, int]) -> None:
-    video = np.random.default_rng(0).random((2, *size, 3)).astype(np.float32)
-    assert np.abs(collapse(laplacian(video)) - video).max() < 1e-5
-
-
-def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
-    video = moving(0.1)
-    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
-    free, held = (Linear2D(cutoff=c).magnified(video, response, 10.0) for c in (2.0, 64.0))
-    assert gain(held, moving(1.1), video) < 0.5 * gain(free, moving(1.1), video)
-
-
 def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> None:
     field = HexPlane(4, 2, 5, 3, 8, seed=0)
     points = torch.rand(20, 3) * 2 - 1
@@ -169,11 +129,3 @@ def test_training_finds_the_motion_and_a_second_call_does_not_train(data: Path, 
     given = {"tracking.iterations": "400", "tracking.resolution": "16"}
     assert method.training.overrides == {**MODAL, **given}
     assert method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,))) == first
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("colour", "1"), ("iterations", "0"), ("mlp_rate", "fast"), ("seed", "-1")]
-)
-def test_settings_that_will_not_do(name: str, value: str) -> None:
-    with pytest.raises(Tg4mmError, match=f"tracking.{name}"):
-        checked_settings({f"tracking.{name}": value})

@@ -14,7 +14,6 @@ from tests.show.view.browser import browser
 from tg4mm.research.bench.methods.known import External
 from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
-from tg4mm.research.text import Table, escaped, latex_table
 
 
 @pytest.fixture(scope="module")
@@ -60,16 +59,6 @@ def test_in_a_browser(made: Path) -> None:
         assert not errors
 
 
-def test_latex_prints_what_the_cells_hold() -> None:
-    text = latex_table(Table("x", "A_b", "50 % & more", ["set", "α"], [["mic_5Hz", "0.9"]]), "128×128")
-    assert r"\toprule" in text
-    assert r"mic\_5Hz & 0.9 \\" in text
-    assert r"50 \% \& more" in text
-    assert r"128$\times$128" in text
-    assert text.count("{") == text.count("}")
-    assert escaped("a\\b") == r"a\textbackslash{}b"
-
-
 def test_curves_pass_through_their_values() -> None:
     series = {"ours": [0.9, 0.8, 0.7], "ceiling": [0.9, None, 0.9]}
     lines = points_of(curves(["0", "5", "20"], series, "α", "SSIM"))
@@ -78,10 +67,3 @@ def test_curves_pass_through_their_values() -> None:
     assert ours[0] == ceiling[0]
     assert ours[1][1] - ours[0][1] == pytest.approx(ours[2][1] - ours[1][1], abs=0.01)
     assert ours[1][0] - ours[0][0] == pytest.approx(ours[2][0] - ours[1][0], abs=0.01)
-
-
-def test_no_line_leads_over_a_break() -> None:
-    whole = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y"))
-    broken = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y", [1]))
-    assert [len(line) for line in broken.values()] == [1, 3]
-    assert [*broken["s, 0"], *broken["s, 1"]] == whole["s, 0"]

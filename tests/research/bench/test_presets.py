@@ -179,14 +179,3 @@ def test_smoke(tmp_path: Path) -> None:
     assert rows["modal"]["gain"] > 0.2 * rows["ceiling"]["gain"] > 0.1
     assert rows["modal"]["closure"] > 0.2
     assert (tmp_path / "out" / "bench" / "results.html").stat().st_size > 100_000
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_steps_need_only_what_comes_before_them(name: str) -> None:
-    known: set[str] = set()
-    for step in steps_of(name, "out", choices=Choices(("theirs=dir",))):
-        assert set(step.needs) <= known, step.name
-        known.add(step.name)
-    jobs = [n for n in known if n.startswith("job/")]
-    assert len(jobs) == len(PRESETS[name].scenes) * (len(PRESETS[name].methods) + 1)
-    assert "page" in known

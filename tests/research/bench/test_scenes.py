@@ -18,9 +18,8 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench import methods
 from tg4mm.research.bench.jobs import job_folder, rendered
-from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.means import line_means
 from tg4mm.research.bench.measure import SEEN, _request
-from tg4mm.research.bench.pages.tables import pivots
 from tg4mm.research.bench.request import Plan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
 from tg4mm.research.bench.sets import open_set, truth_at
@@ -98,16 +97,6 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
-def test_the_rows_that_frame_the_others(done: Done) -> None:
-    _, results = done
-    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
-    assert list(lines) == ["nothing moves", "modal", "ceiling", "paper-tuned: linear", "paper-tuned: phase"]
-    assert (lines["nothing moves"]["closure"], lines["ceiling"]["closure"]) == (0.0, 1.0)
-    assert lines["nothing moves"]["gain"] == pytest.approx(0, abs=1e-9)
-    assert lines["ceiling"]["gain"] > 0.7
-    assert lines["ceiling"]["ssim_moving"] > lines["nothing moves"]["ssim_moving"]
-
-
 def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, results = done
 
@@ -131,12 +120,6 @@ def test_other_alphas_are_scored_without_training(
     assert list(entry(again, "modal")["rows"]) == ["0", "5"]
     assert entry(again, "modal")["rows"]["5"] == entry(results, "modal")["rows"]["5"]
     assert space.stat().st_mtime_ns == before
-
-
-def test_other_settings_are_refused(done: Done, data: Path) -> None:
-    other = replace(REQUEST, methods=("modal",), settings={"modal": {**MODAL, "space.iterations": "61"}})
-    with pytest.raises(RunError, match=r"space.iterations = 60, asked is 61"):
-        run_scenes([data], done[0], other, silent)
 
 
 class TestSameTime:
@@ -194,32 +177,6 @@ def test_means_of_a_table_are_of_the_same_sets() -> None:
     assert b["alphas"]["5"] == {"closure": pytest.approx(0.2), "gain": pytest.approx(0.9)}
 
 
-def test_means_of_the_motion_are_of_the_same_sets_too() -> None:
-    def run(name: str, row: str, error: float | None, leak: float | None) -> dict[str, Any]:
-        found = {"relative_error": error, "static_leak": leak, "per_frequency": []}
-        return {
-            "set": name, "row": row, "preset": row, "ways": [row], "rows": {}, "displacement": found, "log": {},
-            "seconds": {"space": 1.0, "motion": 1.0, "total": 2.0}, "n_gaussians": 100, "mib_on_disk": 1.0,
-        }  # fmt: skip
-
-    runs = [
-        run("one", "a", 0.5, 0.7),
-        run("two", "a", None, None),
-        run("one", "b", 0.3, 0.9),
-        run("two", "b", 0.1, None),
-    ]
-    a, b = group_means(runs, dict.fromkeys(("one", "two"), "group"))
-    kept = {
-        key: (a["scalars"][key], b["scalars"][key])
-        for key in ("displacement_error", "static_leak", "total_s")
-    }
-    assert kept == {
-        "displacement_error": (None, pytest.approx(0.2)),
-        "static_leak": (0.7, 0.9),
-        "total_s": (2.0, 2.0),
-    }
-
-
 def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:
     """A folder with pictures of two recipes has no record."""
     opened, capture = open_set(data, data.name), truth_at(open_set(data, data.name), 0)
@@ -263,14 +220,3 @@ def test_figures_are_of_the_test_pictures_as_they_are(data: Path, tmp_path: Path
     shutil.copyfile(own / "000" / "test" / "r_000.png", picture)
     assert asked(20.0) != before
     assert asked(5.0) == other
-
-
-def test_a_mean_over_other_sets_is_marked_whatever_their_number() -> None:
-    lines = [
-        {"set": name, "row": row, "frames_per_s": None, "alphas": {"5": {"ssim": 0.9}}}
-        for row, names in (("a", ("easy", "mid")), ("b", ("mid", "hard")), ("c", ("easy", "mid", "hard")))
-        for name in names
-    ]
-    means = line_means(lines, dict.fromkeys(("easy", "mid", "hard"), "group"))
-    (table,) = pivots(means, "group")
-    assert [row[0] for row in table.rows] == ["a (2 of 3 sets)", "b (2 of 3 sets)", "c"]

@@ -19,7 +19,7 @@ from tg4mm.core.pictures.frames import write_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
+from tg4mm.research.bench.observed import AGREES, agreement, observed_figures, rms_motion
 from tg4mm.research.bench.scored import (
     PROGRAMS,
     Checkout,
@@ -27,7 +27,6 @@ from tg4mm.research.bench.scored import (
     checkouts,
     score_pictures,
     video_of,
-    with_closure,
 )
 from tg4mm.research.bench.sets import BenchSet, open_set
 from tg4mm.research.evaluate.displacement import displacement_figures
@@ -133,15 +132,6 @@ def test_pictures_that_will_not_do(truth: Capture, tmp_path: Path) -> None:
     shutil.rmtree(folder)
 
 
-def test_closure_is_nothing_without_its_two_ends() -> None:
-    rows = {"nothing moves": {"ssim": 0.9}, "theirs": {"ssim": 0.95}, "ceiling": {"ssim": 0.98}}
-    with_closure(rows, "nothing moves", "ceiling")
-    assert rows["theirs"]["closure"] == pytest.approx(0.625)
-    alone = {"theirs": {"ssim": 0.95}}
-    with_closure(alone, "nothing moves", "ceiling")
-    assert alone["theirs"]["closure"] is None
-
-
 VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
 
 
@@ -176,11 +166,6 @@ def test_what_goes_wrong_is_said(tmp_path: Path, program: str, message: str) -> 
         checkout(tmp_path, "md_vqa", program)(VIDEO, 30.0)
 
 
-def test_a_folder_without_the_program(tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match=r"--fast-vqa .*: holds no vqa.py"):
-        checkouts({"fast_vqa": tmp_path}, "python3")
-
-
 Scene = tuple[Gaussians, ModalMotion, BenchSet]
 
 
@@ -209,23 +194,6 @@ def test_a_motion_that_the_pictures_do_not_show_is_not(scene: Scene) -> None:
     gaussians, motion, data = scene
     late = replace(motion, displacement=motion.displacement * 1j)  # a quarter of a period
     assert (agreement(gaussians, late, data)[moving(motion)] >= AGREES).mean() < 0.1
-
-
-def test_what_stands_still_agrees_with_nothing(scene: Scene) -> None:
-    gaussians, motion, data = scene
-    still = replace(motion, displacement=0 * motion.displacement)
-    assert np.abs(agreement(gaussians, still, data)).max() < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("n", "hz"), [(30, 5.0), (31, 5.0), (61, 5.0), (51, 3.0), (16, 10.0), (90, 0.5), (20, 14.0)]
-)
-def test_the_timesteps_that_are_looked_at_show_several_phases(n: int, hz: float) -> None:
-    times = looked_at(n, 30.0, hz)
-    phases = {round(hz * t / 30.0 % 1, 6) for t in times}
-    assert len(phases) >= min(3, round(30 / hz))
-    assert len(times) == len(set(times)) <= 12
-    assert max(times) < n
 
 
 def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

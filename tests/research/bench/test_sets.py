@@ -14,13 +14,9 @@ from dataset_gen.arguments import parser
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.ablation.catalogue import ABLATIONS
-from tg4mm.research.bench.ablation.run import _job
-from tg4mm.research.bench.ablation.sets import generator_arguments, with_noise, with_timesteps, with_views
-from tg4mm.research.bench.request import Plan
+from tg4mm.research.bench.ablation.sets import generator_arguments, with_noise, with_views
 from tg4mm.research.bench.sets import (
     amplitude_name,
-    band_around,
     check_alphas,
     goal_amplitude,
     open_set,
@@ -65,17 +61,6 @@ def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
 def test_which_goal_an_amplitude_stands_for(pixels: float, goal: float | None, name: str) -> None:
     assert goal_amplitude(pixels) == goal
     assert amplitude_name(pixels) == name
-
-
-@pytest.mark.parametrize(
-    ("cameras", "kind"),
-    [({"kind": "orbit"}, "orbit"), ({"kind": "given"}, "rig"), ({"kind": ["orbit"]}, "rig"), (None, "rig")],
-)
-def test_an_orbit_is_no_rig(cameras: object, kind: str, data: Path, tmp_path: Path) -> None:
-    root = shutil.copytree(data, tmp_path / "set")
-    scene = json.loads((root / "scene.json").read_text(encoding="utf-8"))
-    (root / "scene.json").write_text(json.dumps(scene | {"cameras": cameras}))
-    assert open_set(root, "x").cameras == kind
 
 
 def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(
@@ -185,27 +170,8 @@ class TestAmplitudes:
             generator_arguments(found, {}, tmp_path / "out")
 
 
-def test_the_band_holds_all_frequencies_and_is_a_band() -> None:
-    assert band_around(np.array([3.0, 5.0]), 30.0) == (1.5, 6.5)
-    low, high = band_around(np.array([1.0, 14.0]), 30.0)
-    assert low == 0.0
-    assert 14.0 < high < 15.0
-
-
 def contents(root: Path) -> dict[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
-
-
-def test_the_first_timesteps(data: Path, tmp_path: Path) -> None:
-    before = contents(data)
-    whole = open_set(data, "a")
-    cut = open_set(with_timesteps(whole, 4, tmp_path), "a")
-    assert (cut.n_timesteps, cut.n_views, cut.alphas) == (4, whole.n_views, whole.alphas)
-    assert load_capture(cut.root, split="test", magnification=20).n_timesteps == 4
-    assert cut.digest != whole.digest
-    assert contents(data) == before
-    with pytest.raises(BenchError, match="has 6 timesteps, 7 are asked for"):
-        with_timesteps(whole, 7, tmp_path / "more")
 
 
 def test_noise_of_the_size_asked_for_on_training_pictures_alone(data: Path, tmp_path: Path) -> None:
@@ -224,16 +190,3 @@ def test_noise_of_the_size_asked_for_on_training_pictures_alone(data: Path, tmp_
     assert (root / test).read_bytes() == (data / test).read_bytes()
     assert contents(data) == before
     assert contents(with_noise(open_set(data, "a"), 5.0, tmp_path / "again")) == contents(root)
-
-
-def test_the_first_timesteps_of_noisy_pictures_have_their_noise(data: Path, tmp_path: Path) -> None:
-    row = replace(ABLATIONS["timesteps"].rows[0], timesteps=4)
-    assert row.noise > 0
-    whole = open_set(data, "a")
-    job = _job(whole, (row,), "modal", Plan(), tmp_path)
-    assert job.data.n_timesteps == 4
-    noisy = with_noise(whole, row.noise, tmp_path / "beside")
-    picture = "003/train/r_000.png"
-    assert (job.data.root / picture).read_bytes() == (noisy / picture).read_bytes()
-    assert (job.data.root / picture).read_bytes() != (data / picture).read_bytes()
-    assert not (job.data.root / "004").exists()

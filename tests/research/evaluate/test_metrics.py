@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from safetensors.torch import save_file
 from scipy.ndimage import correlate
 
-from tg4mm.core.metrics import MAX_PSNR_DB, flip, psnr, ssim
+from tg4mm.core.metrics import flip, psnr, ssim
 from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.lpips import load_lpips
 
@@ -51,12 +51,6 @@ def test_psnr_of_a_known_error() -> None:
     assert psnr(image, truth) == pytest.approx(10 * np.log10(1 / 0.005))
 
 
-def test_psnr_of_equal_images_is_the_cap() -> None:
-    truth = np.full((8, 8, 3), 0.5)
-    assert psnr(truth, truth) == MAX_PSNR_DB
-    assert psnr(truth + 1e-9, truth) == MAX_PSNR_DB
-
-
 def test_ssim_is_the_formula_with_an_11_by_11_window(pair) -> None:
     assert ssim(*pair) == pytest.approx(plain_ssim(*pair), abs=1e-12)
     assert ssim(pair[1], pair[1]) == pytest.approx(1.0, abs=1e-12)
@@ -72,21 +66,6 @@ def test_flip_is_the_evaluators_mean_and_leaves_its_input_alone(pair) -> None:
     assert flip(truth, truth) == 0.0
     for now, then in zip((image, truth), before, strict=True):
         np.testing.assert_array_equal(now, then)
-
-
-@pytest.mark.parametrize("metric", [psnr, ssim, flip])
-def test_shapes_and_values_are_checked_and_shown(metric, pair) -> None:
-    image, truth = pair
-    with pytest.raises(ValueError, match=r"\(40, 33, 3\) and truth \(39, 33, 3\)"):
-        metric(image, truth[1:])
-    with pytest.raises(ValueError, match=r"\(40, 33\)"):
-        metric(image[..., 0], truth[..., 0])
-    with pytest.raises(ValueError, match=r"image has values from .* to 2, expected 0..1"):
-        metric(np.where(image > 0.5, 2.0, image), truth)
-    with pytest.raises(ValueError, match="nan"):
-        metric(image, np.full_like(truth, np.nan))
-    with pytest.raises(ValueError, match="uint8"):
-        metric(np.zeros((12, 12, 3), np.uint8), np.zeros((12, 12, 3), np.uint8))
 
 
 LAYERS = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
@@ -233,14 +212,3 @@ def test_what_is_no_weight_file_is_one_line(tmp_path, name, content, message) ->
     with pytest.raises(EvaluationError, match=message) as caught:
         load_lpips(path)
     assert "\n" not in str(caught.value)
-
-
-def test_images_that_do_not_fit_are_refused(images, tmp_path) -> None:
-    save_file(made_up_weights(), tmp_path / "w.safetensors")
-    metric = load_lpips(tmp_path / "w.safetensors")
-    with pytest.raises(ValueError, match=r"\(46, 64, 3\)"):
-        metric(images[0], images[1][1:])
-    with pytest.raises(ValueError, match="20×20"):
-        metric(images[0][:20, :20], images[1][:20, :20])
-    small = images[0][:31, :31], images[1][:31, :31]
-    assert np.isfinite(metric(*small))

@@ -278,28 +278,3 @@ def test_motion_that_the_ground_truth_does_not_magnify_is_noted(tmp_path) -> Non
         note + "which lies inside the band."
     ]
     assert evaluate_run(run, alphas=[0], magnified=Magnification.of(1.0, (2, 4)))["notes"] == []
-
-
-def test_images_too_small_for_a_metric_lack_it(tmp_path) -> None:
-    root = tmp_path / "small"
-    gaussians, motion = make_synthetic_dataset(
-        root, **EXTRAS | {"size": 8, "n_timesteps": 5, "alphas": (), "freqs": (6.0,)}
-    )
-    metrics = evaluate_run(make_run(tmp_path, root, gaussians, motion))
-    assert rows_of(metrics, 0)[OURS]["ssim"] is None
-    assert np.isfinite(rows_of(metrics, 0)[OURS]["psnr_db"])
-    assert "8×8" in metrics["absent"]["SSIM"]
-
-
-def test_only_the_metrics_asked_for_are_measured(half: Run) -> None:
-    whole, some = evaluate_run(half, [5]), evaluate_run(half, [5], metrics=("ssim",))
-    assert some["metrics"] == ["ssim"]
-    for alpha in (0, 5):
-        for name, values in rows_of(some, alpha).items():
-            assert values == {"psnr_db": None, "flip": None, "lpips": None} | {
-                "ssim": rows_of(whole, alpha)[name]["ssim"]
-            }
-    keys = ("closure", "change_gain", "change_residual")
-    assert [[e[k] for k in keys] for e in some["alphas"]] == [[e[k] for k in keys] for e in whole["alphas"]]
-    with pytest.raises(EvaluationError, match="metrics hold 'colour', expected some of psnr_db, ssim"):
-        evaluate_run(half, [5], metrics=("colour",))

@@ -12,7 +12,7 @@ from tg4mm.capture.truth_file import Truth, TruthObject, load_truth
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import closest_on_triangles, exact_motion, sample_surface
+from tg4mm.research.evaluate.truth import closest_on_triangles, exact_motion
 
 FPS, T = 30.0, 30
 LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section
@@ -83,15 +83,6 @@ def test_their_rotation_is_half_the_curl(beam) -> None:
     scale = abs(AMPLITUDE) * 2 * LENGTH
     assert error.max() < 0.03 * scale
     assert np.sqrt((error**2).mean()) < 0.01 * scale
-
-
-def test_a_point_off_the_surface_moves_as_the_nearest_surface_point(beam) -> None:
-    on = surface_points(np.random.default_rng(2), 100, 0.1)
-    on = on[np.abs(on[:, 2]) == HALF]
-    off = on + np.array([0, 0, 0.05]) * np.sign(on[:, 2:])
-    a, b = (exact_motion(truth_of(beam), p).displacement for p in (on, off))
-    np.testing.assert_allclose(b, a, atol=1e-6)
-    assert len(on) > 20
 
 
 def test_a_rigid_rotation_is_found_exactly_also_on_a_flat_plate() -> None:
@@ -181,14 +172,6 @@ def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message) 
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("length", [0, 10, 200, -30])
-def test_a_truncated_file_is_refused(tmp_path, length) -> None:
-    file = write(tmp_path, good_arrays())
-    file.write_bytes(file.read_bytes()[:length])
-    with pytest.raises(CaptureError, match=r"motion\.npz is damaged"):
-        load_truth(tmp_path, FPS, T)
-
-
 def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path) -> None:
     with pytest.raises(CaptureError, match=r"motion\.npz does not exist"):
         load_truth(tmp_path, FPS, T)
@@ -264,16 +247,6 @@ def test_the_figures_per_frequency_are_the_fourier_sums_of_the_true_series(tmp_p
     assert row["amplitude_true"] == pytest.approx(np.sqrt((np.abs(phasor) ** 2).sum(1).mean()), rel=1e-5)
 
 
-def test_gains_of_plain_sinusoids_that_are_all_magnified_say_nothing_new(tmp_path) -> None:
-    plain = np.exp(2j * np.pi * 3.0 * np.arange(T) / FPS)[None]
-    write(tmp_path, good_arrays() | {"gains": plain, "magnified": np.array([True])})
-    truth = load_truth(tmp_path, FPS, T)
-    assert truth.gains is None
-    assert truth.magnified is None
-    # So the motion is known between timesteps too.
-    assert displacement_at(exact_motion(truth, np.array([[1.0, 0, HALF]])), 0.5).any()
-
-
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -292,24 +265,12 @@ def test_broken_gains_are_refused(tmp_path, key, value, message) -> None:
     assert "\n" not in str(caught.value)
 
 
-SQUARE = np.array([[0.0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0]])
-
-
 def brute_force_distance(point: np.ndarray, corners: np.ndarray, n: int = 400) -> float:
     """Least distance from a point to a dense grid on the triangle: an upper bound, close to exact."""
     u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
     keep = u + v <= 1 + 1e-12
     grid = np.stack([1 - u[keep] - v[keep], u[keep], v[keep]], 1) @ corners
     return float(np.linalg.norm(grid - point, axis=1).min())
-
-
-def test_loose_vertices_and_flat_triangles_are_samples_too() -> None:
-    vertices = np.concatenate([SQUARE, [[9.0, 9, 9]]])
-    s = sample_surface(vertices, np.array([[0, 1, 2], [1, 1, 1]]), 100)
-    assert s.tree.query([[9.0, 9, 9], [0, 1, 0]])[0].max() == 0.0
-    only_points = sample_surface(vertices, np.zeros((0, 3), int), 100)
-    assert np.isfinite(only_points.points).all()
-    assert only_points.tree.query(vertices)[0].max() == 0.0
 
 
 def test_the_closest_point_is_the_brute_force_one() -> None:
@@ -326,9 +287,3 @@ def test_the_closest_point_is_the_brute_force_one() -> None:
     np.testing.assert_allclose(distance, expected, atol=2e-3)
     # Feet inside, on edges and on corners all occur, so that each branch is compared.
     assert set(np.unique((barycentric > 1e-9).sum(1))) == {1, 2, 3}
-
-
-def test_a_triangle_without_area_is_its_longest_edge() -> None:
-    corners = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1.0, 1, 1]] * 3])
-    _, distance = closest_on_triangles(np.array([[1.5, 2, 0], [1, 1, 4]]), corners)
-    np.testing.assert_allclose(distance, [2, 3])

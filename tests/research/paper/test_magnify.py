@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,11 @@ import torch
 
 from tests.research.paper.conftest import N_TIMESTEPS
 from tg4mm.cli import main
-from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.core.splatfile import read_splat
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
-from tg4mm.research.paper.motion import rotation_between
-from tg4mm.research.paper.preset import FOLDER, at_points, series_of
+from tg4mm.research.paper.preset import FOLDER, series_of
 from tg4mm.run.poses import poses_of
 from tg4mm.show.export.splat import smoothing_of
 
@@ -34,14 +31,6 @@ def embeddings(trained):
     model = load_model(trained)
     own = [model.embedding(load_planes(trained, t, model)) for t in range(1, N_TIMESTEPS)]
     return model, torch.stack([model.rest_embedding, *own]).numpy()
-
-
-def test_videos_of_the_planes_sampled_are_the_embeddings(trained, embeddings):
-    model, expected = embeddings
-    for k, channel in ((0, 0), (1, 2), (2, 3)):
-        video = plane_video(trained, model, N_TIMESTEPS, k, channel)
-        got = at_points(video, model.cells, k)
-        np.testing.assert_allclose(got, expected[:, :, k * model.channels + channel], atol=1e-5)
 
 
 @pytest.mark.parametrize("method", ["linear", "phase"])
@@ -108,12 +97,6 @@ def test_a_second_request_finds_what_the_first_made_and_a_killed_one_goes_on(tra
     assert len(list((trained.path / FOLDER).glob("*.f32"))) <= 4
 
 
-def flip(file: Path) -> None:
-    data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 1
-    file.write_bytes(data)
-
-
 def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
     import tg4mm.research.paper.preset as module
 
@@ -137,24 +120,6 @@ def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
     for file in (trained.path / FOLDER).glob("*"):
         file.unlink()
     np.testing.assert_array_equal(series_of(trained, "phase", wanted).embeddings, damaged)
-
-
-def test_rotation_between_quaternions():
-    from tg4mm.fit.motion.animate import rotated
-
-    g = torch.Generator().manual_seed(0)
-    q, v = torch.randn(20, 4, generator=g), torch.randn(20, 3, generator=g) * 0.5
-    torch.testing.assert_close(rotation_between(q, rotated(q, v)).float(), v, atol=1e-5, rtol=0)
-    torch.testing.assert_close(rotation_between(q, -q), torch.zeros(20, 3, dtype=torch.float64))
-
-
-def test_what_a_run_cannot_do_is_refused(trained):
-    with pytest.raises(Tg4mmError, match="--filter ideal: the method modal picks modes"):
-        poses_of(trained, plan(1.0, "modal"))
-    with pytest.raises(Tg4mmError, match="overlap"):
-        poses_of(trained, Magnification((BandGain(1, 4, 1.0), BandGain(3, 5, 2.0))))
-    with pytest.raises(RunError, match=r"planes_0003.safetensors is truncated or absent"):
-        trained.part_rows("planes_0003", "nothing", 0)
 
 
 class TestCommands:

@@ -11,7 +11,6 @@ import pytest
 
 from tests.show.analyse.systems import driven, two_masses
 from tg4mm.cli.program import main
-from tg4mm.show.analyse import read_channels
 
 
 def write(path: Path, head: str, *columns: np.ndarray) -> Path:
@@ -77,16 +76,6 @@ def test_a_hammer_beside_the_film(tmp_path: Path, capsys) -> None:
     assert transfer["lag_s"]["value"] == pytest.approx(0.35, abs=0.002)
     assert transfer["freqs_hz"][int(np.argmax(transfer["h1"]["size"]))] == pytest.approx(8, abs=0.2)
     assert any(abs(m["frequency_hz"]["value"] - 8) < 0.1 for m in found["modes"][-1]["modes"])
-
-
-def test_units_of_a_head_are_understood(tmp_path: Path) -> None:
-    times = np.arange(50) / 100
-    path = write(tmp_path / "a.csv", "t,acc [g],acc (m/s²),f [N],x_um,plain", *[times] * 6)
-    found = {c.name + c.quantity: (c.unit, c.values[-1] / times[-1]) for c in read_channels(path)}
-    assert found["xdisplacement"] == ("mm", pytest.approx(1e-3))
-    assert found["fforce"] == ("N", pytest.approx(1))
-    assert found["plainother"] == ("1", pytest.approx(1))
-    assert found["accacceleration"] == ("mm/s²", pytest.approx(1000))  # the later of two of one name
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from tg4mm.show.analyse import (
     operational,
     phases_of,
     transfer_of,
-    waterfall_of,
     zone_of,
 )
 from tg4mm.show.analyse.compare import _of_channel
@@ -100,15 +99,6 @@ def test_a_density_lies_in_its_interval_in_95_records_of_100() -> None:
     values = np.array([d.density[inner] for d in found])
     assert 2 * values.mean() ** 2 / values.var(0).mean() == pytest.approx(found[0].freedom, rel=0.12)
     assert found[0].noise == pytest.approx(2 / RATE)
-
-
-def test_the_waterfall_has_a_tones_amplitude_where_it_is() -> None:
-    freqs, times, amplitude = waterfall_of(
-        channel(np.where(T > 5, np.cos(2 * np.pi * 9 * T), 0), RATE), Averaging(segment_s=1)
-    )
-    row = amplitude[np.abs(freqs - 9).argmin()]
-    assert row[times > 6] == pytest.approx(1, abs=0.01)
-    assert row[times < 4].max() < 0.01
 
 
 def test_zones_are_those_of_the_class_and_say_what_is_not_covered() -> None:

@@ -68,15 +68,6 @@ def test_a_viewer_without_a_low_pass_shows_what_was_trained_at_any_size(run, sid
     assert np.abs(picture(needles, needles.scales, *view, EPS) - trained).max() > 0.2
 
 
-def test_variance_is_that_of_the_camera_that_samples_the_gaussian_finest(run):
-    capture = load_capture(run.dataset).selected(np.array([0, 1]))
-    means = run.load_space().means.double().numpy()
-    each = [smoothing_variance(means, capture.selected(np.array([i]))) for i in range(2)]
-    np.testing.assert_allclose(smoothing_variance(means, capture), np.minimum(*each))
-    depth = (means @ capture.viewmats[0, :3, :3].T + capture.viewmats[0, :3, 3])[:, 2]
-    np.testing.assert_allclose(each[0], 0.3 * (depth / capture.Ks[0, 0, 0]) ** 2)
-
-
 def test_from_close_up_a_run_and_its_exported_file_look_alike_and_training_views_stay(run):
     """The exported Gaussians without a low-pass, and what `tg4mm render` draws of the run with its own."""
     capture = load_capture(run.dataset)
@@ -154,10 +145,3 @@ def test_without_the_dataset_scales_stay_as_trained_and_the_program_says_so(run,
     assert f"{tmp_path / 'data'}, the dataset, is gone: scales are written as trained" in caplog.text
     np.testing.assert_allclose(splat.scales, run.load_space().scales, rtol=1e-5)
     assert splat.low_pass_px2 is None
-
-
-def test_a_page_has_no_use_for_it(run, tmp_path, capsys):
-    command = ["export", str(run.path), "--format", "html", "--out", str(tmp_path / "a.html")]
-    assert main([*command, "--low-pass", "none"]) == 2
-    assert "--low-pass none: not for html, which draws with a low-pass of its own" in capsys.readouterr().err
-    assert not (tmp_path / "a.html").exists()

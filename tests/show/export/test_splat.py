@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import moving_run
-from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.run import Run
@@ -20,17 +19,6 @@ from tg4mm.show.result.line import mode_deviations
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     return moving_run(tmp_path, n_views=1, n_timesteps=5, size=16, freqs=(3.0, 6.0))
-
-
-def test_a_splat_file_holds_the_model(run, tmp_path):
-    splat = read_splat(export_ply(run, tmp_path / "deep" / "splat.ply"))
-    gaussians, motion = run.load_space(), run.load_motion()
-    np.testing.assert_array_equal(splat.means, gaussians.means)
-    np.testing.assert_array_equal(splat.sh, gaussians.sh)
-    np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
-    np.testing.assert_array_equal(splat.displacement, motion.displacement)
-    np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
-    assert (splat.fps, splat.n_timesteps, splat.unit_scale_m) == (30.0, 5, 0.1)
 
 
 def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
@@ -65,22 +53,6 @@ def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
         frame = read_splat(out / f"frame_{t:04d}.ply")
         np.testing.assert_allclose(frame.means, positions_at(splat, t, 4.0, (2.0, 4.0)), atol=1e-6)
         assert (frame.n_modes, frame.unit_scale_m) == (0, 0.1)
-
-
-def test_an_earlier_sequences_files_are_not_mixed_in(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(Magnification.of(4.0)))
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-    with pytest.raises(RunError, match=r"frames was made with alpha = 4\.0, asked is 8\.0"):
-        export_ply_sequence(run, out, RenderRequest(Magnification.of(8.0)))
-    with pytest.raises(RunError, match=r"frames was made of other timesteps"):
-        export_ply_sequence(run, out, RenderRequest(Magnification.of(4.0)), timesteps=[3])
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    foreign = tmp_path / "foreign"
-    foreign.mkdir()
-    (foreign / "frame_0000.ply").touch()
-    with pytest.raises(RunError, match=r"holds no export\.json, but 'frame_0000\.ply'"):
-        export_ply_sequence(run, foreign, RenderRequest(Magnification.of(4.0)))
-    assert [path.name for path in foreign.iterdir()] == ["frame_0000.ply"]
 
 
 def test_a_killed_sequence_goes_on(run, tmp_path):
@@ -125,10 +97,3 @@ def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_a
 
 def sure(run: Run) -> tuple[np.ndarray, np.ndarray]:
     return run.load_uncertainty(), run.load_noise()
-
-
-def test_a_motion_of_other_gaussians_is_refused(run):
-    motion = run.load_motion()
-    fewer = replace(motion, displacement=motion.displacement[:, 1:], rotation=motion.rotation[:, 1:])
-    with pytest.raises(RunError, match="the scene has"):
-        to_splat(run.load_space(), fewer)

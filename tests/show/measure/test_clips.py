@@ -64,14 +64,6 @@ def test_deviations_are_the_scatter_over_many_records(is_known: bool) -> None:
     assert abs(errors.mean()) < 0.4
 
 
-def test_a_phase_of_the_motion_stage_that_is_far_off_is_overruled() -> None:
-    wrong = THETA.copy()
-    wrong[3] += 1.2
-    own, phases = found(1, 0.05, KnownPhases(np.array([HZ]), wrong[:, None]))
-    assert phases.radians[3, 0] == pytest.approx(THETA[3], abs=0.1)
-    assert np.abs(own.spectrum.peaks[0].phasor - PHASOR).max() < 0.1
-
-
 def test_what_the_clips_disagree_on_is_in_the_deviation() -> None:
     rows, rng = [], np.random.default_rng(3)
     for c in range(6):

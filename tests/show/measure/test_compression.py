@@ -12,7 +12,6 @@ import pytest
 from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.capture import load_capture
 from tg4mm.capture.scene import codec_period
-from tg4mm.capture.sfm.survey import codec_period as period_of
 from tg4mm.core.errors import CaptureError
 from tg4mm.show.measure import measure, parse_sensor, prepare
 from tg4mm.show.measure.compression import with_sidebands
@@ -48,21 +47,6 @@ def test_other_frequencies_and_strong_ones_are_not(hz: float, size: float) -> No
     strong, other = with_sidebands([peak(3.4, 1.0), peak(hz, size)], 4, FPS, 3.0)
     assert strong.sideband is None
     assert other.sideband is None
-
-
-@pytest.mark.parametrize(
-    ("kinds", "period"),
-    [
-        ("IBBBPBBBPBBBPBBBP", 4),
-        ("IBPBPBPBP", 2),
-        ("IPPPPPPP", None),
-        ("IBBBPPPPPBBBPPBBBPBBBPPP", None),
-        ("I", None),
-        ("BB", None),
-    ],
-)
-def test_the_period_of_a_videos_frames(kinds: str, period: int | None) -> None:
-    assert period_of(np.array([kind == "B" for kind in kinds])) == period
 
 
 def test_a_run_knows_it_by_its_datasets_scene_json(tmp_path: Path) -> None:

@@ -35,9 +35,3 @@ def test_motion_of_pixels_is_found_from_an_answer_that_lacks_a_third(size_px: fl
     assert found is not None
     assert (found * motion).sum() / (motion**2).sum() == pytest.approx(1, abs=0.02)
     assert np.sqrt(((found - motion) ** 2).mean() / (motion**2).mean()) < 0.05
-
-
-def test_an_answer_that_nothing_improves_is_kept() -> None:
-    frames = np.random.default_rng(1).normal(size=(FRAMES, 1, 1)) + np.zeros((FRAMES, SIDE, SIDE))
-    inside = np.ones((SIDE, SIDE), bool)
-    assert registered(lambda some: frames[some], np.zeros((FRAMES, 2)), inside) is None

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
@@ -80,17 +79,6 @@ def test_another_program_reads_geometry_shapes_and_waveforms(out: Path) -> None:
     waveform = file.read_sets(kinds.index(58))
     assert (waveform["rsp_node"], waveform["rsp_dir"], len(waveform["data"])) == (1, 1, 24)
     assert np.abs(waveform["data"]).max() == pytest.approx(0.0008, rel=0.15)
-
-
-def test_plots_and_the_animated_shape_are_pictures(out: Path) -> None:
-    assert Image.open(out / "plots" / "ball.png").size[0] > 800
-    assert "<svg" in (out / "plots" / "ball.svg").read_text()[:500]
-    (shape,) = (out / "shapes").glob("*.gif")
-    with Image.open(shape) as film:
-        assert film.n_frames > 8
-        first = np.asarray(film.convert("L"), float)
-        film.seek(film.n_frames // 2)
-        assert np.abs(np.asarray(film.convert("L"), float) - first).max() > 20
 
 
 def test_a_kept_pass_gives_the_same_and_needs_no_pictures(
@@ -194,19 +182,6 @@ def test_sep005_is_what_the_standards_own_check_accepts(run) -> None:
     first = signals[0]
     assert (first["name"], first["unit_str"], first["quantity"]) == ("ball/x/displacement", "mm", "d")
     np.testing.assert_allclose(first["data"], 100 * found["ball"].displacement[:, 0])
-
-
-def test_only_the_formats_asked_for_are_there_and_no_stale_one(run, tmp_path: Path, capsys) -> None:
-    words = ["measure", str(run.path), "--out", str(tmp_path / "out"), "--sensor", "all", "--no-animate"]
-    for formats, files in (("csv,mat", {"measure.mat", "series.csv"}), ("hdf5", {"measure.h5"})):
-        assert main([*words, "--formats", formats]) == 0
-        there = {p.name for p in (tmp_path / "out").iterdir()}
-        assert there - {"measure.json", "plots", "spectra.csv", "peaks.csv"} == files
-        assert ("peaks.csv" in there) == ("csv" in formats)
-    for bad in ("csv,docx", ""):
-        assert main(["measure", str(run.path), "--out", str(tmp_path / "new"), "--formats", bad]) == 2
-        assert "is no format; there are: csv, uff, mat, hdf5, xlsx" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
 
 
 def test_a_measurement_is_analysed_in_its_unit(out: Path, tmp_path: Path, capsys) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.show.measure.sensors import STILL, Sensor, checked_names, parse_sensor, read_sensors
+from tg4mm.show.measure.sensors import STILL, Sensor, parse_sensor, read_sensors
 
 
 @pytest.mark.parametrize(
@@ -84,9 +84,3 @@ def test_a_file_that_is_wrong_says_where(tmp_path: Path, text: str, words: str) 
     with pytest.raises(Tg4mmError, match=words) as caught:
         read_sensors(file)
     assert str(file) in str(caught.value)
-
-
-@pytest.mark.parametrize("other", ["Tip Left", "tip_left"])
-def test_two_names_that_would_share_a_file_are_refused(other: str) -> None:
-    with pytest.raises(Tg4mmError, match="two sensors are called"):
-        checked_names([parse_sensor("tip left=all"), parse_sensor(f"{other}=all")])

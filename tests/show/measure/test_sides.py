@@ -33,15 +33,3 @@ def test_rounding_adds_a_ten_thousandth_of_the_variance(exact: np.ndarray, rows:
     expected = np.einsum("knc,hfnc->hfk", e.astype(float), exact)
     error = Sides.of(exact).summed(e, rows) - expected
     assert 0 < (error**2).mean() < 2e-4 * (expected**2).mean()
-
-
-def test_it_takes_a_byte_for_each_number_that_is_seen(exact: np.ndarray) -> None:
-    kept = Sides.of(exact)
-    assert kept.rows.tolist() == SEEN.tolist()
-    assert kept.nbytes < 1.1 * 2 * FRAMES * len(SEEN) * 6
-
-
-def test_it_comes_back_from_a_file(exact: np.ndarray) -> None:
-    kept, rows = Sides.of(exact), np.arange(N)
-    again = Sides.restored(kept.arrays("3"), "3", FRAMES, N)
-    np.testing.assert_array_equal(again.summed(motions(rows), rows), kept.summed(motions(rows), rows))

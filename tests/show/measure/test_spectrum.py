@@ -70,13 +70,6 @@ def test_frames_that_are_missing_make_no_frequency_above_half_the_rate(missing: 
     assert found.peaks[0].frequency_hz == pytest.approx(hz, abs=0.02)
 
 
-def test_uneven_times_do_as_well() -> None:
-    times = TIMES + 0.008 * np.random.default_rng(5).normal(size=60)
-    values = np.cos(2 * np.pi * 5.2 * times)[:, None] * np.ones(3)
-    (peak, *_) = spectrum_of(times, values, np.full((60, 3), 0.02)).peaks
-    assert peak.frequency_hz == pytest.approx(5.2, abs=0.01)
-
-
 def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() -> None:
     values, sigma = noisy(sinusoid(4.0), 0.05, 2)
     sigma[:, 2] = np.inf
@@ -92,11 +85,6 @@ def test_velocity_and_acceleration_of_a_fast_tone() -> None:
     omega = 2 * np.pi * 8.2
     assert np.abs(found.velocity[:, 0] + omega * np.sin(omega * TIMES)).max() < 0.01 * omega
     assert np.abs(found.acceleration[:, 0] + omega**2 * np.cos(omega * TIMES)).max() < 0.01 * omega**2
-
-
-def test_differences_alone_lose_a_part_of_it() -> None:
-    values, _ = noisy(sinusoid(8.2), 1e-4, 0)
-    assert derivatives_of(TIMES, values, ()).velocity[:, 0].max() < 0.7 * 2 * np.pi * 8.2
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
@@ -145,14 +133,3 @@ def test_two_and_three_times_a_stronger_frequency(hz: float, size: float, expect
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
-
-
-def test_a_spectrum_marks_them() -> None:
-    times = np.arange(90) / FPS
-    values = np.cos(2 * np.pi * 4.6 * times) + 0.05 * np.cos(2 * np.pi * 9.2 * times + 1)
-    noise = 0.002 * np.random.default_rng(0).normal(size=(90, 3))
-    spread = np.full((90, 3), 0.002)
-    strong, weak = spectrum_of(times, values[:, None] * np.ones(3) + noise, spread).peaks
-    assert strong.harmonic is None
-    assert weak.harmonic is not None
-    assert str(weak.harmonic) == "may be a harmonic: 2 × 4.6 Hz"

@@ -14,7 +14,6 @@ from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.show.render.cameras import (
     cameras_from_file,
     look_at,
-    look_at_point,
     orbit,
     transforms_json,
 )
@@ -23,16 +22,6 @@ from tg4mm.show.render.cameras import (
 @pytest.fixture
 def capture(dataset: Path) -> Capture:
     return load_capture(dataset)
-
-
-def test_orbit_cameras_look_at_the_centre_and_keep_up(capture):
-    cameras = orbit(capture, 7)
-    for camera in cameras:
-        to_centre = (CENTRE - camera.position) / np.linalg.norm(CENTRE - camera.position)
-        np.testing.assert_allclose(camera.forward, to_centre, atol=1e-9)
-        np.testing.assert_allclose(camera.viewmat[:3, :3] @ camera.viewmat[:3, :3].T, np.eye(3), atol=1e-12)
-        assert camera.viewmat[0, 2] == pytest.approx(0, abs=1e-12)  # the horizon is level
-        assert camera.viewmat[1, 2] < 0  # and image-down points down
 
 
 def test_orbit_is_a_level_circle_with_the_median_radius_and_elevation(capture):
@@ -84,14 +73,6 @@ def test_a_fixed_camera_needs_a_centre_to_orbit_around(capture):
     for camera in cameras:
         offset = np.array([0.0, 0.0, 0.3]) - camera.position
         np.testing.assert_allclose(camera.forward, offset / np.linalg.norm(offset), atol=1e-9)
-
-
-def test_cameras_that_look_outwards_have_nothing_to_orbit_around(capture):
-    turned = capture.viewmats.copy()
-    turned[:, 0] *= -1
-    turned[:, 2] *= -1  # half a turn about the image's vertical axis
-    with pytest.raises(RunError, match="look inwards"):
-        look_at_point(turned)
 
 
 def test_written_cameras_are_read_back(capture, tmp_path):
@@ -148,17 +129,3 @@ def test_a_camera_file_that_is_absent_or_not_json_is_refused(tmp_path):
     (tmp_path / "bad.json").write_text("{")
     with pytest.raises(CaptureError, match="is not valid JSON"):
         cameras_from_file(tmp_path / "bad.json")
-
-
-def test_a_camera_file_without_size_needs_one(tmp_path):
-    path = tmp_path / "cameras.json"
-    path.write_text(json.dumps({"camera_angle_x": 0.7, "frames": [{"transform_matrix": np.eye(4).tolist()}]}))
-    with pytest.raises(CaptureError, match="w is missing"):
-        cameras_from_file(path)
-    assert cameras_from_file(path, (12, 8))[0].width == 12
-
-
-def test_straight_down_is_a_valid_view():
-    viewmat = look_at(np.array([0.0, 0.0, 5.0]), np.zeros(3))
-    assert np.linalg.det(viewmat[:3, :3]) == pytest.approx(1)
-    np.testing.assert_allclose(viewmat[2, :3], [0, 0, -1], atol=1e-12)

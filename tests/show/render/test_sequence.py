@@ -62,13 +62,6 @@ def test_another_band_other_cameras_and_another_model_are_refused(run, cameras, 
         render_sequence(run, cameras, RenderRequest(), out, [0], video=False)
 
 
-def test_without_motion_only_alpha_0_renders(still_run, cameras, tmp_path):
-    with pytest.raises(RunError, match=r"--alpha 5.*no motion"):
-        render_sequence(still_run, cameras, RenderRequest(Magnification.of(5)), tmp_path / "out")
-    out = render_sequence(still_run, cameras, RenderRequest(), tmp_path / "out")
-    assert sorted(path.name for path in out.iterdir()) == ["000", "render.json"]
-
-
 def test_an_orbit_has_a_picture_a_camera_while_time_runs(run, dataset, tmp_path):
     cameras = orbit(load_capture(dataset), 4)
     same = tuple(replace(cameras[0], name=camera.name) for camera in cameras)
@@ -81,12 +74,3 @@ def test_an_orbit_has_a_picture_a_camera_while_time_runs(run, dataset, tmp_path)
         expected = render_image(pose(i / 2), same[0].viewmat, same[0].K, 32, 32)
         np.testing.assert_allclose(read_png(out / f"r_{i:03d}.png") / 255, expected, atol=0.5 / 255 + 1e-6)
     assert json.loads((out / "render.json").read_text())["slow"] == 2
-
-
-def test_the_background_shows_where_nothing_is(run, cameras):
-    camera = cameras[0]
-    size = (camera.width, camera.height)
-    picture = render_image(run.load_space(), camera.viewmat, camera.K, *size, background=(0.2, 0.4, 0.6))
-    assert picture.dtype == np.float32
-    assert picture.shape == (32, 32, 3)
-    np.testing.assert_allclose(picture[0, 0], [0.2, 0.4, 0.6], atol=1e-6)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
 from dataclasses import replace
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -17,7 +15,6 @@ from tg4mm.core.files import json_digest
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.run import Run
 from tg4mm.show.report import videos as video
-from tg4mm.show.report.closing import program, size_on_disk
 from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.report.videos import clip
 from tg4mm.show.result.read import reading_of
@@ -38,25 +35,6 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
     assert reach.too_far * (1 + alpha) <= 1
     assert "4 %" in why
-
-
-def test_with_truth_it_is_one_that_has_some(reading):
-    alpha, why = choose_alpha(reading, None, AS_CAPTURED)
-    bound = 0.04 * 48 / reading.reach(reading.motion.is_magnified().astype(float)).pixels - 1
-    assert alpha == max(a for a in (5, 20) if a <= bound)
-    assert "ground truth" in why
-
-
-def test_noise_lowers_it(reading, tmp_path):
-    made = reading.run
-    elsewhere = Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
-    bare = replace(reading, run=elsewhere)
-    noise = np.full_like(reading.uncertainty["displacement"], 0.02)
-    noisy = replace(bare, uncertainty={**reading.uncertainty, "noise": noise})
-    assert (
-        choose_alpha(noisy, noisy.result().noise_px, AS_CAPTURED)[0]
-        < choose_alpha(bare, bare.result().noise_px, AS_CAPTURED)[0]
-    )
 
 
 def copied(run: Run, tmp_path) -> Run:
@@ -112,35 +90,6 @@ def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
     (own.path / "metrics.json").write_text(written.replace("0.75", "0.95"))
     with pytest.raises(RunError, match=r"metrics\.json: is damaged or edited: [^\n]*; delete it"):
         metrics_of(own, None)
-
-
-def test_folders_count_all_their_files(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "x").write_bytes(b"123")
-    (tmp_path / "y").write_bytes(b"12")
-    assert size_on_disk(tmp_path) == 5
-    assert size_on_disk(tmp_path / "y") == 2
-    (tmp_path / "z").hardlink_to(tmp_path / "y")
-    assert size_on_disk(tmp_path) == 5
-
-
-def test_commands_name_the_program_as_the_shell_finds_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
-    monkeypatch.setenv("PATH", str(tmp_path / "elsewhere"))
-    assert program() == f"{tmp_path}/python -m tg4mm"
-    (tmp_path / "tg4mm").touch(mode=0o755)
-    assert program() == f"{tmp_path}/tg4mm"
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert program() == "tg4mm"
-
-
-def frames_of(data: bytes) -> np.ndarray:
-    return iio.imread(io.BytesIO(data), extension=".mp4", plugin="FFMPEG")
-
-
-def test_large_pictures_are_reduced_and_small_ones_enlarged():
-    assert frames_of(clip(np.zeros((2, 900, 450, 3), np.uint8), 30, 0.1)).shape[1:3] == (720, 360)
-    assert frames_of(clip(np.zeros((2, 48, 32, 3), np.uint8), 30, 0.1)).shape[1:3] == (384, 256)
 
 
 def test_a_clip_that_is_too_large_is_made_smaller(monkeypatch):

@@ -17,7 +17,7 @@ from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.show.result import Length, Result, lines_of, result_of
+from tg4mm.show.result import Result, lines_of, result_of
 from tg4mm.show.result.model import with_deviation
 
 
@@ -203,21 +203,6 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy: R
     assert "towards the only camera" in "\n".join(found.cannot)
 
 
-@pytest.mark.parametrize(
-    ("value", "deviation", "text"),
-    [
-        (0.21774, 0.0073, "0.2177 ± 0.0073"),
-        (5.0, 0.0011, "5.0000 ± 0.0011"),
-        (123.4, 15.0, "123 ± 15"),
-        (2.4e-7, 1.3e-8, "(2.40 ± 0.13)e-7"),
-        (0.5, None, "0.5"),
-        (0.5, 0.0, "0.5"),
-    ],
-)
-def test_numbers_have_the_digits_that_are_known(value: float, deviation: float | None, text: str) -> None:
-    assert with_deviation(Length(value, deviation)) == text
-
-
 def only_one(path: Path) -> None:
     values = json.loads(path.read_text())
     values["frames"] = values["frames"][:1]
@@ -235,11 +220,3 @@ def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_
         alphas[preset] = result_of(made).alpha
     assert alphas["modal"] == 1
     assert alphas["paper"] == result_of(run).alpha > 1
-
-
-def test_without_a_scale_there_are_no_millimetres(copy: Run) -> None:
-    scene = copy.dataset / "scene.json"
-    scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
-    text = "\n".join(lines_of(result_of(copy)))
-    assert " mm" not in text
-    assert f"millimetres: unit_scale_m (metres per scene unit) in {scene} is not known" in text

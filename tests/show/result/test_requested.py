@@ -12,7 +12,6 @@ import pytest
 from tests.show.result.conftest import NOISE
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.run import Run
 from tg4mm.show.result.read import reading_of, result_of
@@ -83,14 +82,6 @@ def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> Non
         refuse_empty(copy, plan(4.5, 5.5))
 
 
-def test_a_filter_lets_neighbours_through(run: Run) -> None:
-    """Of one second, a filter around 4.5 Hz has something left of 3 Hz, and one around 12 Hz of nothing."""
-    soft = {"method": "linear", "filter": TemporalFilter("zero-phase")}
-    refuse_empty(run, plan(3.5, 5.5, **soft))
-    with pytest.raises(Tg4mmError, match="no motion was found there"):
-        refuse_empty(run, plan(11.5, 12.5, **soft))
-
-
 def test_noise_that_is_magnified_beyond_a_pixel_is_said(run: Run, tmp_path: Path) -> None:
     """Of a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
     copy = other_motion(run, tmp_path, 0.02)
@@ -138,9 +129,3 @@ def test_a_factor_below_minus_one_says_that_motion_is_reversed(run: Run, tmp_pat
     options = ["--alpha", "-5", "--band", "2", "4", "--orbit", "1", "--out", str(tmp_path / "o")]
     assert main(["render", str(run.path), *options]) == 0
     assert "reversed" in capsys.readouterr().err
-
-
-def test_auto_without_a_vibration_is_refused(run: Run, tmp_path: Path) -> None:
-    still = other_motion(run, tmp_path, 0.0)
-    with pytest.raises(Tg4mmError, match=r"--band auto: no vibration was found in .*; --band LO HI looks"):
-        auto_band(still)

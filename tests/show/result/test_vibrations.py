@@ -16,7 +16,6 @@ from tg4mm.capture.sfm.flat import VIEWMAT
 from tg4mm.core.magnification import check_band
 from tg4mm.core.phasors import series_modes
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.show.regions import region_picture
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.line import line_near, mode_deviations, phasors_at, why_no_damping
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
@@ -69,17 +68,6 @@ def test_phasors_are_those_of_the_line_in_all_bins_together() -> None:
     np.testing.assert_allclose(phasors_at(motion, line), shape, atol=0.01)
     between = np.arange(N) % 4 != 0
     np.testing.assert_allclose(phasors_at(motion, line, between), shape, atol=0.01)
-
-
-def test_one_step_of_resolution_to_either_side() -> None:
-    assert suggested_bands([5.0], [0.001], 1.0, 30.0) == [(4.0, 6.0)]
-    assert suggested_bands([3.3992], [0.002], 3.0, 30.0) == [(3.07, 3.73)]
-
-
-def test_neighbours_and_half_the_frame_rate_are_kept_out() -> None:
-    bands = suggested_bands([5.0, 6.0], [0.01, 0.01], 1.0, 30.0)
-    assert bands == [(4.0, 5.5), (5.5, 7.0)]
-    assert suggested_bands([14.5], [0.01], 1.0, 30.0)[0][1] < 15.0
 
 
 @settings(deadline=None)
@@ -153,12 +141,3 @@ def test_what_moves_by_itself_and_the_light_are_said() -> None:
         "between pixels (0, 0) and (16, 16): something there moves by itself, periodically at 7.5 Hz" in notes
     )
     assert "it flickers at 10 Hz" in notes
-
-
-def test_the_picture_of_regions_tints_the_line_and_stripes_what_moves_by_itself() -> None:
-    shown = region_picture(found(), np.full((50, 64, 3), 128, np.uint8))
-    scale = shown.shape[0] // 50
-    inside, wall = shown[18 * scale, 34 * scale], shown[40 * scale, 8 * scale]
-    assert inside[0] > inside[2] + 40
-    assert (wall == 128).all()
-    assert shown[2 * scale : 14 * scale, 2 * scale : 14 * scale].min() == 20

@@ -117,11 +117,6 @@ def test_a_clicked_pixel_answers_with_its_waveform(opened, scene):
     assert opened.page.locator('svg[aria-label^="waveform"] polyline.curve').count() == 1
 
 
-def test_a_click_on_the_background_says_so(opened):
-    opened.page.mouse.click(5, 690)
-    opened.page.get_by_text("the pixel shows background").wait_for(timeout=WAIT * 1e3)
-
-
 def test_colours_follow_the_choice(opened):
     before = opened.settled()
     opened.page.get_by_role("combobox", name="Colour by").click()

@@ -17,7 +17,7 @@ from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import RunScene, open_scene
-from tg4mm.show.view.screen import RATE, Canvas, Pace, Screen
+from tg4mm.show.view.screen import Canvas, Pace, Screen
 from tg4mm.show.view.session import Clock, Session
 
 
@@ -104,25 +104,6 @@ def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(
     thread.join()
 
 
-def settled(seconds_per_pixel: float, canvas: tuple[int, int], rounds: int = 60) -> tuple[int, int]:
-    pace = Pace()
-    for _ in range(rounds):
-        width, height = pace.size(*canvas)
-        pace = pace.after(width * height * seconds_per_pixel, width * height)
-    return pace.size(*canvas)
-
-
-def test_a_fast_machine_draws_the_canvas_as_it_is():
-    assert settled(1e-9, (1280, 900)) == (1280, 900)
-
-
-def test_a_slow_machine_keeps_the_rate_with_fewer_pixels():
-    per_pixel = 8e-8
-    width, height = settled(per_pixel, (1280, 900))
-    assert width * height * per_pixel == pytest.approx(0.7 / RATE, rel=0.3)
-    assert width / height == pytest.approx(1280 / 900, rel=0.01)
-
-
 CANVAS = Canvas((0.0, -4.0, 0.5), (0.7071068, -0.7071068, 0.0, 0.0), 0.7, 320, 240)
 
 
@@ -141,13 +122,6 @@ def screen(session, sent):
     screen = Screen(session, lambda picture, quality: sent.append((picture, quality)))
     screen._pace = Pace(pixels=100.0 * 100)  # as on a slow machine
     return screen
-
-
-def test_a_still_page_is_drawn_twice_and_then_left_alone(screen, sent):
-    assert [screen.refresh(CANVAS, t) for t in (0.0, 0.1, 0.2, 0.3)] == [True, True, False, False]
-    assert sent[0][0].shape[0] < 240
-    assert sent[1][0].shape == (240, 320, 3)
-    assert sent[1][1] > sent[0][1]
 
 
 def test_every_change_is_shown(screen, session, sent):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.show.view.conftest import DEVIATION
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
-from tg4mm.show.view.saving import save_clip, save_snapshot
+from tg4mm.show.view.saving import save_clip
 from tg4mm.show.view.screen import Canvas
 from tg4mm.show.view.session import Clock, Session
 
@@ -74,14 +73,6 @@ def canvas(scene):
 
     wxyz = Rotation.from_matrix(camera.viewmat[:3, :3].T).as_quat(scalar_first=True)
     return Canvas(tuple(camera.position), tuple(wxyz), 2 * np.arctan(24 / camera.K[1, 1]), 65, 48)
-
-
-def test_a_snapshot_is_the_picture_at_full_size(session, canvas, tmp_path):
-    path = save_snapshot(session, canvas, 0.0, tmp_path / "new")
-    shown = session.painter.paint(session.look, 0.1, canvas.camera((65, 48)))
-    np.testing.assert_array_equal(np.asarray(Image.open(path)), shown)
-    assert path.name == "snapshot_0001.png"
-    assert save_snapshot(session, canvas, 0.0, tmp_path / "new").name == "snapshot_0002.png"
 
 
 def test_a_clip_is_one_pass_at_the_speed_it_plays(session, canvas, tmp_path):

@@ -8,8 +8,6 @@ import pytest
 
 from tests.core.splatfile.formats.conftest import turned
 from tests.helpers.gltf import parsed
-from tg4mm.core.errors import SplatFileError
-from tg4mm.core.splatfile import positions_at
 from tg4mm.core.splatfile.axes import y_up
 from tg4mm.show.export.gltf import EXTENSION, write_glb
 
@@ -77,24 +75,3 @@ def test_blender_plays_the_motion_of_the_formula(splat, tmp_path):
         want = splat.means + np.einsum("m,mnc->nc", turns, splat.displacement).real
         np.testing.assert_allclose(seen[-1], 0.5 * want, atol=1e-4)  # half a metre a unit
     assert np.abs(seen[0] - seen[1]).max() > 0.1
-
-
-def test_without_alpha_it_is_the_captured_motion(splat, tmp_path):
-    write_glb(tmp_path / "a.glb", splat)
-    document, array = parsed(tmp_path / "a.glb")
-    sampler = document["animations"][0]["samplers"][0]
-    times, weights = array(sampler["input"])[:, 0], array(sampler["output"]).reshape(-1, 4)
-    assert times[-1] == pytest.approx(splat.n_timesteps / splat.fps)
-    assert np.abs(weights).max() <= 1
-    targets = [array(t["POSITION"]) for t in document["meshes"][0]["primitives"][0]["targets"]]
-    other = y_up(splat)
-    for i in (0, 5, 20):
-        moved = other.means + sum(w * t for w, t in zip(weights[i], targets, strict=True))
-        np.testing.assert_allclose(moved, positions_at(other, times[i] * splat.fps), atol=1e-5)
-    assert document["nodes"][0]["extras"]["tg4mm"]["frequencies_hz"] == splat.freqs_hz.tolist()
-
-
-def test_what_float32_cannot_hold_is_refused(splat, tmp_path):
-    with pytest.raises(SplatFileError, match=r"a\.glb: a value of size .* is past float32's range"):
-        write_glb(tmp_path / "a.glb", splat, np.array([1e39, 0]))
-    assert list(tmp_path.iterdir()) == []

@@ -304,15 +304,6 @@ def test_flat_discs_are_read_as_such(tmp_path):
     assert read.notes == ("2D Gaussian splatting: flat discs, read as Gaussians of no thickness",)
 
 
-def test_colours_as_bytes_are_read(tmp_path):
-    columns = stored(still(n=4, k=1))
-    rgb = {name: np.array([0, 51, 127, 255], np.uint8) for name in ("red", "green", "blue")}
-    ply(tmp_path / "a.ply", {n: c for n, c in columns.items() if not n.startswith("f_")} | rgb)
-    np.testing.assert_allclose(
-        0.5 + 0.28209479177387814 * read_splat(tmp_path / "a.ply").sh[:, 0, 1], rgb["red"] / 255
-    )
-
-
 def test_degree_four_is_cut_to_three_and_said(tmp_path):
     splat = still(n=4)
     columns = {n: c for n, c in stored(splat).items() if not n.startswith("f_rest")}
@@ -370,14 +361,6 @@ def test_strange_columns(change, part, tmp_path):
 def test_files_of_other_kinds_are_named(name, data, part, tmp_path):
     (tmp_path / name).write_bytes(data)
     assert part in one_line(tmp_path / name)
-
-
-@pytest.mark.parametrize("text", ["1 2 three\n", "1 2\n3 4\n", "\n\n", "1 2 3 4 5 6 7 8\n" * 2])
-def test_text_that_is_no_rows_of_numbers(text, tmp_path):
-    ply(tmp_path / "a.ply", stored(still(n=2, k=1)), "ascii")
-    head = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")[0] + b"end_header\n"
-    (tmp_path / "a.ply").write_bytes(head + text.encode())
-    one_line(tmp_path / "a.ply")
 
 
 def test_a_picture_with_loss_and_a_name_that_leads_away_are_refused(tmp_path):
@@ -443,16 +426,3 @@ def test_a_file_that_lost_its_frequencies_opens_still_or_with_those_that_are_sai
         read_splat(path, freqs_hz=[5.0])
     with pytest.raises(SplatFileError, match=r"fps is 0; expected"):
         read_splat(path, freqs_hz=[5.0, 6.0], fps=0)
-
-
-def test_what_tg4mm_exports_as_gltf_comes_back_with_its_motion(tmp_path):
-    from tg4mm.show.export.gltf import write_glb
-
-    splat = random_splat(m=2, n=7, unit_scale_m=0.02)
-    write_glb(tmp_path / "a.glb", splat, np.array([20.0, -0.5]))
-    read = read_splat(tmp_path / "a.glb")
-    assert (read.fps, read.n_timesteps, read.unit_scale_m, read.time_origin_s) == (30.0, 30, 0.02, 0.25)
-    np.testing.assert_array_equal(read.freqs_hz, splat.freqs_hz)
-    np.testing.assert_allclose(read.displacement, splat.displacement, atol=1e-5)
-    np.testing.assert_allclose(read.means, splat.means, atol=1e-5)
-    assert not read.rotation.any()  # the format has no place for it
