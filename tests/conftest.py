@@ -1,7 +1,5 @@
 """What every test shares: few threads, one folder for compiled kernels, the example data."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import signal

@@ -1,7 +1,5 @@
 """The site builds strictly, commands on its pages exist with their options, links lead somewhere."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """What may be imported without what: the core without Blender, what Blender reads without torch."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The notebooks of examples/, executed at a tiny size: cells in order, the one tagged "parameters" replaced."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

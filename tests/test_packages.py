@@ -1,7 +1,5 @@
 """Wheel and source distribution, built from the sources and installed into clean environments."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

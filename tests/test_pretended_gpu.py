@@ -1,7 +1,5 @@
 """All that runs with --device cuda, on a pretended GPU: everything on one device, and no transfer in an iteration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

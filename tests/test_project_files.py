@@ -1,7 +1,5 @@
 """The files around the code: versions agree, and what GitHub reads is what it expects."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shutil

@@ -1,7 +1,5 @@
 """What `import tg4mm` gives: the names, when they are imported, and that the documentation lists them."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """The extension, registered in pip's Blender, and a small splat file that moves."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Crop, clean and hand on: what is left is what it was, in Blender and in the files that are written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

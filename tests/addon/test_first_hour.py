@@ -1,7 +1,5 @@
 """What a new user meets: the startup scene's cube, axes, numbers that are no numbers, recordings without end."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

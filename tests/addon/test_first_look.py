@@ -1,7 +1,5 @@
 """What an import looks like at once, without a setting; the exact look and back; legends like the object."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The extension in Blender, headless: what is played equals the splat file's own formula."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The zip that users install: its content, its version, and that Blender takes it."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -4,8 +4,6 @@ They differ a little where they must: the core widens every Gaussian by 0.3 squa
 values, Cycles blends linear light, so a mixture of two colours is lighter there.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

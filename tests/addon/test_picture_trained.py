@@ -4,8 +4,6 @@ mic_64.ply is the microphone of [3DMM]'s data, trained at 64×64 (2,500 Gaussian
 mic_64.png is what the core draws of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The calibration's films are what they say, its scores count rightly, and three films go through it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """benchmarks/fox_phone.py: figures that know a right answer from a wrong one, on a small truth of our own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """benchmarks/gpu.py: one line without a GPU, and the whole of it, small, on the CPU."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

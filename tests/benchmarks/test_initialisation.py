@@ -1,7 +1,5 @@
 """benchmarks/initialisation.py: a row for each start, kept as soon as it is there, and refused under other settings."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """benchmarks/photographs.py: it holds out what it says, spoils by gains that it knows, and prints what it measured."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small datasets written for the tests: a NeRF-synthetic folder, and a dataset tree."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """COLMAP folders: files as pycolmap writes them and by hand, and what is refused."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct

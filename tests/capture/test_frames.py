@@ -1,7 +1,5 @@
 """Pictures that are frames of a video in the dataset, decoded on demand."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

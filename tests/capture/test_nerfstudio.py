@@ -1,7 +1,5 @@
 """nerfstudio's transforms.json: what is read, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A part of a dataset that is taken for one by itself is named, with the command for the whole."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

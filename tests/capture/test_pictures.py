@@ -1,7 +1,5 @@
 """Pictures on disk are read as those in memory, and no more often than they must be."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

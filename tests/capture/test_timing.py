@@ -1,7 +1,5 @@
 """When a capture's pictures were taken, and of what kind it is."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One moving run for the commands that read it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """--device: refused in one line where it cannot be, the same results where it can."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

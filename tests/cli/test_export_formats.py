@@ -1,7 +1,5 @@
 """`tg4mm export` in formats of other tools: options arrive, files hold the magnified motion or say that they do not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gsply

@@ -1,7 +1,5 @@
 """`tg4mm look`: what a video shows, in words, a picture, a page and JSON; what is no recording is said in one line."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

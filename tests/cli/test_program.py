@@ -1,7 +1,5 @@
 """The program as a user meets it: exit codes, one line that says what is wrong, help that is fast."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """`tg4mm render SPLAT.ply --cameras FILE`: a splat file is rendered as the run that it was exported from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tg4mm report`: options arrive where they belong; bad ones give one line and no page."""
 
-from __future__ import annotations
-
 import pytest
 
 from tg4mm.cli import main

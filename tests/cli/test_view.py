@@ -1,7 +1,5 @@
 """`tg4mm view` as a user starts and ends it, and what it says to bad input."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Atomic files: the target is the old content or the new one, never a part, and nothing is left behind."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Peak memory follows what the process holds; mapped arrays keep their contents and hold no memory once let go."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Progress: lines carry counts, time left and figures; a terminal gets a bar."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

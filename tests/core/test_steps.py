@@ -1,7 +1,5 @@
 """Steps of a folder: what is skipped, what is done again, and what is kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What a kill leaves of files that were being written is removed by the next process that writes there."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

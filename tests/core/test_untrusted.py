@@ -1,7 +1,5 @@
 """Plain data from files of unknown origin: limits are kept, damage is one line, good files are read as they are."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import struct

@@ -1,7 +1,5 @@
 """Forms of JSON that tg4mm wrote: what fits is read, what does not is named by its place; digests find edits."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

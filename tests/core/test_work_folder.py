@@ -1,7 +1,5 @@
 """A folder of one request: gone on with for the same one, refused to any other, one process at a time."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

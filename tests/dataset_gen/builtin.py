@@ -1,7 +1,5 @@
 """The built-in scenes as their tests look at them: built once, solved once, and measures of a mesh."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

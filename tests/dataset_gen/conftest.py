@@ -1,7 +1,5 @@
 """A set with a report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A set whose truth is known in closed form: a camera above a plane, of which a stripe sways and heaves."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

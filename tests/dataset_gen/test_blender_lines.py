@@ -1,7 +1,5 @@
 """Blender 4.5 and 5.2 make the same set. Runs where both environments are there: `make test-52` makes the second."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

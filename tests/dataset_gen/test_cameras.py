@@ -1,7 +1,5 @@
 """The spiral against the published poses, and what a NeRF-synthetic loader expects."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

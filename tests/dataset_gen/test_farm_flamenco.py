@@ -4,8 +4,6 @@ The stand-in keeps to what the manager does: a task is copied when it is added t
 to it later is lost. A manager and workers cannot be tested here.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

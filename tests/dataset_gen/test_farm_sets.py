@@ -1,7 +1,5 @@
 """A farm's configuration: which datasets, which folders, which commands."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

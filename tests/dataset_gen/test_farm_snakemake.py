@@ -4,8 +4,6 @@ Snakemake is looked for in $TG4MM_SNAKEMAKE, beside this Python, and on PATH. Sl
 tested here; what can is that the workflow is accepted with their profiles where the plugins are installed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What a dataset's report measures agrees with an analytic set."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A dataset's report as a page: sound, the same each time, and what is absent is said."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

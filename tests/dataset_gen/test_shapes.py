@@ -1,7 +1,5 @@
 """Meshes, sheets, solids and patterns in space: areas and volumes in closed form, outwards, where they should be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

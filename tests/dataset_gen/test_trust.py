@@ -1,7 +1,5 @@
 """`generate all --preset smoke`, fewer timesteps, one α: every scene generates, and its truth is what it says."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

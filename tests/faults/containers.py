@@ -1,7 +1,5 @@
 """Seeded mutations of files that hold arrays, whole otherwise: checksums, digests and sizes are put right again."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -6,8 +6,6 @@ A fault is any exception but Tg4mmError, a message of several lines, a process t
 a file left or changed beside the one that is read. With --keep, the inputs of faults are written to a folder.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -7,8 +7,6 @@ before stays. In the end the command is given once more, and leaves what an undi
 nothing besides: no checkpoint, no temporary file.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -4,8 +4,6 @@ A mutation takes a file's bytes and a random generator and gives other bytes; th
 Those of bytes fit any file; the others know a format well enough to get past its first check.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import random

@@ -1,7 +1,5 @@
 """What the harness knows of a reader: its sample, how it reads, what may happen to the file; and samples of runs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ All of them may raise Tg4mmError, with one line, and nothing else. Files that Bl
 and the like) are not among them: they are read in a process of their own, by code that is not ours.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Readers of the generator and of sfm: reports of datasets, what a killed job leaves, meshes, COLMAP's model."""
 
-from __future__ import annotations
-
 import gzip
 import json
 from collections.abc import Callable

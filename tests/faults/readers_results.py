@@ -1,7 +1,5 @@
 """Readers of what tg4mm keeps for itself: scores, records of renderings, benchmarks, caches."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Splat files of other programs, for the harness: the mutations get past gzip, zip and the lengths in headers."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -4,8 +4,6 @@ Small file systems need root. Without it the last test runs all of this in a nam
 that to everybody (`unshare -rm`).
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The harness itself: it tells each kind of fault from a refusal, and gives the same mutations again."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

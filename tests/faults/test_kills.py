@@ -1,7 +1,5 @@
 """A command that is killed and given again leaves what one that was not does: see `kills.py`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

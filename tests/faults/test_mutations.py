@@ -1,7 +1,5 @@
 """Every reader takes 150 mutations of its files ($TG4MM_MUTATIONS: another number) without a fault."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

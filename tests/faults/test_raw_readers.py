@@ -4,8 +4,6 @@ The harness feeds these modules damaged files. A new reader of files belongs beh
 its reason and into `readers.py`.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

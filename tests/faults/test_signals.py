@@ -1,7 +1,5 @@
 """SIGTERM and SIGINT to `tg4mm generate` alone, as a scheduler sends them: nothing that it started goes on."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Kernels compiled in advance: the jobs compile what the program calls, and a command waits for them and no longer."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -6,8 +6,6 @@ answer is FOLDER/answer.json, {"id", "value"} or {"id", "error"}. The names are 
 buttons. What a test is about is done with the mouse.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """More answers of answering.py, inside Blender: renders, the probe, and what the panels Generate and Train do."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

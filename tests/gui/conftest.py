@@ -1,7 +1,5 @@
 """What the tests in the real program share: the built extension, a small splat file, Blender on a screen."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -5,8 +5,6 @@
 xdotool cannot: the file's address is handed over between two programs, window to window.
 """
 
-from __future__ import annotations
-
 import ctypes
 import struct
 import sys

@@ -1,7 +1,5 @@
 """What a test says of a screenshot: is anything on it, did it change, has it colours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ blender_amplitude.png, ellipsoids coloured by amplitude with the legend, at the 
 Needs what setup.sh built, and root. The file of the README is a run's own: `tg4mm demo`, then demo/splat.ply.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import sys

@@ -4,8 +4,6 @@ Blender tells no one where a button is, so the pointer is led down the panel and
 lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command of an operator (Ctrl C).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 One Blender for all of it; each test goes on from the one before. `make test-gui` builds what is needed and runs it.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import time

@@ -1,7 +1,5 @@
 """Generate and Train in the real Blender, by mouse: preview, progress, cancel, going on, splats at the end."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

@@ -5,8 +5,6 @@ turn about its own axis, the order of sums decides whether a parameter goes a wh
 compared everywhere, and parameters where every step so far had a root mean square well above rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What is found in a small scene of two bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dataset_gen.cameras import Camera, look_at

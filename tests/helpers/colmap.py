@@ -1,7 +1,5 @@
 """A COLMAP model as text: two cameras, three images, two points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

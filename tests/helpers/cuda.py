@@ -1,7 +1,5 @@
 """What every test that needs a GPU carries."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

@@ -1,7 +1,5 @@
 """The points of curves that `tg4mm.research.bench.pages.plots` drew."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """A .glb taken apart by the definition of its container."""
 
-from __future__ import annotations
-
 import json
 import struct
 

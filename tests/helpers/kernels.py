@@ -1,7 +1,5 @@
 """The compiled functions that a job of `tg4mm.fit.precompile` names."""
 
-from __future__ import annotations
-
 import importlib
 
 from tg4mm.fit.kernel_calls import Job

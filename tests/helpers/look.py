@@ -1,7 +1,5 @@
 """A look that found one line, a wheel and flicker."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.capture.look import Found, LookLine, Mover, Tone

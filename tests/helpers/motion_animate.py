@@ -1,7 +1,5 @@
 """Twenty random Gaussians, and a random motion of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

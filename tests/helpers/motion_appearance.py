@@ -1,7 +1,5 @@
 """Random changes of colour of the twenty Gaussians of `motion_animate`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.fit.motion.modes import AppearanceModes

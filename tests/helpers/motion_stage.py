@@ -1,7 +1,5 @@
 """A motion stage that is killed after some of its steps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Random pictures of several cameras, and their components over time without nuisance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.fit.motion.nuisance.first_look import first_look

@@ -1,7 +1,5 @@
 """Random Gaussians and modes for a run, and the error that a run refuses with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

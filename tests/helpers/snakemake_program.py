@@ -1,7 +1,5 @@
 """Where Snakemake lies; without it a test is skipped, or with TG4MM_REQUIRE_SNAKEMAKE=1 fails."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """gsplat's spherical harmonics, computed by the plain twin."""
 
-from __future__ import annotations
-
 import torch
 
 from tg4mm.fit.rasterize.reference import sh_colours

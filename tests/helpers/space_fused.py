@@ -1,7 +1,5 @@
 """A small random scene as parameters of the space stage, with cameras and pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from torch import Tensor
 

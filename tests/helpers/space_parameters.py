@@ -1,7 +1,5 @@
 """One step of Adam on random gradients."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

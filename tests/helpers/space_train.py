@@ -1,7 +1,5 @@
 """A short space stage, one that is killed, and its score on the test views."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Splat files of every kind that other programs write, put together by the definitions of the formats."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import io

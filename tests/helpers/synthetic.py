@@ -5,8 +5,6 @@ on the vertices of closed-form meshes, so the ground truth on disk is exact for 
 `tg4mm.fit.rasterize`; displacements are computed here, not by the code under test.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The demo's order, resuming and refusals; generating and training are replaced by quick exact ones."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The stages as functions: the same as a run gives, without writing anything; and the page about them, executed."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Damaged and hostile run files: a flipped bit is told, a wrong type or number is one line, a kill leaves nothing."""
 
-from __future__ import annotations
-
 import json
 import random
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The run folder: files read back as written, a kill costs nothing finished, foreign files are refused."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One process trains a run: a second is told so, and a killed one leaves nothing in the way."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The whole way of a flat video: the line is named beside a wheel, and the wheel is left out."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

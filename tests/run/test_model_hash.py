@@ -1,7 +1,5 @@
 """The digest of a model follows what it has learned, not how its files were written."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

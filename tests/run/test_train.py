@@ -1,7 +1,5 @@
 """Training from a dataset to a run: settings, stages in order, nothing done twice, kills that are real."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

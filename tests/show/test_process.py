@@ -1,7 +1,5 @@
 """`tg4mm process` on a small video of one fixed camera: what it leaves, and what a second call does."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

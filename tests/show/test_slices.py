@@ -1,7 +1,5 @@
 """Space-time slices, difference maps, spectra, and blending weights against the compositing formula."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The import takes every kind of splat file; what the format says of up is taken over once; what is odd is said."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import ModuleType

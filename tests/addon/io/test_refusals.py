@@ -1,7 +1,5 @@
 """What cannot be imported is reported in one line, and nothing of it stays behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 from typing import Any

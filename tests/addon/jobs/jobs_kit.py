@@ -1,7 +1,5 @@
 """What the tests of background jobs share: waiting for one by hand, and what the panels show."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from types import ModuleType, SimpleNamespace

@@ -1,7 +1,5 @@
 """The preferences' Test: what it says of a Python that can train, and of each way in which one cannot."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Generate: the open scene becomes a dataset in the background, can be stopped and gone on with."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The preview moves what the generator would move, as far and when, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Background programs: what they say is read without waiting, and they can always be ended."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

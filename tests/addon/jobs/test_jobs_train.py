@@ -1,7 +1,5 @@
 """Train: the core works in the background in a Python of its own, and what it made is imported."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Apply Transform and its relatives: what is seen in the world before is seen after."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

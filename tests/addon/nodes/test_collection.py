@@ -1,7 +1,5 @@
 """What is imported can be seen, whatever collection is the active one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """What is drawn: shapes, colours by amplitude and phase, arrows, and colours that depend on the view."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """Blender 5.3's own splats: what they are given, and that a Blender without them is told so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """Numbered static files play one after another, whatever their numbers of Gaussians."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """The sidebar, drawn on a stand-in for Blender's layout: what it offers for each kind of file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace

@@ -1,7 +1,5 @@
 """Pictures of the panels: ticks, curves, legends, the spectrum beside the band and when it is drawn anew."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """The probe: what it reads is what numpy computes from the file, in every way to choose, and as CSV."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a codec takes from a known tone is told by the file alone, within its ±."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

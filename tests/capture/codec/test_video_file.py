@@ -1,7 +1,5 @@
 """The video that a dataset keeps: what scene.json says of it is checked."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A look at films whose truth is exact: what vibrates, where, how much; nothing where nothing vibrates."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cells, floors and knocks against what is known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a look found goes through a run's log unchanged."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

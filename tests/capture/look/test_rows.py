@@ -1,7 +1,5 @@
 """How long rows take to be read: told by phases and by light, with a ± that is true, offered and never applied."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A textured box on a textured floor, ray-traced: pictures whose cameras and surfaces are known exactly."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings that are frozen, or of which only a part can be used: found, and what to use instead."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One fixed camera and nothing else: a plane at distance 1, in pixels."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Points and poses from pictures of our own generator, whose cameras and surfaces are exact. Slow: it renders."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The world given to poses that have none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

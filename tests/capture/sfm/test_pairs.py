@@ -1,7 +1,5 @@
 """Which pictures are matched: those that look alike, whole groups tied together, lonely ones with all others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

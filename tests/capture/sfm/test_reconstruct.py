@@ -1,7 +1,5 @@
 """tg4mm sfm from photographs, fixed cameras and a video: known cameras come back, up to a similarity."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """tg4mm sfm from videos of a known scene: tripod, clips and handheld, their times exact, their poses found."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

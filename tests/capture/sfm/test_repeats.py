@@ -1,7 +1,5 @@
 """Pictures shown twice, mains flicker and vibrations that stand still at their turning points: told apart."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path

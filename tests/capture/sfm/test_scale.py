@@ -1,7 +1,5 @@
 """A known length on the thing itself gives metres: where its ends are, and how well that is known."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a folder of pictures is taken for, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One look through a recording: what its camera does, and what is wrong with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points for known cameras lie on the surfaces, repeat, keep to the masks, and give way where there is no texture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

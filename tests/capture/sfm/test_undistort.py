@@ -1,7 +1,5 @@
 """Pictures through a lens made straight: against COLMAP's own routine, against the truth, with alpha, one size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Videos frame by frame: exact times, upright pictures, and what is wrong with a file said in one line."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from pathlib import Path
 

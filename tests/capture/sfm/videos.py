@@ -1,7 +1,5 @@
 """Small videos written with PyAV, whole and spoilt."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lines against records whose truth is known: all within their deviations, none invented."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """Splat files of random content, and PLY files put together by hand."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

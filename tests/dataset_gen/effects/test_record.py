@@ -1,7 +1,5 @@
 """How far exposure, white balance, flicker and shake go, and how slowly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Bands with their factors: sums, refusals, and what an α means."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

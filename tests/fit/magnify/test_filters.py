@@ -1,7 +1,5 @@
 """Temporal filters: what passes, what does not, and how late it comes out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

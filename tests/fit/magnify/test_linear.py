@@ -1,7 +1,5 @@
 """Linear magnification: of a series, and of modal motion, where it is what `modal` does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Phase-based magnification: a known shift grows as it should, and nothing else changes."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Phase magnification stays within the memory that tg4mm/fit/magnify/phase.py states, whatever T is."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

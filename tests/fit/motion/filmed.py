@@ -1,7 +1,5 @@
 """The synthetic scene filmed by cameras with clocks of their own, and by one that moves: exact observations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Clouds of Gaussians, their views, and the motion problem that they pose: what the motion stage's tests share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

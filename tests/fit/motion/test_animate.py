@@ -1,7 +1,5 @@
 """Motion magnified: exact factors, exact bands, rotations that are rotations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Changes of colour: how pictures answer to them, that noise is none, and that they are limited."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

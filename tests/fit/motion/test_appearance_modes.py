@@ -1,7 +1,5 @@
 """AppearanceModes in a run's motion file: beside the motion, optional, and only where it fits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Appearance through the whole stage: a shadow that goes with the motion is found, saved and magnified."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

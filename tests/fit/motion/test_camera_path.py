@@ -1,7 +1,5 @@
 """Which part stands still: what a moving camera's own path says of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

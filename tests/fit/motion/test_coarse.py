@@ -1,7 +1,5 @@
 """A problem in smaller pictures tells as much of the motion, but for texture finer than its pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

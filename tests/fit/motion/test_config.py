@@ -1,7 +1,5 @@
 """How many iterations the motion stage takes: as set, more for many Gaussians, and the run's log tells."""
 
-from __future__ import annotations
-
 import pytest
 
 from tg4mm.core.errors import Tg4mmError

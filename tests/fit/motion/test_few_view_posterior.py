@@ -1,7 +1,5 @@
 """One camera: along its line of sight the motion is less certain than across, and the truth lies where it says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

@@ -1,7 +1,5 @@
 """Frequencies are found between bins, with frames dropped, from clocks of their own; and in noise there are none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motions that pictures leave open: most of the scene still, or in the picture's plane."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.fit.motion.nuisance.projection import with_still_background

@@ -1,7 +1,5 @@
 """Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace

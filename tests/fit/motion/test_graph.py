@@ -1,7 +1,5 @@
 """The prior on motion: what costs nothing, what does, and the rotation that a gradient of displacement is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

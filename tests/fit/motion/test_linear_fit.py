@@ -1,7 +1,5 @@
 """The linear fit's two passes: together one solution, of the pictures less what is taken away between them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Peaks are counted once, modes that hold noise alone are empty, and what a frequency may be besides is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A camera that moves all the time: its poses are corrected, and the motion before it is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What changes a whole picture is projected out: gain and offset exactly, the camera's own pose to first order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What one pose's pictures show of motion: adjoint and normal operator belong to it, and each row has its own time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the motion stage sees of a capture: which cameras stay put, on which clock, their pictures by strips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The operator of the motion problem, on the CPU and on a torch device: against its matrices, written out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Conjugate gradients: they solve, they stop where they should, and systems are each by itself or coupled."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The noise of every pixel, from the components of time that hold no motion."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

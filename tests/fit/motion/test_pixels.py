@@ -1,7 +1,5 @@
 """How far a motion moves the Gaussians in the pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

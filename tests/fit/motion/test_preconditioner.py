@@ -1,7 +1,5 @@
 """Two levels of unknowns: the diagonal is the operator's, the minimum the same, and reached in far fewer steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

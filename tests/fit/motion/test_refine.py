@@ -1,7 +1,5 @@
 """The scene at rest, refined with the motion known: from whose cameras, how states count, and when it stays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A region's shift in the pictures is the one that it moved by, and its noise that of the pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of cameras that shake are turned back; those of a scene that moves as a whole, and of none, are not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

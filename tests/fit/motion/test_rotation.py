@@ -1,7 +1,5 @@
 """How Gaussians turn with what they are made of: whole if rigid, balls by the curl, flakes and needles as they lie."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A camera that shakes is told from a scene that moves, and from noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

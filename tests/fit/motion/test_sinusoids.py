@@ -1,7 +1,5 @@
 """Sinusoids between the bins, and drifts, are found in functions of time; noise and whole periods have none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Functions of time and shapes in space become phasors, and give the motion back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

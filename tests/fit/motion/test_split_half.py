@@ -1,7 +1,5 @@
 """Folds of the data, and what two of them agree on: noise shrinks, motion stays, the deviation is the noise's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

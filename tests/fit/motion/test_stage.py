@@ -1,7 +1,5 @@
 """The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one step at most."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections.abc import Callable

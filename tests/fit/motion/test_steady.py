@@ -1,7 +1,5 @@
 """Cameras with clocks of their own: frequency, phases and 3D motion of a steady vibration."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From pictures over time to target images: components of time, and sinusoids of known frequencies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A mode of hundredths of a pixel beside one of two pixels: iterations for the large one do not cost the small one."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How uncertain the motion is: noise by two halves, and what is left of the pictures and varies among neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

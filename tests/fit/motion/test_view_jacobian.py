@@ -1,7 +1,5 @@
 """The Jacobian of rendering: against differences of the dense twin in float64, and its transpose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -10,8 +10,6 @@ one that float32 may fall on the other side, the pixel gets no say: its value is
 in the loss is zero. `check` insists that such pixels are few.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

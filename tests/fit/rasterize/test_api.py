@@ -1,7 +1,5 @@
 """The call itself: what is refused, and what a CUDA tensor passes on to gsplat."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 import types

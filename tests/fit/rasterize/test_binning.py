@@ -1,7 +1,5 @@
 """Depth order and tile lists against brute force: complete, tight, in order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

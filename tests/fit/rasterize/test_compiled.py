@@ -1,7 +1,5 @@
 """The cache of compiled kernels: used by the next process, dropped when a file of kernels or simd changes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """gsplat: what must be there, that its constants and signatures are those we rely on, and its pictures."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

@@ -1,7 +1,5 @@
 """The same bits for any number of threads and on every run, values and gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numba

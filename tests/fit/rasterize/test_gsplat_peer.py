@@ -3,8 +3,6 @@
 Only projection and spherical harmonics: its compositing calls a CUDA kernel and nerfacc.
 """
 
-from __future__ import annotations
-
 import types
 
 import pytest

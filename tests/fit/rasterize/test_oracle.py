@@ -1,7 +1,5 @@
 """The CPU kernels against the dense float64 twin: values and gradients, on scenes that go to extremes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

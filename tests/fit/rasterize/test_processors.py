@@ -1,7 +1,5 @@
 """Processors without AVX-512: kernels made of what such a one has, compared with the twin, and cached apart."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """Projection works sixteen Gaussians at a time; none may notice which ones stand beside it, or how many there are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

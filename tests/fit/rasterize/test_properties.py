@@ -1,7 +1,5 @@
 """What must hold of any rendering, whatever the numbers: symmetries, and the balance of light."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

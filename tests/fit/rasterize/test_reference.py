@@ -1,7 +1,5 @@
 """The dense twin: its derivatives against finite differences, its formulas against independent ones."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kernels' functions: vectors of lanes, in memory and across each other; the exponential, logarithm and root."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

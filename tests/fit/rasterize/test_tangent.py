@@ -1,7 +1,5 @@
 """Blending linearised: `blend_tangents` against the backward kernels, differences of images, and its transpose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A small scene at rest, for all tests of the space stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

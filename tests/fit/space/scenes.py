@@ -1,7 +1,5 @@
 """Cameras on a sphere and analytic silhouettes: what the space stage's tests know exactly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

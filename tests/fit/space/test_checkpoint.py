@@ -1,7 +1,5 @@
 """An unfinished space stage that does not fit is refused in one line and stays on disk, whoever wrote it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import replace

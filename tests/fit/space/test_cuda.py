@@ -1,7 +1,5 @@
 """The space stage as it runs on a GPU. Without one: the same code with gsplat's two calls made by our CPU path."""
 
-from __future__ import annotations
-
 import sys
 import types
 from collections.abc import Callable

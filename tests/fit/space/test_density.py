@@ -1,7 +1,5 @@
 """Adaptive density control: budget, what fades, what is split and how."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

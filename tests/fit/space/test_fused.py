@@ -1,7 +1,5 @@
 """The CPU's own iteration beside the one that torch makes: gradients, steps, shares, and what it leaves alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numba

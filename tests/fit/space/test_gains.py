@@ -1,7 +1,5 @@
 """Gains of pictures: what fits is found, ratios alone count, and pictures spoilt by known gains give these back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Where the first Gaussians stand, on silhouettes whose hull is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

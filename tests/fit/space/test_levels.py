@@ -1,7 +1,5 @@
 """Coarse to fine: every iteration has its level, and smaller pictures show the same from the same place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

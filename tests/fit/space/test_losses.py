@@ -1,7 +1,5 @@
 """The photometric loss: SSIM against scikit-image's, gradients against differences, the paper's L1 as a limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

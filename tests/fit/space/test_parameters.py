@@ -1,7 +1,5 @@
 """The optimiser: torch's own Adam, whose rows may come and go."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The space stage of one fixed camera: a quadtree of discs on a plane whose colours are a least-squares solution."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the static Gaussians are fitted to: one mean picture per camera."""
 
-from __future__ import annotations
-
 import re
 import time
 from dataclasses import replace

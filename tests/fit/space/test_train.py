@@ -1,7 +1,5 @@
 """Training at rest: it fits, says what it did, does the same twice, and a kill at any moment costs nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

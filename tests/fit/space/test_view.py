@@ -1,7 +1,5 @@
 """One training view: the picture over white, and the error's shares, against the dense twin in float64."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """A tiny dataset with exact truth, and settings that train it in a second."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Ablations: rows differ in what they say they vary and in nothing else, and their tables hold evaluate's numbers."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

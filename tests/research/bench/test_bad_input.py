@@ -1,7 +1,5 @@
 """What the command refuses: exit code 2, one line, nothing written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A method joins by its pictures: the worked example of docs/protocol.md, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

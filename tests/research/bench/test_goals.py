@@ -1,7 +1,5 @@
 """Verdicts come from the figures: each flips when its figure crosses the goal, and says by how much it is missed."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A benchmark that was killed goes on: finished runs stay as they are, and the result is that of one that was not."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The 2D baselines and the deformation field: what moves in the band moves as it should, all else stays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The HTML page stands alone and works in a browser; tables, curves and LaTeX hold what they were given."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

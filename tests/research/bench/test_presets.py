@@ -1,7 +1,5 @@
 """The whole benchmark as commands: one after the other, by Snakemake, and what a failure leaves out."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

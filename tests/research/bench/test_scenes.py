@@ -1,7 +1,5 @@
 """The main table: its numbers are evaluate's, what is finished is not done again, and times are matched by settings."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Scores of pictures with known answers, video quality by a checkout, and what of a motion can be observed."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the benchmark knows of a dataset: motion in pixels and its band from the truth; thinned and refused ones."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

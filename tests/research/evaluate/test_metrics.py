@@ -1,7 +1,5 @@
 """PSNR, SSIM, FLIP and LPIPS against hand computation and the reference formulas."""
 
-from __future__ import annotations
-
 import os
 import pickle
 

@@ -1,7 +1,5 @@
 """When two poses are the same, and how much of a motion is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The exact motion: an analytic bending beam, rigid motion, objects that stand still, and broken files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A tiny `paper` run, trained once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A `paper` run magnified, rendered, evaluated and exported: each method, through the commands that users have."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The preset `paper`: what is trained when, what stays, what is written, how it goes on after a kill."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

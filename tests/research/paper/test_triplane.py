@@ -1,7 +1,5 @@
 """Sampling at fixed points and the decoder, against plain torch."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Systems of known answer: sums of sinusoids as channels, and one or two masses on springs."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

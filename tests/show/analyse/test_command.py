@@ -1,7 +1,5 @@
 """The command on a CSV file and on a measurement: files out, and one line for what is wrong."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

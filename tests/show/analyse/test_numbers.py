@@ -1,7 +1,5 @@
 """Levels, spectra, zones, lags, transfer functions, modes and comparisons of systems whose answer is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Runs on generated pictures of exact motion: the floor stands still, the post and the ball move as they are told."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Clips: one answer in x, y, z from series with clocks of their own, with deviations that hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

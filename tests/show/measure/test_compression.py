@@ -1,7 +1,5 @@
 """Peaks that a video codec made of a stronger vibration say so; no others do."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Damping by half-power bandwidth: of an oscillator that noise drives, and of nothing else."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

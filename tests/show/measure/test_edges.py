@@ -1,7 +1,5 @@
 """A region cut out of a larger body, along its edge: not held by modes around it; what cannot be told is said."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Motion of whole pixels of fine texture is found by iteration, from a linear answer that lacks much of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

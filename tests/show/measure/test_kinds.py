@@ -1,7 +1,5 @@
 """Sensors on clips, each with a clock of its own, and before a camera that moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

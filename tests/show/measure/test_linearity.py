@@ -1,7 +1,5 @@
 """What a linear answer lacks of a large motion goes by the texture, not by the motion's size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

@@ -1,7 +1,5 @@
 """What a measurement leaves behind: JSON, CSV, UFF that another program reads, plots, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recordings of one fixed camera, the whole way: video, dataset, run, measurement."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows that are read one after another: of a pole that sways as a whole, every height has the same phase."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

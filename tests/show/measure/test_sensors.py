@@ -1,7 +1,5 @@
 """Sensors from options and YAML, and what is wrong with them in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

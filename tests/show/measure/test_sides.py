@@ -1,7 +1,5 @@
 """What a pass through the pictures keeps in a byte for each number: sums over a region are what they were."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

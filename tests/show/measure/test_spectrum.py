@@ -1,7 +1,5 @@
 """Spectra of known series: amplitudes, frequencies between bins, the floor's chance, derivatives, orbits, harmonics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

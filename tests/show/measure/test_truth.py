@@ -1,7 +1,5 @@
 """Sensors on generated pictures of exact motion: amplitude, phase, decay, a neighbour; deviations that hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run whose model is exactly the one its dataset was rendered from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Pictures and videos hold what was written; what a kill leaves behind is seen as incomplete."""
 
-from __future__ import annotations
-
 import imageio_ffmpeg
 import numpy as np
 import pytest

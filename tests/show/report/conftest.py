@@ -1,7 +1,5 @@
 """A small dataset with ground truth, a run of its exact model, and the scores of that run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reading a page as a browser would: is it well-formed, what does it load, what does it say."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree

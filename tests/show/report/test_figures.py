@@ -1,7 +1,5 @@
 """Pictures, charts, colours and maps show the numbers that were put in; what a page is told stays text."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """By how much motion is magnified, which scores count, costs and commands in words, and clips."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The page's script in a browser: videos of a figure run in step, and its buttons and slider move all of them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

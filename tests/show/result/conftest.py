@@ -1,7 +1,5 @@
 """A run whose motion and whose uncertainty are known."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

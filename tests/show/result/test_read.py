@@ -1,7 +1,5 @@
 """A run's result: the numbers are those of its motion, in every unit, and the lines say them."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

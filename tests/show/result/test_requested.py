@@ -1,7 +1,5 @@
 """`--band auto`, bands without motion and magnification that goes too far, as a library and as a user meets them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

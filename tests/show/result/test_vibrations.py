@@ -1,7 +1,5 @@
 """Lines, bands, deviations, and what a flat capture's regions show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A headless Chromium that draws in software, driven by playwright; a test is skipped where there is none."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """A run of an exact model, as the view opens it: a post sways at 2.5 Hz, a ball moves at 5 Hz, a floor stands still."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

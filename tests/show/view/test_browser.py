@@ -1,7 +1,5 @@
 """The page in a real browser: the picture answers to sliders, the spectrum and the picture to clicks."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Callable, Iterator

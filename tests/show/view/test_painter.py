@@ -1,7 +1,5 @@
 """Pictures of the scene: what `tg4mm render` writes, magnified, coloured, in time, and no more than is needed."""
 
-from __future__ import annotations
-
 import threading
 
 import numba

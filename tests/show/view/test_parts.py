@@ -1,7 +1,5 @@
 """What the viewer is made of: bands, charts, playing time, the browser's camera, and a local server."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 

@@ -1,7 +1,5 @@
 """The waveform of a pixel, and snapshots and clips that hold what the page shows."""
 
-from __future__ import annotations
-
 import imageio_ffmpeg
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A small run with everything a page can show, and a browser to show it in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

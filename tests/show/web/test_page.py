@@ -1,7 +1,5 @@
 """The page as a file: fields and numbers to their stated errors, whole, alone, and refused where it could not be."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -3,8 +3,6 @@
 Headless Chromium that draws in software. Skipped where there is none.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

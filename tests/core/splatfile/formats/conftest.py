@@ -1,7 +1,5 @@
 """A moving splat with everything that a format can hold, and readers of other people's making."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Every kind of splat file that people have is read, and what cannot be read is refused in one line."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import struct
