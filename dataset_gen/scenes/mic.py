@@ -114,7 +114,6 @@ def cable() -> Surface:
 
 
 FLOOR = -0.86
-ROD_BASE, ROD_TOP = -0.36, 0.10  # the rod is clamped in the hub at its base
 PIVOT = np.array([0.0, 0.0, 0.40])  # where the microphone's axis crosses the rod's
 RADIUS = 0.235  # of the microphone's body
 FOOT_RADIUS = 0.74

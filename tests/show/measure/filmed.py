@@ -18,9 +18,6 @@ from tg4mm.run import Run
 FPS, SIZE = 30.0, 48
 PARTS = [len(p.vertices) for p in _parts(1)]
 POST, BALL = slice(PARTS[0], PARTS[0] + PARTS[1]), slice(PARTS[0] + PARTS[1], sum(PARTS))
-BALL_BOX = (
-    "ball=box:0.1,-0.4,-0.1,0.95,0.6,0.85"  # holds the ball and a piece of the floor that hides under it
-)
 BALL_SPHERE = "ball=sphere:0.5,0.1,0.37,0.33"
 
 Displacement = Callable[[float], np.ndarray]  # seconds -> [N, 3] scene units

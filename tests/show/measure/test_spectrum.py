@@ -110,7 +110,6 @@ def test_an_orbit_is_the_ellipse() -> None:
     orbit = orbit_of(spectrum_of(TIMES, values, np.full((60, 3), 1e-3)).peaks[0])
     assert np.abs(orbit.major) == pytest.approx([2, 0, 0], abs=1e-3)
     assert np.abs(orbit.minor) == pytest.approx([0, 1, 0], abs=1e-3)
-    assert orbit.flatness == pytest.approx(0.5, abs=1e-3)
 
 
 FPS, RESOLUTION = 30.0, 0.5

@@ -6,7 +6,6 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.report.page_checks import read_page
 from tg4mm.capture import load_capture
-from tg4mm.core.pages.charts import OURS, chart
 from tg4mm.core.pages.page import (
     Commands,
     Figure,
@@ -20,7 +19,6 @@ from tg4mm.core.pages.page import (
     picture,
     render_page,
 )
-from tg4mm.core.pages.plotstyle import COLOURS
 from tg4mm.core.pages.svg import colour_bar
 from tg4mm.show.maps import image_motion, motion_maps, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
@@ -47,15 +45,6 @@ def test_slices_hold_the_line_over_time(axis):
     over_time = picture if axis == "row" else picture.transpose(1, 0, 2)
     assert over_time.shape == (16, 13, 3)
     assert [int(row[:, 0].argmin()) + 6 for row in over_time] == [10 + t % 5 for t in range(8)] * 2
-
-
-def two(label: str = "b") -> str:
-    def draw(axes):
-        axes.plot([0, 1], [0, 1], "o-", color=OURS)
-        axes.plot([0, 1], [1, 0], color=COLOURS[0])
-        axes.set(xlabel="a <b> & c", ylabel="y")
-
-    return str(chart(draw, label))
 
 
 def test_maps_show_the_true_amplitude_and_phase_of_each_part(tmp_path):

@@ -18,7 +18,7 @@ from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
 from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.look.rows import by_light
-from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
+from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
@@ -141,7 +141,6 @@ def _of(line: CoreLine) -> _Told:
 def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
     grid, series = scene.grid, scene.series
     cells = max(len(search.pools[0]), 1) if search.pools else 1
-    variance = np.einsum("cii->ci", shift_covariance(series))
     whole = [tone for k in (0, 1) for tone in tones_of(scene.whole[:, k], scene.times_s, scene.nuisance)]
     return Look(
         lines=tuple(lines),
@@ -155,7 +154,6 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         hidden=grid.picture(scene.masks.hidden & ~scene.masks.moves),
         usable=grid.picture(scene.usable),
         shift_px=scene.own.reshape(len(scene.own), grid.rows, grid.columns, 2),
-        shift_deviation_px=np.sqrt(variance).reshape(grid.rows, grid.columns, 2),
         whole_px=scene.whole,
         times_s=series.times_s,
         cell_px=grid.size,

@@ -121,7 +121,6 @@ class Look(Found):
     hidden: np.ndarray  # [F, rows, columns] bool: something passes there
     usable: np.ndarray  # [rows, columns] bool: cells with texture that do not move by themselves
     shift_px: np.ndarray  # [F, rows, columns, 2] right and down, less the whole picture's
-    shift_deviation_px: np.ndarray  # [rows, columns, 2] of one picture
     whole_px: np.ndarray  # [F, 2]
     times_s: np.ndarray  # [F]
     smallest: tuple[Smallest, ...]  # motion that would be found, by the size of what moves

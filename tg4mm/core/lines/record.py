@@ -43,7 +43,6 @@ class Line:
     middle_s: float
     start_s: float | None  # where it begins in the record, None: before it
     change: str  # "steady", "decays", "grows", "begins" (and then lasts or decays), "untold"
-    free_decay: tuple[float, float]  # the decay over the record and its deviation with it left free
     strength: float  # χ² of its amplitudes, of 2D degrees of freedom
 
     @property
@@ -122,10 +121,6 @@ class Lines:
     residual: np.ndarray  # [T, D] values less the lines, a constant and a slow trend
     hz: np.ndarray  # [F] of the noise
     noise: np.ndarray  # [F, D] its level: the standard deviation that white noise of the same density has
-
-    def noise_at(self, hz: float) -> np.ndarray:
-        """[D] at a frequency."""
-        return np.array([np.interp(hz, self.hz, own) for own in self.noise.T])
 
 
 @dataclass(frozen=True)
@@ -212,9 +207,7 @@ class Record:
         start = float(self.t[s.start]) if s.start else None
         own = turn @ covariance @ turn.T
         strength = wald(phasor, covariance)
-        return Line(
-            s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, _change(s, free), free, strength
-        )
+        return Line(s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, _change(s, free), strength)
 
 
 def _change(s: Shape, free: tuple[float, float]) -> str:

@@ -27,11 +27,6 @@ class Orbit:
         """Scene units, zero to peak, along the major axis."""
         return float(np.linalg.norm(self.major))
 
-    @property
-    def flatness(self) -> float:
-        """Minor over major half axis: 0 a line, 1 a circle."""
-        return float(np.linalg.norm(self.minor)) / max(self.amplitude, 1e-300)
-
 
 def orbit_of(peak: Peak) -> Orbit:
     """The phasor turned so that its real and imaginary part are perpendicular; in the directions that are told."""
