@@ -42,8 +42,8 @@ def difference(one: Path, other: Path) -> Difference:
         raise ValueError(f"{one} and {other} do not hold the same pictures")
     steps = []
     for name in names:
-        a, b = (np.asarray(Image.open(root / name)).astype(int) for root in (one, other))
-        steps.append(np.abs(a - b))
+        first, second = (np.asarray(Image.open(root / name)).astype(int) for root in (one, other))
+        steps.append(np.abs(first - second))
     every = np.stack(steps)
     passes: dict[str, float] = {}
     seen = []

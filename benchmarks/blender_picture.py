@@ -43,7 +43,7 @@ def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float, al
     K = [[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]]
     arrays = (means, splat.quats, splat.scales, splat.opacities, splat.sh, viewmat[None], [K])
     tensors = [torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in arrays]
-    rgb, _, _ = rasterization(
+    rgb, _, _ = rasterization(  # type: ignore[call-arg]
         *tensors, side, side, eps2d=1e-6, sh_degree=splat.sh_degree, backgrounds=torch.ones(1, 3)
     )
     return rgb[0].clamp(0, 1).numpy()

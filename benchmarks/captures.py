@@ -110,7 +110,7 @@ def row(case: Case, said: str) -> str:
     figures = json.loads(case.metrics.read_text())
     moved = figures["displacement"] or {}
     at = (moved.get("per_frequency") or [{}])[0]
-    scores = next((e["rows"] for e in figures["alphas"] if e["alpha"] == ALPHA), {})
+    scores: dict = next((e["rows"] for e in figures["alphas"] if e["alpha"] == ALPHA), {})
     seconds = case.folder / "train_s.json"
     cells = [
         _percent(moved.get("relative_error")),

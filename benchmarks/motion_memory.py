@@ -81,7 +81,8 @@ def filmed(out: Path, gaussians: Gaussians, asked: argparse.Namespace) -> Captur
             g = moved(gaussians, largest * np.sin(2 * np.pi * t / PERIOD))
             own = (torch.from_numpy(a[None].astype(np.float32)) for a in (viewmat, K))
             arrays = g.means, g.quats, g.scales, g.opacities, g.sh
-            rgb, _, _ = rasterization(*arrays, *own, width, height, sh_degree=0, backgrounds=torch.ones(1, 3))
+            white = torch.ones(1, 3)
+            rgb, _, _ = rasterization(*arrays, *own, width, height, sh_degree=0, backgrounds=white)  # type: ignore[call-arg]
             noisy = rgb[0].numpy() * 255 + rng.normal(size=(height, width, 3)).astype(np.float32)
             Image.fromarray(np.clip(noisy + 0.5, 0, 255).astype(np.uint8)).save(file, compress_level=1)
     rows = [(t, k) for t in range(asked.timesteps) for k in range(asked.cameras)]

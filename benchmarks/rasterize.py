@@ -167,10 +167,10 @@ def cost(repeats: int) -> None:
         "bin": ["Gaussian", "pair"],
         "gather": ["pair"],
     }
-    for name, times in found.items():
+    for name, taken in found.items():
         for units in (by[name],) if name in by else (["evaluation"], ["evaluation", "pair", "pixel"]):
-            print(fit(name, times, {unit: counts[unit] for unit in units}))
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+            print(fit(name, taken, {unit: counts[unit] for unit in units}))
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 class Trained:
@@ -226,7 +226,7 @@ class Trained:
         leaves = [a.detach().requires_grad_() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         for first in range(0, CAMERAS, each):
             some = slice(first, first + each)
-            images, _, _ = rasterization(
+            images, _, _ = rasterization(  # type: ignore[call-arg]
                 *leaves, self.viewmats[some], self.Ks[some], *self.size, sh_degree=g.sh_degree
             )
             images.backward(torch.ones_like(images))
@@ -246,7 +246,7 @@ class Trained:
 def trained(folder: str, repeats: int) -> None:
     """The kernels and whole passes on trained Gaussians, by number of threads, and gsplat's reference."""
     scene = Trained(folder)
-    most = numba.config.NUMBA_NUM_THREADS
+    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     for threads in range(1, most + 1):
         numba.set_num_threads(threads)
         torch.set_num_threads(threads)

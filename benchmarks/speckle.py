@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -106,4 +107,5 @@ OPTIONS = {"command": {"choices": ["make", "pyidi", "compare"]}, "paths": {"narg
 
 def run(options: argparse.Namespace) -> None:
     """Do one of the three steps."""
-    {"make": make, "pyidi": by_pyidi, "compare": compare}[options.command](*options.paths)
+    steps: dict[str, Callable] = {"make": make, "pyidi": by_pyidi, "compare": compare}
+    steps[options.command](*options.paths)

@@ -77,7 +77,7 @@ def motion_iterations(operator: CpuOperator) -> dict[str, Callable[[], object]]:
 
 def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units: dict[str, int]) -> None:
     """Print the times with one thread and with all; `units`: of work that a call does."""
-    threads = {1, numba.config.NUMBA_NUM_THREADS}
+    threads = {1, numba.config.NUMBA_NUM_THREADS}  # type: ignore[attr-defined]
     print(
         f"\n{title}\n{'':8s} {'threads':>7s} {'median':>8s} {'least':>8s} {'processor':>9s} ms a unit, first ÷ this"
     )

@@ -63,7 +63,7 @@ def canvas(camera: Camera, size: int) -> Canvas:
     return Canvas(tuple(camera.position), tuple(wxyz), float(fov), size, size)
 
 
-def send_to(server: LocalServer):  # type: ignore[no-untyped-def]
+def send_to(server: LocalServer):
     """What puts a picture on all pages: encoded, and into the server's queue."""
 
     def send(picture: np.ndarray, quality: int) -> None:

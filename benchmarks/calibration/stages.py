@@ -94,7 +94,7 @@ def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
         is_marked = bool(
             peak.harmonic or peak.sideband or (loss and loss.why) or not main_is_above(peak, orbit)
         )
-        yield Named(
+        yield Named(  # type: ignore[call-arg]
             *(peak.frequency_hz, peak.frequency_deviation_hz, px * orbit.amplitude, px * deviation),
             *((damping.ratio, damping.deviation) if damping else (None, None)),
             0.0 if peak.line is None else peak.line.from_s,
