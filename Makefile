@@ -39,7 +39,7 @@ test-52 test-53: test-%: .venv%/.installed
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500
 test-faults: install
-	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/core/test_untrusted.py tests/core/test_form.py tests/core/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/core/test_untrusted.py tests/core/test_values.py tests/core/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
 
 # The quick suite with the compilers held to AVX2, which most laptops have, or to SSE2: on a machine with AVX-512 it runs
 # code that `make test` does not.
