@@ -8,10 +8,8 @@ import torch
 
 from tests.fit.motion.filmed import error_of, scene, walk
 from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.camera_path import CameraPath, corrected_poses
 from tg4mm.fit.motion.pipeline import fit_motion
-from tg4mm.fit.motion.temporal import moving
 
 FREQUENCY = 3.4  # Hz
 
@@ -32,25 +30,6 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
         np.vdot(true, found).real > 0.35 * np.vdot(true, true).real
     )  # weights by the residual leave .1 of it
     assert any("the camera moves" in note for note in fit.notes)
-
-
-@pytest.mark.slow
-def test_views_in_temporary_files_give_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    gaussians, motion = scene(FREQUENCY)
-    observations, config = walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False)
-    in_memory = fit_motion(gaussians, observations, config)
-    stored: list[int] = []
-    real = ViewJacobian.stored
-    monkeypatch.setattr(moving, "VIEW_BYTES", 0)
-    monkeypatch.setattr(ViewJacobian, "stored", lambda view: stored.append(view.nbytes) or real(view))
-    in_files = fit_motion(gaussians, observations, config)
-    assert len(stored) == 90
-    assert len(in_memory.motion.freqs_hz) > 0
-    np.testing.assert_allclose(in_files.motion.freqs_hz, in_memory.motion.freqs_hz, rtol=1e-6)
-    scale = np.abs(in_memory.motion.displacement).max()
-    np.testing.assert_allclose(
-        in_files.motion.displacement, in_memory.motion.displacement, rtol=0, atol=1e-4 * scale
-    )
 
 
 @pytest.mark.slow

@@ -9,13 +9,10 @@ from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import moving_pictures
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.core.errors import CaptureError
-from tg4mm.fit.motion import observations as module
 from tg4mm.fit.motion.observations import (
-    Observations,
     fixed_cameras,
     frames_of,
     observe,
-    strips,
 )
 
 STEP = 1 / 30  # s
@@ -117,41 +114,3 @@ class TestClock:
         match = r"\A/data: no camera is fixed, and 4 pictures have a time, too few to show motion; [^\n]*\Z"
         with pytest.raises(CaptureError, match=match):
             frames_of(capture)
-
-
-class TestPictures:
-    @pytest.fixture
-    def pictures(self) -> np.ndarray:
-        """Two cameras, six timesteps of 4 × 5 pixels."""
-        return np.random.default_rng(7).integers(0, 256, (12, 4, 5, 4)).astype(np.uint8)
-
-    def seen(self, pictures: np.ndarray) -> Observations:
-        return observe(
-            capture_of([0] * 6 + [1] * 6, [*range(6), *range(6)], pictures)[0], ImageStack(pictures)
-        )
-
-    @pytest.mark.parametrize("opaque", [False, True])
-    @pytest.mark.parametrize("values", [1, 190, 1 << 20])  # a row at a time, two rows, all
-    def test_strips_are_the_pictures_over_white(
-        self, pictures: np.ndarray, values: int, opaque: bool, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(module, "STRIP_VALUES", values)
-        if opaque:
-            pictures[..., 3] = 255
-        observations = self.seen(pictures)
-        assert observations.is_opaque == opaque
-        found = list(strips(observations.pictures, observations.frames[1]))
-        assert len(found) == {1: 4, 190: 2, 1 << 20: 1}[values]
-        strip = np.concatenate([strip for _, strip in found], 1)
-        assert strip.dtype == np.float32
-        expected = np.stack([ImageStack(pictures).rgb(i) for i in range(6, 12)])
-        np.testing.assert_allclose(strip, expected, atol=2e-7)
-        covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in found])
-        np.testing.assert_array_equal(covered, np.arange(4))
-
-    def test_the_lowest_frequency_has_two_periods_in_the_record(self, pictures: np.ndarray) -> None:
-        observations = self.seen(pictures)
-        assert observations.duration_s == pytest.approx(6 / 30)
-        assert observations.lowest_hz == pytest.approx(10.0)
-        assert observations.size == (5, 4)
-        assert observations.is_whole
