@@ -118,9 +118,9 @@ def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
 
 def warn_too_far(run: Run, plan: Magnification) -> None:
     """Say where motion is shown reversed, or goes further than it holds."""
-    from tg4mm.show.result.requested import reversed_motion, too_far
+    from tg4mm.show.result.requested import how_sure, reversed_motion, too_far
 
-    for line in (reversed_motion(plan), too_far(run, plan)):
+    for line in (reversed_motion(plan), too_far(run, plan), *how_sure(run, plan)):
         if line is not None:
             _LOG.warning(line)
 

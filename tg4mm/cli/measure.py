@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.cli.magnify import parse_bands
 from tg4mm.core.errors import Tg4mmError
 
 
@@ -30,6 +31,14 @@ def measure(
     reference: Annotated[
         str | None,
         typer.Option(help="The sensor that phases and coherence refer to. [default: the first]"),
+    ] = None,
+    band: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--band",
+            metavar="LO HI",
+            help="A band in which every sensor gets a peak, found or not, Hz. [default: the one given to train]",
+        ),
     ] = None,
     formats: Annotated[
         str,
@@ -71,9 +80,13 @@ def measure(
         raise Tg4mmError(
             f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
         )
+    bands = parse_bands(band)
+    if len(bands) > 1 or None in bands:
+        raise Tg4mmError("--band: a measurement takes one band, two frequencies in Hz, LO HI")
+    chosen = bands[0] if bands else None
     opened = Run.open(run)
     check_sensors(opened, asked)
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
-        found = measured(prepare(opened, keep, is_once=True), asked or None, reference)
+        found = measured(prepare(opened, keep, is_once=True), asked or None, reference, band=chosen)
         typer.echo(write_measurement(found, out, animate, wanted), nl=False)

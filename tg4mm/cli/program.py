@@ -70,8 +70,8 @@ _PASS_ALL = {
 app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
 app.command()(look)
-app.command()(train)
-app.command()(measure)
+app.command(cls=BandsCommand)(train)
+app.command(cls=BandsCommand)(measure)
 app.command()(convert)
 for _command in (process, analyse, render, evaluate, report, view, export, sfm):
     app.command(cls=BandsCommand)(_command)

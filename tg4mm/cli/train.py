@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
+from tg4mm.cli.magnify import parse_bands
 from tg4mm.core.errors import Tg4mmError
 
 PresetOption = Annotated[
@@ -53,6 +54,15 @@ def train(
     preset: PresetOption = "modal",
     device: DeviceOption = Device.cpu,
     settings: SettingsOption = None,
+    band: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--band",
+            metavar="LO HI",
+            help="A band in which a frequency is fitted even if none stands out, Hz: --set motion.band. For records of "
+            "one or two periods. [default: what stands out]",
+        ),
+    ] = None,
     list_settings: Annotated[
         bool,
         typer.Option(
@@ -69,11 +79,22 @@ def train(
     finished run it prints the result again.
     """
     chosen = split_settings(settings or [])
+    if band:
+        chosen = with_band(chosen, parse_bands(band))
     from tg4mm.run.train import train as train_run
     from tg4mm.show.result import lines_of, result_of
 
     run = train_run(dataset, out, preset, device.value, chosen)
     typer.echo("\n".join(lines_of(result_of(run))))
+
+
+def with_band(settings: dict[str, str], bands: Sequence[tuple[float, float] | None]) -> dict[str, str]:
+    """The settings with motion.band. Raises Tg4mmError for `auto`, several bands, and one that is set twice."""
+    if len(bands) != 1 or bands[0] is None:
+        raise Tg4mmError("--band: training takes one band, two frequencies in Hz, LO HI")
+    if "motion.band" in settings:
+        raise Tg4mmError("--band and --set motion.band exclude each other")
+    return {**settings, "motion.band": "{:g} {:g}".format(*bands[0])}
 
 
 def split_settings(pairs: Sequence[str]) -> dict[str, str]:

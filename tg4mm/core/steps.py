@@ -23,7 +23,8 @@ class Step:
     title: str  # as it is said
     result: Path  # file or folder that is there once the step is done
     work: Callable[[], object]  # goes on by itself where a kill left it
-    asked: Mapping[str, Any] = field(default_factory=dict)  # JSON values that the result depends on
+    # JSON values that the result depends on; a function where the steps before it say which
+    asked: Mapping[str, Any] | Callable[[], Mapping[str, Any]] = field(default_factory=dict)
     after: Sequence[str] = ()  # names of the steps whose results it reads
     folder: Path | None = None  # holds the result; None: the result itself
     in_place: bool = False  # another request changes the result; else its folder is moved aside first
@@ -45,7 +46,8 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Ste
         write_json(folder.path / folder.record, {**record, "done": done})
 
     for number, step in enumerate(steps, 1):
-        label, asked = f"[{number}/{len(steps)}] {step.title}", json.loads(json.dumps(step.asked))
+        label = f"[{number}/{len(steps)}] {step.title}"
+        asked = json.loads(json.dumps(step.asked() if callable(step.asked) else step.asked))
         entry = done.get(step.name)
         if entry and entry.get("asked") == asked and "seconds" in entry and step.result.exists():
             say(f"{label}: already done")

@@ -14,7 +14,8 @@ from tg4mm.capture.transforms import train_command, whole_dataset
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.settings import unknown
 from tg4mm.fit.device import check_device
-from tg4mm.fit.motion.observations import check_shows_motion
+from tg4mm.fit.motion.config import asked_band
+from tg4mm.fit.motion.observations import check_band_told, check_shows_motion
 from tg4mm.run import Run
 from tg4mm.run.config import work_folder
 from tg4mm.run.preset import preset_named
@@ -68,6 +69,8 @@ def train(
     capture = _capture(Path(dataset))
     if capture.n_timesteps > 1 and "motion" in configs:
         check_shows_motion(capture)
+        if (band := asked_band(getattr(configs["motion"], "band", ""), capture.fps)) is not None:
+            check_band_told(band, capture.n_timesteps / capture.fps)
     with work_folder(run_path).held("trains it"):
         return _train(Path(run_path), capture, preset, configs, device)
 
@@ -92,7 +95,11 @@ def _capture(dataset: Path) -> Capture:
 
 def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
     """What is left of the stages."""
-    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+    # texts that are not set stay out: a run of a program without that setting is the same request
+    plain = {
+        stage: {k: v for k, v in dataclasses.asdict(config).items() if v != ""}
+        for stage, config in configs.items()
+    }
     is_new = not (run_path / "config.json").exists()
     run = Run.create(run_path, capture.root, preset, plain)
     chosen = preset_named(preset)

@@ -19,7 +19,7 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.steps import Say, Step, run_steps
 from tg4mm.core.work_folder import WorkFolder
-from tg4mm.fit.motion.observations import frames_of
+from tg4mm.fit.motion.observations import check_band_told, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, measure, prepare
@@ -30,7 +30,7 @@ from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.report.write import ReportOptions, write_report
 from tg4mm.show.result.read import result_of
-from tg4mm.show.result.requested import refuse_empty
+from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
 
 RECORD = "process.json"
@@ -81,12 +81,23 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     magnified = {"alpha": options.alpha, "band": options.band}
     sensors = [[s.name, repr(s)] for s in options.sensors]
 
+    def with_band() -> dict[str, str]:
+        """The settings, with the band where the fit depends on it."""
+        own = {} if options.band is None else {"motion.band": "{:g} {:g}".format(*options.band)}
+        return {**(own if own and _fits_by_band(dataset, options.band) else {}), **trained}
+
+    def banded() -> dict[str, Any]:
+        """The band where nothing was found in it, so that sensors need to be told of it."""
+        low, high = options.band or (0.0, 0.0)
+        found = options.band is None or any(low <= v.hz <= high for v in result_of(Run.open(run)).vibrations)
+        return {} if found else {"band": options.band}
+
     def make() -> None:
         reconstruct(source, dataset, options.sfm, options.threads, name)
 
     def fit() -> None:
         _check_asked(dataset, options)
-        train(dataset, run, "modal", options.device, _for_kind(dataset, trained))
+        train(dataset, run, "modal", options.device, _for_kind(dataset, with_band()))
 
     def reported() -> Path:
         chosen = ReportOptions(alpha=options.alpha, band=options.band, sensors=options.sensors)
@@ -97,9 +108,9 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
              folder=dataset),
         Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
         Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
-             {"settings": trained, "device": options.device, **clock}, ["dataset"], run),
+             lambda: {"settings": with_band(), "device": options.device, **clock}, ["dataset"], run),
         Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
-             {"sensors": sensors, "quick": options.quick}, ["scale", "run"]),
+             lambda: {"sensors": sensors, "quick": options.quick, **banded()}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
              magnified, ["run"]),
     ]  # fmt: skip
@@ -117,6 +128,8 @@ def _check_asked(dataset: Path, options: ProcessOptions) -> None:
     capture = load_capture(dataset)
     if options.band is not None:
         check_band(options.band, capture.fps)
+        if capture.n_timesteps > 1:
+            check_band_told(options.band, capture.n_timesteps / capture.fps)
     cameras = [frame.name for frame in frames_of(capture)[1]] if capture.n_timesteps > 1 else []
     for sensor in options.sensors:
         if sensor.region == "pixel":
@@ -129,6 +142,16 @@ def _for_kind(dataset: Path, settings: Mapping[str, str]) -> dict[str, str]:
     return {k: v for k, v in settings.items() if deep or QUICK.get(k) != v}
 
 
+def _fits_by_band(dataset: Path, band: tuple[float, float] | None) -> bool:
+    """Whether a fit holds what lies in the band only if it is told: fixed cameras of one clock hold every bin."""
+    capture = load_capture(dataset)
+    if band is None or capture.n_timesteps < 2:
+        return False
+    check_band(band, capture.fps)
+    bins = np.arange(1, capture.n_timesteps // 2 + 1) * capture.fps / capture.n_timesteps
+    return frames_of(capture)[0] != "synchronous" or not ((bins >= band[0]) & (bins <= band[1])).any()
+
+
 def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     run = Run.open(path)
     if run.load_motion() is None:
@@ -137,14 +160,14 @@ def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         return
     check_sensors(run, options.sensors)
     with measured_folder(out).held("writes a measurement there"):
-        found = measure(prepare(run), options.sensors or None)
+        found = measure(prepare(run), options.sensors or None, band=options.band)
         say(write_measurement(found, out, animate=not options.quick))
 
 
 def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
     run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
-    still, result = run.load_motion() is None, result_of(run)
+    still, result = run.load_motion() is None, result_of(run, options.band)
     band = options.band or result.band
     video.unlink(missing_ok=True)
     folder.mkdir(exist_ok=True)
@@ -160,6 +183,8 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     request = RenderRequest(Magnification.of(alpha, band)).checked()
     if options.band is not None:
         refuse_empty(run, request.magnified)
+        for line in how_sure(run, request.magnified):
+            say(line)
     if (camera := _standing(run)) is not None:
         render_sequence(run, [camera], request, folder, device=options.device)
     else:

@@ -87,6 +87,18 @@ def test_noise_alone_is_no_motion() -> None:
     assert "no frequency" in fit.notes[-1]
 
 
+def test_a_band_that_is_given_holds_a_frequency_of_one_period() -> None:
+    """Clips of 20 frames at 1.5 Hz: a second and less, in which nothing is looked for."""
+    gaussians, motion = scene(1.5)
+    seen = clips(gaussians, motion, STARTS, round(FPS / 1.5))
+    assert not len(fit_motion(gaussians, seen, MotionConfig(appearance=False)).motion.freqs_hz)
+    fit = fit_motion(gaussians, seen, MotionConfig(appearance=False, band="1.2 1.8"))
+    (hz,) = fit.motion.freqs_hz
+    assert 1.2 <= hz <= 1.8
+    assert fit.figures["asked_share"] > 0.05
+    assert error_of(fit.motion.displacement[0], motion.displacement[0], gaussians.opacities.numpy()) < 0.7
+
+
 def test_an_offset_is_the_one_nearest_to_zero() -> None:
     hz = np.array([3.4, 7.0])
     assert clock_offset(2 * np.pi * hz * 0.021, hz) == pytest.approx(0.021, abs=2e-3)

@@ -7,7 +7,7 @@ from tg4mm.show.measure.derivatives import derivatives_of, deviations_of
 from tg4mm.show.measure.fourier import CHANCE
 from tg4mm.show.measure.harmonics import Harmonic, harmonics_of
 from tg4mm.show.measure.orbit import orbit_of
-from tg4mm.show.measure.spectrum import spectrum_of
+from tg4mm.show.measure.spectrum import spectrum_of, with_band
 
 TIMES = np.arange(60) / 30.0
 
@@ -130,3 +130,17 @@ def test_two_and_three_times_a_stronger_frequency(hz: float, size: float, expect
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
+
+
+def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none() -> None:
+    """Two seconds at 0.5 Hz; a band that holds a peak that was found stays as it is."""
+    values, sigma = noisy(sinusoid(0.5, 1.0, 0.6), 0.05, 1)
+    share = np.zeros(3)
+    found = spectrum_of(TIMES, values, sigma)
+    assert found.peaks == ()
+    (asked,) = with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
+    assert asked.asked is not None and asked.asked.band == (0.4, 0.6)
+    assert asked.amplitude == pytest.approx([1, 0, 0.5], abs=2 * asked.deviation.max())
+    assert 0.1 < asked.deviation[0] < 0.5
+    fast = spectrum_of(TIMES, *noisy(sinusoid(7.7), 0.05, 1))
+    assert with_band(fast, (7, 8), TIMES, values, sigma, share) is fast

@@ -53,15 +53,31 @@ def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None
     refuse_empty(run, Magnification(everywhere=10.0))
 
 
-def test_a_band_with_fewer_than_two_periods_in_the_record_is_refused(run: Run, capsys) -> None:
+def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run: Run, capsys) -> None:
     """The record lasts a second."""
     with pytest.raises(
-        Tg4mmError, match=r"--band 0\.5 1\.5: the record of 1 s holds fewer than two periods of it"
+        Tg4mmError, match=r"--band 0\.1 0\.4: the record of 1 s holds less than half a period of it"
     ):
-        refuse_empty(run, plan(0.5, 1.5))
+        refuse_empty(run, plan(0.1, 0.4))
     refuse_empty(run, plan(0.5, 3.5))
-    assert main(["render", str(run.path), "--alpha", "3", "--band", "0.5", "1.5", "--out", "nowhere"]) == 2
-    assert capsys.readouterr().err.count("a band must reach 2 Hz, or film longer") == 1
+    assert main(["render", str(run.path), "--alpha", "3", "--band", "0.1", "0.4", "--out", "nowhere"]) == 2
+    assert capsys.readouterr().err.count("a band must reach 0.5 Hz, or film longer") == 1
+
+
+def test_a_band_that_a_person_gives_is_magnified_though_one_period_is_no_vibration(
+    run: Run, tmp_path: Path, capsys
+) -> None:
+    """All Gaussians go to and fro once, by 0.02 units: nothing is found, and the band's amplitude has a large ±."""
+    copy = other_motion(run, tmp_path, 0.02, 1.0)
+    assert result_of(copy).vibrations == ()
+    (asked,) = result_of(copy, (0.8, 1.2)).vibrations
+    assert asked.amplitude.value == pytest.approx(0.02, rel=0.1)
+    assert 0.1 < asked.amplitude.deviation / asked.amplitude.value < 0.5
+    assert "the record holds 1 periods of it" in asked.doubt
+    command = ["render", str(copy.path), "--alpha", "3", "--band", "0.8", "1.2", "--orbit", "1"]
+    assert main([*command, "--out", str(tmp_path / "o")]) == 0
+    assert "--band 0.8 1.2: " in (said := capsys.readouterr().err)
+    assert "a drift as large as the motion" in said
 
 
 def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> None:
@@ -109,13 +125,13 @@ def copied(run: Run, tmp_path: Path) -> Run:
     return Run.open(tmp_path / "run")
 
 
-def other_motion(run: Run, tmp_path: Path, amplitude: float) -> Run:
-    """All Gaussians alike along x, at 3 Hz."""
+def other_motion(run: Run, tmp_path: Path, amplitude: float, hz: float = 3.0) -> Run:
+    """All Gaussians alike along x."""
     copy, motion = copied(run, tmp_path), run.load_motion()
     displacement = np.zeros_like(motion.displacement[:1])
     displacement[..., 0] = amplitude
     copy.save_motion(
-        replace(motion, freqs_hz=np.array([3.0]), displacement=displacement, rotation=0 * displacement), {}
+        replace(motion, freqs_hz=np.array([hz]), displacement=displacement, rotation=0 * displacement), {}
     )
     return copy
 

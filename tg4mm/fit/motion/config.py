@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.magnification import check_band
 from tg4mm.core.settings import setting
 from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, SEED, Choice, Number, require
 
+FASTEST = 1e9  # Hz, where the frame rate is not known yet
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
 
@@ -47,6 +49,11 @@ class MotionConfig:
         "what is removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "
         "auto: what the pictures need",
     )
+    band: str = setting(
+        "",
+        "LOW HIGH: a frequency there is fitted even if none stands out; empty: what stands out alone",
+        "Hz",
+    )
     seed: int = setting(0, "seed of the random generator")
 
 
@@ -66,7 +73,21 @@ def checked(config: MotionConfig) -> MotionConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
     for name, rule in _RULES.items():
         require(f"setting motion.{name}", getattr(config, name), rule, Tg4mmError)
+    asked_band(config.band)
     return config
+
+
+def asked_band(text: str, fps: float = FASTEST) -> tuple[float, float] | None:
+    """`motion.band` as (low, high) in Hz; None where no band is asked for. Raises Tg4mmError for what is no band."""
+    if not text.strip():
+        return None
+    try:
+        low, high = (float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise Tg4mmError(
+            f"setting motion.band is {text[:60]!r}, expected two frequencies in Hz, LOW HIGH"
+        ) from None
+    return check_band((low, high), fps)
 
 
 def more_iterations(n_gaussians: int) -> float:

@@ -24,6 +24,7 @@ _CLOCK = (
 )
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
+LEAST_PERIODS = 0.5  # of a band that a person gives: less is a slope
 CLEAR_PERIODS = 2.5  # of one that is told from a drift
 
 
@@ -116,6 +117,16 @@ def check_shows_motion(capture: Capture) -> None:
         raise CaptureError(
             f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
             f"the frame rate; expected {FEWEST_FRAMES} or more, better several periods of the vibration"
+        )
+
+
+def check_band_told(band: Sequence[float], duration_s: float) -> None:
+    """Raise CaptureError for a band (low, high) in Hz of which a record holds less than half a period."""
+    lowest = LEAST_PERIODS / duration_s
+    if band[1] < lowest:
+        raise CaptureError(
+            f"--band {band[0]:g} {band[1]:g}: the record of {duration_s:.3g} s holds less than half a period of it, "
+            f"which no drift is told from; a band must reach {lowest:.3g} Hz, or film longer"
         )
 
 

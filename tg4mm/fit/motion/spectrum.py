@@ -10,11 +10,13 @@ Where bins do as well (whole periods, or nothing tonal) there are none.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
 from scipy.optimize import least_squares
+
+from tg4mm.core.lines.band import tone_in
 
 
 def sinusoids(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
@@ -65,7 +67,11 @@ def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
 
 
 def modes_of(
-    basis: np.ndarray, fields: np.ndarray, fps: float, appearance: np.ndarray | None = None
+    basis: np.ndarray,
+    fields: np.ndarray,
+    fps: float,
+    appearance: np.ndarray | None = None,
+    band: tuple[float, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [K] in Hz, ascending, and phasors [K, R] of the temporal components a_r(t) of Σ_r a_r(t) fields[r].
 
@@ -75,12 +81,15 @@ def modes_of(
     (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
     trend from timestep 0 on; and 0 Hz, the offset from the mean over time to the motion's own zero, which is never
     magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
-    appearance weigh the same.
+    appearance weigh the same. Where a `band` (Hz) is given and holds no frequency, the tone in it is one.
     """
     n_timesteps = basis.shape[1]
     basis = basis - basis.mean(1, keepdims=True)
     products = np.einsum("rnc,snc->rs", fields[..., :3], fields[..., :3], dtype=np.float64)
-    sinusoids = find_sinusoids(basis * np.sqrt(np.diag(products))[:, None])
+    weighted = basis * np.sqrt(np.diag(products))[:, None]
+    sinusoids = find_sinusoids(weighted)
+    if band is not None:
+        sinusoids = _with_band(sinusoids, weighted, fps, band)
     cycles, series = _with_bins(basis, sinusoids)
     if appearance is not None and (own := _products(appearance)).any():
         products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
@@ -89,6 +98,16 @@ def modes_of(
     dropped = _DROPPED * power[oscillates].sum() if n_timesteps > ALL_BINS_UP_TO else -1.0
     keep = all_but_weakest(power, oscillates, dropped)
     return cycles[keep] * fps / n_timesteps, series[keep]
+
+
+def _with_band(sinusoids: Sinusoids, series: np.ndarray, fps: float, band: tuple[float, float]) -> Sinusoids:
+    """With the tone of series [R, T] in the band (Hz), where no bin and no sinusoid lies in it."""
+    n_timesteps = series.shape[1]
+    hz = np.append(sinusoids.cycles, np.arange(1, n_timesteps // 2 + 1)) * fps / n_timesteps
+    if ((hz >= band[0]) & (hz <= band[1])).any():
+        return sinusoids
+    tone = tone_in(series.T, np.arange(n_timesteps) / fps, band)
+    return replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, tone.hz * n_timesteps / fps)))
 
 
 def _products(values: np.ndarray) -> np.ndarray:

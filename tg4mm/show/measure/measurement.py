@@ -10,7 +10,10 @@ import numpy as np
 
 from tg4mm.capture.look import Found
 from tg4mm.capture.scene import between_frames, codec_period, video_file
+from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
+from tg4mm.fit.motion.config import asked_band
+from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
@@ -65,6 +68,7 @@ def measure(
     sensors: Sequence[Sensor] | None = None,
     reference: str | None = None,
     clusters: Clusters | None = None,
+    band: tuple[float, float] | None = None,
 ) -> Measurement:
     """Measure the displacement of virtual sensors over time, in the pictures (docs/measure.md).
 
@@ -74,12 +78,15 @@ def measure(
             the whole scene.
         reference: name of the sensor that phases and coherence refer to; `None`: the first.
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
+        band: (low, high) in Hz: every sensor has a peak there, found or not; its ± says how little a short record
+            tells. `None`: that of the run's training, if it was given one. Not of clips.
 
     Returns:
         A waveform with its deviation, a spectrum with its noise floor, and peaks for each sensor, in scene units.
 
     Raises:
         MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is none of the sensors.
+        CaptureError: the band does not fit the record.
     """
     if isinstance(run, Run):
         check_sensors(run, sensors or ())
@@ -96,6 +103,11 @@ def measure(
             f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
         )
     results, phases = _results(scene, wanted, groups.members)
+    observations = scene.observations
+    asked = band or asked_band(scene.fit.config.band, observations.fps)
+    if asked is not None:
+        check_band_told(check_band(asked, observations.fps), observations.duration_s)
+        results = [r.with_(band=asked) for r in results]
     results = with_losses(scene, [iterated(scene, r) for r in results])
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)

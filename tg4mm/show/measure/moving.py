@@ -94,7 +94,7 @@ def prepare_moving(
     observations = replace(observations, frames=frames)
     return Prepared(
         fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),
-        slow=_slow_functions(times),
+        slow=_slow_functions(times, modal.freqs_hz),
     )  # fmt: skip
 
 
@@ -142,8 +142,9 @@ def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, si
         model.adjoint(left[None], sides[half, k : k + 1])
 
 
-def _slow_functions(times_s: np.ndarray) -> np.ndarray:
-    """[S, F]: polynomials up to half the lowest frequency that is told, `_PERIODS` in the record."""
+def _slow_functions(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
+    """[S, F]: polynomials up to half the lowest frequency that is told, `_PERIODS` in the record, or was asked for."""
     span = max(float(np.ptp(times_s)), 1e-9)
-    degree = int(np.clip(round(_PERIODS / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
+    periods = min(_PERIODS, *(float(f) * span for f in freqs_hz if f > 0), _PERIODS)
+    degree = int(np.clip(round(periods / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
     return legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree).T

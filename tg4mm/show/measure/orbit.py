@@ -46,6 +46,6 @@ def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
 
 
 def main_is_above(peak: Peak, orbit: Orbit) -> bool:
-    """Whether a peak is a line, or above the floor on some axis, and its main axis above twice its own deviation."""
-    is_resolved = peak.line is not None or bool(peak.is_above.any())
+    """Whether a peak is a line, asked for, or above the floor, and its main axis above twice its own deviation."""
+    is_resolved = peak.line is not None or peak.asked is not None or bool(peak.is_above.any())
     return is_resolved and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)

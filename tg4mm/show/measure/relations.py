@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import csd, welch
 
-from tg4mm.core.lines import fit_lines
+from tg4mm.core.lines import Line, fit_lines
+from tg4mm.core.lines.band import Tone, tone_in
 from tg4mm.show.measure.orbit import amplitude_deviation, orbit_of
 from tg4mm.show.measure.series import Series
 
@@ -84,12 +85,16 @@ def _at(result: SensorResult, reference: SensorResult) -> list[tuple[np.ndarray,
         return [(phasor, error, bool((np.abs(phasor) > level).any())) for phasor, error in told]
     lines = [p.line for p in peaks if p.line is not None]
     series, out = result.series, []
-    if not lines:
-        return []
-    found = fit_lines(series.displacement[:, series.is_resolved], series.times_s, lines)
-    for line in found.lines:
+    values = series.displacement[:, series.is_resolved]
+    found: list[Line | Tone] = []
+    if lines:
+        found += fit_lines(values, series.times_s, lines).lines
+    known = np.sqrt((series.noise[:, series.is_resolved] ** 2).mean(0))
+    for p in peaks[len(lines) :]:  # what was asked for comes last: at the reference's own frequency
+        found.append(tone_in(values, series.times_s, (0.999 * p.frequency_hz, 1.001 * p.frequency_hz), known))
+    for one in found:
         phasor, error = np.zeros(len(level), complex), np.zeros(len(level))
-        phasor[series.is_resolved], error[series.is_resolved] = line.phasor, line.amplitude_deviation
+        phasor[series.is_resolved], error[series.is_resolved] = one.phasor, one.amplitude_deviation
         out.append((phasor, error, bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())))
     return out
 

@@ -18,7 +18,7 @@ from tg4mm.show.measure.relations import Relation
 from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.sensors import Sensor
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of
+from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of, with_band
 
 WORLD = "x", "y", "z"
 
@@ -63,6 +63,7 @@ class SensorResult:
     faded: tuple[
         Loss, ...
     ] = ()  # the same of peaks that decay when they are weaker by e; none where nothing decays
+    band: tuple[float, float] | None = None  # Hz, asked for: a peak is there, found or not
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
@@ -124,6 +125,9 @@ class SensorResult:
         else:
             own = self.series
             found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.between)
+            if self.band is not None:
+                record = own.times_s, own.displacement, own.noise, own.model_share
+                found = with_band(found, self.band, *record)
         longest = max((s.times_s for s in self.all_series), key=len)
         fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
         return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))
@@ -155,7 +159,10 @@ class SensorResult:
         best = [
             max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
         ]
-        found = [damping_of(record.series, record.peaks[k]) for k, record in enumerate(best)]
+        found = [
+            None if record.peaks[k].asked else damping_of(record.series, record.peaks[k])
+            for k, record in enumerate(best)
+        ]
         if not self.faded:
             return tuple(found)
         return tuple(map(with_loss, found, self.losses, self.faded))

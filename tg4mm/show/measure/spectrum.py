@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.core.lines import Line, Lines, find_lines
+from tg4mm.core.lines.band import Tone, tone_in
 from tg4mm.show.measure.fourier import floor_factor, frequency_grid, is_resolved, rayleigh, transformed
 from tg4mm.show.measure.harmonics import Harmonic, Sideband, harmonics_of
 
@@ -33,6 +34,7 @@ class Peak:
     line: Line | None = None  # along the axes that are seen; None: of clips, steady
     harmonic: Harmonic | None = None  # a stronger peak that this may be a harmonic of
     sideband: Sideband | None = None  # a stronger peak of which a video codec may have made this
+    asked: Tone | None = None  # what was asked for by its band and does not stand out; None: it was found
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -98,6 +100,33 @@ def spectrum_of(
     peaks = [] if found is None else [_peak(line, grid, floor, is_seen, model_share) for line in found.lines]
     amplitude = np.abs(transformed(grid, times_s, values))
     return Spectrum(grid, amplitude, floor, with_harmonics(ordered(peaks), times_s))
+
+
+def with_band(
+    found: Spectrum,
+    band: tuple[float, float],
+    times_s: np.ndarray,
+    values: np.ndarray,
+    deviation: np.ndarray,
+    model_share: np.ndarray,
+) -> Spectrum:
+    """With the tone of values [T, A] in a band (Hz) among the peaks, where none of them lies in it.
+
+    Its ± holds what a record of a period or two leaves open (`core/lines/band.py`). Arguments as of `spectrum_of`.
+    """
+    is_seen = np.isfinite(deviation).all(0)
+    if not is_seen.any() or any(band[0] <= p.frequency_hz <= band[1] for p in found.peaks):
+        return found
+    known = np.sqrt((deviation[:, is_seen] ** 2).mean(0))
+    tone = tone_in(values[:, is_seen], times_s, band, known)
+    level = found.floor[int(np.abs(found.freqs_hz - tone.hz).argmin())]
+    phasor, own = np.zeros(len(is_seen), complex), np.full(len(is_seen), np.inf)
+    phasor[is_seen] = tone.phasor
+    own[is_seen] = np.hypot(
+        tone.amplitude_deviation, model_share[is_seen] * np.linalg.norm(phasor[is_resolved(level)])
+    )
+    peak = Peak(tone.hz, tone.hz_deviation, phasor, own, level, asked=tone)
+    return replace(found, peaks=(*found.peaks, peak))
 
 
 def _levels(found: Lines, grid: np.ndarray) -> np.ndarray:

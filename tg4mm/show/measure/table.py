@@ -77,6 +77,8 @@ def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:
     """What makes a peak doubtful, or its amplitude."""
     doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
     doubts += [] if peak.line is None else _changes(peak.line)
+    if (tone := peak.asked) is not None:
+        doubts.append(f"asked for, {tone.band[0]:g} to {tone.band[1]:g} Hz: {tone.periods:.2g} periods")
     if loss is not None and (loss.why or loss.gain < _WHOLE):
         doubts.append(loss.why or f"compression lets {loss.gain:.2f} ± {loss.deviation:.2f} of it through")
     return "; ".join(

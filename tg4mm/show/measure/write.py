@@ -207,6 +207,7 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
         "damping_ratio": None if damping is None else damping.ratio,
         "damping_deviation": None if damping is None else damping.deviation,
+        **({} if peak.asked is None else {"asked_band_hz": list(peak.asked.band)}),
     }
 
 

@@ -109,10 +109,12 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
     return Figure(panels, caption)
 
 
-def measured(run: Run, sensors: Sequence[Sensor]) -> tuple[Measurement | None, str]:
+def measured(
+    run: Run, sensors: Sequence[Sensor], band: tuple[float, float] | None = None
+) -> tuple[Measurement | None, str]:
     """What sensors measure on the run, or why nothing was. Sensors that were asked for must be measured: Tg4mmError."""
     try:
-        return measure(run, sensors or None), ""
+        return measure(run, sensors or None, band=band), ""
     except Tg4mmError as error:
         if sensors:
             raise

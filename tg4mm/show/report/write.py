@@ -87,14 +87,16 @@ def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
     bands = () if options.band is None else (check_band(options.band, train.fps),)
     chosen = Magnification.of(1.0, *bands)
     reading = reading_of(run)
-    result = reading.result()
+    result = reading.result(options.band)
     model = load_model(reading, train, chosen)
     alpha, why_alpha = options.alpha, ""
     if alpha is None or model.motion is None:
         alpha, why_alpha = choose_alpha(reading, result.noise_px, chosen)
     view = gather_view(run, train, model, chosen.times(float(alpha)))
     with progress("sensors", 1, "part", brief=True):
-        measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
+        measurement, why_no_sensors = (
+            (None, "") if model.motion is None else measured(run, options.sensors, options.band)
+        )
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run, options.evaluate)
     if metrics and metrics.get("format") != "tg4mm-metrics":
         raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")

@@ -15,6 +15,7 @@ from tg4mm.core.choices import Kind
 from tg4mm.core.errors import RunError
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, frames_of
@@ -22,6 +23,7 @@ from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
+from tg4mm.show.result.asked import asked_vibration
 from tg4mm.show.result.line import (
     Peak,
     drift_line,
@@ -42,9 +44,12 @@ _STEADY = "the fit takes the vibration to be steady"
 _DOUBT = "only the whole picture shows it, no region by itself: it may be a little sway, a passer-by or noise"
 
 
-def result_of(run: Run) -> Result:
-    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished."""
-    return reading_of(run).result()
+def result_of(run: Run, band: Band | None = None) -> Result:
+    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished.
+
+    band: (low, high) in Hz that a person asks for: what the fit holds there is among the vibrations, found or not.
+    """
+    return reading_of(run).result(band)
 
 
 def reading_of(run: Run) -> Reading:
@@ -90,7 +95,7 @@ class Reading:
             return None
         return between_frames(self.capture.root, self.motion.n_timesteps)
 
-    def result(self) -> Result:
+    def result(self, band: Band | None = None) -> Result:
         """`result_of`."""
         motion = self.motion
         if motion is None:
@@ -100,6 +105,7 @@ class Reading:
         found = [] if has_regions else self._found(motion, seen)
         drifts = [v for v in found if is_drift(v, self.duration_s)]
         vibrations, beside = self._named(motion, seen, [v for v in found if v not in drifts])
+        vibrations = self._with_asked(motion, vibrations, band)
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
         strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
@@ -126,6 +132,16 @@ class Reading:
             next_command=next_command(self.run, self.capture, vibrations, alpha),
             beside=beside,
         )
+
+    def _with_asked(
+        self, motion: ModalMotion, found: tuple[Vibration, ...], band: Band | None
+    ) -> tuple[Vibration, ...]:
+        """With the motion in the band that is asked for, or that the run was trained for, first; as it is if found."""
+        band = band or asked_band(str(self.run.settings.get("motion", {}).get("band", "")), motion.fps)
+        if band is None or any(band[0] <= v.hz <= band[1] for v in found):
+            return found
+        asked = asked_vibration(self, band)
+        return found if asked is None else (asked, *found)
 
     @cached_property
     def look(self) -> Found | None:
@@ -216,7 +232,7 @@ class Reading:
         for v, band in zip(found, bands, strict=True):
             k, line = _index(motion, v.mode_hz), v.line
             phasors = motion.displacement[k] if line is None else phasors_at(motion, line, self._between)
-            amplitude, place = self._largest(phasors, seen, None if deviations is None else deviations[k])
+            amplitude, place = self.largest(phasors, seen, None if deviations is None else deviations[k])
             if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
                 continue  # as large as its own error
             out.append(
@@ -225,12 +241,12 @@ class Reading:
                     deviation_hz=v.deviation_hz,
                     amplitude=amplitude,
                     place=place,
-                    pixels=self._pixels(phasors, seen, amplitude),
+                    pixels=self.pixels(phasors, seen, amplitude),
                     damping=None if line is None else line.damping,
                     damping_deviation=None if line is None else line.damping_deviation,
                     why_no_damping=_STEADY if v.is_steady else why_no_damping(line),
                     band=band,
-                    place_px=self._pixel(place),
+                    place_px=self.pixel(place),
                     begins_s=None if line is None else line.start_s,
                 )
             )
@@ -242,7 +258,7 @@ class Reading:
             return ()
         return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
 
-    def _largest(
+    def largest(
         self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
     ) -> tuple[Length, tuple[float, float, float]]:
         amplitude = peak_displacement(phasors)
@@ -251,7 +267,7 @@ class Reading:
         x, y, z = (float(c) for c in self.gaussians.means[there])
         return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
 
-    def _pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
+    def pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
         """Of a flat capture, where a place lies in its picture."""
         if self.capture is None or self.capture.kind.sees_depth:
             return None
@@ -259,7 +275,7 @@ class Reading:
         x, y, z = K @ (viewmat[:3, :3] @ np.array(place) + viewmat[:3, 3])
         return float(x / z), float(y / z)
 
-    def _pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
+    def pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
         """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
         line of sight hides."""
         pixels = seen.pixels(phasors)

@@ -9,10 +9,10 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.mode_selection import worth_keeping
-from tg4mm.fit.motion.observations import PERIODS
+from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
 from tg4mm.run.poses import method_of
-from tg4mm.show.result.model import Band, Result
+from tg4mm.show.result.model import Band, Result, with_deviation
 from tg4mm.show.result.reach import NOISE_PX, TURN, Reach
 from tg4mm.show.result.read import reading_of, result_of
 
@@ -45,7 +45,8 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
     if motion is None or not plan.bands:
         return
     plan.checked(motion.fps)
-    _refuse_too_slow(plan, motion.n_timesteps / motion.fps)
+    for band in plan.bands:
+        check_band_told(band.band, motion.n_timesteps / motion.fps)
     told = worth_keeping(motion, run.load_noise()) & motion.is_magnified()
     freqs = motion.freqs_hz[told]
     is_modal = method_of(run, plan) == "modal"
@@ -55,18 +56,24 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
         if not (gains > _LET_THROUGH).any():
             raise Tg4mmError(
                 f"--band {band.low:g} {band.high:g}: no motion was found there; {_there(result_of(run), freqs)}; "
-                "--allow-empty-band goes on all the same"
+                f"--allow-empty-band goes on all the same, tg4mm train --band {band.low:g} {band.high:g} fits one"
             )
 
 
-def _refuse_too_slow(plan: Magnification, duration_s: float) -> None:
-    lowest = PERIODS / duration_s
-    for band in plan.bands:
-        if band.high < lowest:
-            raise Tg4mmError(
-                f"--band {band.low:g} {band.high:g}: the record of {duration_s:.3g} s holds fewer than two periods of "
-                f"it; a band must reach {lowest:.3g} Hz, or film longer; --allow-empty-band goes on all the same"
-            )
+def how_sure(run: Run, plan: Magnification) -> list[str]:
+    """A line for each band of the plan in which nothing stands out: how large the motion there is, and its ±."""
+    if run.load_motion() is None:
+        return []
+    reading, out = reading_of(run), []
+    for band in plan.limits:
+        for v in reading.result(band).vibrations:
+            if v.doubt and v.band == band:
+                length = v.amplitude if v.pixels is None else v.pixels
+                unit = "scene units" if v.pixels is None else "px"
+                out.append(
+                    f"--band {_shown(band)}: {with_deviation(length)} {unit} at {v.hz:.3g} Hz: {v.doubt}"
+                )
+    return out
 
 
 def reversed_motion(plan: Magnification) -> str | None:

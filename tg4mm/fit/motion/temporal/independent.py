@@ -69,8 +69,8 @@ class IndependentClocks(Steady):
         observations = seen.observations
         problem = seen.problem(config, device)
         series = region_series(seen, problem, checkpoint)
-        frequencies = frequencies_of(observations, series, LEAST, 0.0)
-        figures = {**seen.figures, **frequency_figures(frequencies)}
+        frequencies, of_band = frequencies_of(observations, series, LEAST, 0.0, config)
+        figures = {**seen.figures, **frequency_figures(frequencies), **of_band}
         targets, mixing = no_targets(observations), list[np.ndarray]()
         phases = np.zeros((len(series), 0))
         if len(frequencies.hz):

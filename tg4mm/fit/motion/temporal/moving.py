@@ -90,10 +90,9 @@ class MovingCamera(Steady):
         observations = replace(observations, frames=frames)
         problem, residuals, left = _residual_problem(gaussians, observations, config, device)
         lowest_hz = _PERIODS / observations.duration_s
-        frequencies = frequencies_of(
-            observations, [_series(problem, residuals, observations, checkpoint)], _LEAST_POWER, lowest_hz
-        )
-        figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(frequencies)}
+        shifts = _series(problem, residuals, observations, checkpoint)
+        frequencies, of_band = frequencies_of(observations, [shifts], _LEAST_POWER, lowest_hz, config)
+        figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(frequencies), **of_band}
         notes = [
             "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
             f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
@@ -172,8 +171,10 @@ class MovingCamera(Steady):
         notes = [*model.notes]
         if not is_determined.all():
             figures["undetermined_hz"] = [round(float(f), 4) for f in model.hz[~is_determined]]
-            notes.append(_not_told(model.hz[~is_determined]))
-        ambiguity = sum((r.squares for r in readings if r.is_determined), np.zeros(len(model.gaussians)))
+            notes += _not_told(model.hz, is_determined, model.is_asked)
+        is_determined = is_determined | model.is_asked
+        kept = (r.squares for r, stays in zip(readings, is_determined, strict=True) if stays)
+        ambiguity = sum(kept, np.zeros(len(model.gaussians)))
         model = replace(model, ambiguity=ambiguity, figures=model.figures | figures, notes=notes)
         return model._with(is_determined), folds[:, np.repeat(is_determined, 2)]
 
@@ -193,14 +194,21 @@ class MovingCamera(Steady):
         ]
 
 
-def _not_told(hz: np.ndarray) -> str:
-    """What is said of frequencies whose motion may be the camera's own."""
-    named = ", ".join(f"{f:.4g}" for f in hz)
-    return (
-        f"how things move at {named} Hz, so that the run holds no motion there: neither how much of what is seen moves "
-        "nor the camera's path tells its motion from the camera's own; a fixed camera and a sweep tell "
-        "(docs/capture-guide.md, tripod)"
-    )
+def _not_told(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.ndarray) -> list[str]:
+    """What is said of frequencies [K] whose motion may be the camera's own; those that were asked for stay."""
+    out = []
+    for some, what in (
+        (~is_determined & ~is_asked, ", so that the run holds no motion there"),
+        (~is_determined & is_asked, " is a guess, kept since it was asked for"),
+    ):
+        if some.any():
+            named = ", ".join(f"{f:.4g}" for f in hz[some])
+            out.append(
+                f"how things move at {named} Hz{what}: neither how much of what is seen moves nor the camera's path "
+                "tells its motion from the camera's own; a fixed camera and a sweep tell "
+                "(docs/capture-guide.md, tripod)"
+            )
+    return out
 
 
 def _seen_weights(problem: Problem) -> np.ndarray:

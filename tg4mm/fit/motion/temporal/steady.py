@@ -17,8 +17,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from tg4mm.core.lines.band import FEWEST, Tone, tone_in
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
+from tg4mm.fit.motion.config import MotionConfig, asked_band
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.modes import ModalMotion
@@ -34,6 +36,7 @@ from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.frequencies import Frequencies, find_frequencies
 
 _PROBES = 4
+_STRONGEST = 32  # series that the tone in a band is taken from
 _SEEN = 0.02  # of the median region's determinant: below it a region is not seen
 
 
@@ -159,10 +162,16 @@ class Steady(TemporalModel):
         """[K], by falling strength."""
         return self.frequencies.hz
 
+    @property
+    def is_asked(self) -> np.ndarray:
+        """[K] bool: which lie in the band that was asked for, and stay however little is told of them."""
+        band = asked_band(self.config.band, self.observations.fps)
+        return in_band(self.hz, band) if band is not None else np.zeros(len(self.hz), bool)
+
     def settled(self, folds: np.ndarray) -> tuple[Self, np.ndarray]:
         """The frequencies' fields, of those on which two folds agree."""
         folds = self.fix_gauge(folds[:, : 2 * len(self.hz)])
-        is_reliable = _reliability_of_pairs(folds) >= self.min_reliability
+        is_reliable = (_reliability_of_pairs(folds) >= self.min_reliability) | self.is_asked
         return self._with(is_reliable), folds[:, np.repeat(is_reliable, 2)]
 
     def _with(self, keep: np.ndarray) -> Self:
@@ -198,15 +207,44 @@ class Steady(TemporalModel):
 
 
 def frequencies_of(
-    observations: Observations, series: Sequence[RegionSeries], least: float, lowest_hz: float
-) -> Frequencies:
+    observations: Observations,
+    series: Sequence[RegionSeries],
+    least: float,
+    lowest_hz: float,
+    config: MotionConfig,
+) -> tuple[Frequencies, dict[str, Any]]:
     """From all clocks' region shifts, from two periods in the record (or `lowest_hz`) to half the frame rate.
 
-    Those whose power is at least `least` times that of the noise.
+    Those whose power is at least `least` times that of the noise. In the band that was asked for there is always one:
+    where none stands out, that of the tone there (`core/lines/band.py`). Also for the log, how little is told of it.
     """
-    highest = _HIGHEST * observations.fps / 2
+    highest, lowest = _HIGHEST * observations.fps / 2, max(lowest_hz, observations.lowest_hz)
     shifts, times = [s.whitened() for s in series], [s.times_s for s in series]
-    return find_frequencies(shifts, times, max(lowest_hz, observations.lowest_hz), highest, least)
+    found = Frequencies(np.zeros(0), np.zeros(0))
+    if lowest < highest:
+        found = find_frequencies(shifts, times, lowest, highest, least)
+    band = asked_band(config.band, observations.fps)
+    if band is None or in_band(found.hz, band).any():
+        return found, {}
+    tone = _tone_of(shifts, times, band)
+    hz, deviation = np.append(found.hz, tone.hz), np.append(found.deviation_hz, tone.hz_deviation)
+    share = float(np.linalg.norm(tone.amplitude_deviation) / max(float(np.linalg.norm(tone.phasor)), 1e-300))
+    return Frequencies(hz, deviation), {"asked_hz": round(tone.hz, 6), "asked_share": round(share, 6)}
+
+
+def _tone_of(shifts: Sequence[np.ndarray], times: Sequence[np.ndarray], band: tuple[float, float]) -> Tone:
+    """Of the clock that shows most, in the region shifts that move most. Raises Tg4mmError where none has enough."""
+    tones: list[Tone] = []
+    for y, t in zip(shifts, times, strict=True):
+        if len(t) >= FEWEST or len(shifts) == 1:
+            strongest = np.argsort(np.std(y - y.mean(0), axis=0))[::-1][:_STRONGEST]
+            tones.append(tone_in(y[:, strongest], t, band))
+    return max(tones, key=lambda tone: float(np.linalg.norm(tone.phasor)))
+
+
+def in_band(hz: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    """[K] bool, ends included."""
+    return np.asarray((hz >= band[0]) & (hz <= band[1]))
 
 
 def frequency_figures(frequencies: Frequencies) -> dict[str, Any]:

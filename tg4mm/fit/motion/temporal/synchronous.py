@@ -14,7 +14,7 @@ import numpy as np
 
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Checkpoint
-from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.config import MotionConfig, asked_band
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.pixels import pixels_moved
 from tg4mm.fit.motion.mode_selection import peaks
@@ -68,13 +68,15 @@ class Synchronous(TemporalModel):
 
     def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> Synchronous:
         """The components that are not noise."""
-        energy = self.targets.energy
+        energy, signal = self.targets.energy, hyper.signal
+        if self.config.band and not len(signal):
+            signal = np.arange(1)  # what was asked for is fitted; its ± says how little it is
         figures = {
-            "components": len(hyper.signal),
+            "components": len(signal),
             "components_of_noise": int(hyper.is_noise.sum()),
-            "explained_by_components": float(energy[hyper.signal].sum() / max(energy.sum(), 1e-30)),
+            "explained_by_components": float(energy[signal].sum() / max(energy.sum(), 1e-30)),
         }
-        return replace(self, fitted=hyper.signal, figures=self.figures | figures)
+        return replace(self, fitted=signal, figures=self.figures | figures)
 
     def settled(self, folds: np.ndarray) -> tuple[Synchronous, np.ndarray]:
         return self, folds
@@ -88,7 +90,7 @@ class Synchronous(TemporalModel):
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
-        freqs, series = modes_of(self.basis, fields, fps, appearance)
+        freqs, series = modes_of(self.basis, fields, fps, appearance, asked_band(self.config.band, fps))
         values = apply_series(series, fields)
         shown = None
         if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
