@@ -139,7 +139,8 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none() -> None:
     found = spectrum_of(TIMES, values, sigma)
     assert found.peaks == ()
     (asked,) = with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
-    assert asked.asked is not None and asked.asked.band == (0.4, 0.6)
+    assert asked.asked is not None
+    assert asked.asked.band == (0.4, 0.6)
     assert asked.amplitude == pytest.approx([1, 0, 0.5], abs=2 * asked.deviation.max())
     assert 0.1 < asked.deviation[0] < 0.5
     fast = spectrum_of(TIMES, *noisy(sinusoid(7.7), 0.05, 1))
