@@ -188,20 +188,3 @@ class TestFile:
             "metres: 0.35\npoints:\n  - {000.jpg: [210, 345.5], 008.jpg: [180, 350]}\n  - 000.jpg: [410, 350]\n"
         )
         assert read_length(tmp_path / "a.yaml") == self.expected
-
-    @pytest.mark.parametrize(
-        ("text", "match"),
-        [
-            ("{", "cannot be parsed"),
-            ("[1]", "is of another form; expected .*metres"),
-            ('{"metres": 1}', "is of another form"),
-            ('{"metres": 1, "points": [{"a": [1, 2]}]}', "is of another form"),
-            ('{"metres": 1, "points": [{"a": [1, 2]}, {}]}', "is of another form"),
-            ('{"metres": 1, "points": [{"a": [1]}, {"a": [1, 2]}]}', "is of another form"),
-            ('{"metres": "x", "points": [{"a": [1, 2]}, {"a": [1, 2]}]}', "is of another form"),
-        ],
-    )
-    def test_another_form(self, tmp_path: Path, text: str, match: str) -> None:
-        (tmp_path / "a.json").write_text(text)
-        with pytest.raises(Tg4mmError, match=match):
-            read_length(tmp_path / "a.json")

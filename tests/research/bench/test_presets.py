@@ -115,16 +115,6 @@ def run_snakemake(folder: Path, config: dict[str, object], *more: str) -> subpro
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
 
 
-def test_a_dry_run_of_the_workflow_names_every_step(tmp_path: Path) -> None:
-    config = {"preset": "small", "out": "bench", "python": sys.executable}
-    done = run_snakemake(tmp_path, config, "--dry-run", "--cores", "2")
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
-    for step in steps_of("small", "bench"):
-        assert f"bench/.done/{step.name}" in said
-    assert not (tmp_path / "bench").exists()
-
-
 # Plans as the real one does; other commands are recorded, and the one that holds `fail` fails.
 STAND_IN = """#!{python}
 import os, runpy, sys

@@ -141,22 +141,6 @@ class TestSameTime:
         expected = [] if factor is None else [same_time_training("paper-tuned", {}, factor)]
         assert found == expected
 
-    def test_it_is_a_row_of_its_own(
-        self, done: Done, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def halved(figures: dict[str, Any], request: ScenesRequest) -> list[Training]:
-            """As if `modal` took half the time: what is measured may happen to be the same."""
-            return [same_time_training("paper-tuned", request.settings.get("paper-tuned", {}), 0.5)]
-
-        monkeypatch.setattr("tg4mm.research.bench.scenes.same_time_trainings", halved)
-        plan = Plan(alphas=(20.0,))
-        request = replace(REQUEST, same_time="always", plan=plan)
-        results = run_scenes([data], shutil.copytree(done[0], tmp_path / "out"), request, silent)
-        again, first = (entry(results, f"paper-tuned{name}") for name in (", modal's time", ""))
-        assert again["overrides"] != first["overrides"]
-        assert {m["row"] for m in results["means"]} == {"modal", "paper-tuned", "paper-tuned, modal's time"}
-        assert "paper-tuned, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")
-
 
 def test_means_of_a_table_are_of_the_same_sets() -> None:
     """What one row lacks in a set it has no mean of; what every row lacks there is the mean of the other sets."""

@@ -95,31 +95,6 @@ def test_a_second_request_finds_what_the_first_made_and_a_killed_one_goes_on(tra
     assert len(list((trained.path / FOLDER).glob("*.f32"))) <= 4
 
 
-def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
-    import tg4mm.research.paper.preset as module
-
-    wanted, calls = plan(2.5, "phase"), []
-
-    def counted(*arguments):
-        calls.append(arguments[-1])
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        return plane_video(*arguments)
-
-    monkeypatch.setattr(module, "plane_video", counted)
-    with pytest.raises(KeyboardInterrupt):
-        series_of(trained, "phase", wanted)
-    (part,) = (trained.path / FOLDER).glob("*.part")
-    data = bytearray(part.read_bytes())
-    data[7] ^= 1  # of the first channel
-    part.write_bytes(data)
-    damaged = series_of(trained, "phase", wanted).embeddings.copy()
-    assert len(calls) == 5 + 12
-    for file in (trained.path / FOLDER).glob("*"):
-        file.unlink()
-    np.testing.assert_array_equal(series_of(trained, "phase", wanted).embeddings, damaged)
-
-
 class TestCommands:
     def test_render(self, trained, tmp_path):
         bands = ["--alpha", "5", "--alpha", "-1", "--band", "4", "6", "--band", "9", "11"]

@@ -61,24 +61,6 @@ def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tm
     assert metrics_of(own, None) == {}
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[", "not JSON"),
-        ("[]", r"is \[\], expected an object"),
-        ('{"format": "x"}', "format is 'x', expected 'tg4mm-metrics'"),
-        (json.dumps(METRICS | {"absent": {"LPIPS": 1}}), "absent.LPIPS is 1, expected text"),
-        (json.dumps(METRICS | {"alphas": [{"alpha": 5}]}), r"alphas\[0\] has no n_images"),
-        (json.dumps(METRICS | {"displacement": []}), r"displacement is \[\], expected an object"),
-    ],
-)
-def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
-    own = copied(run, tmp_path)
-    (own.path / "metrics.json").write_text(text)
-    with pytest.raises(RunError, match=message):
-        metrics_of(own, None)
-
-
 def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
     own = copied(run, tmp_path)
     figures = METRICS | {"alphas": [{"alpha": 5, "n_images": 1, "rows": {}, "closure": 0.75}]}

@@ -1,7 +1,6 @@
 """Whole reports: of a full dataset, of the least there can be, of a scene with a hostile name."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.pictures.frames import write_png
 from tg4mm.run import Run
-from tg4mm.show.measure import measure, parse_sensor
+from tg4mm.show.measure import measure
 from tg4mm.show.measure.table import rows_of
 from tg4mm.show.report import ReportOptions, write_report
 from tg4mm.show.report.sources import gather_view, load_model
@@ -67,27 +66,6 @@ def test_its_sensors_are_those_of_measure(full, run):
             assert cell in said
     for note in found.notes:
         assert note[1:] in said
-
-
-def test_its_waveform_is_the_sensors(run, tmp_path):
-    """The polyline of the first sensor's chart, back in units of its axis, against `measure`."""
-    sensor = parse_sensor("ball=sphere:0.5,0.1,0.37,0.4")
-    text = report(run, tmp_path, alpha=5, sensors=[sensor], metrics={})
-    assert "Sensor “ball”" in words(text)
-    chart = re.search(
-        r'<svg class="chart drawn"[^>]*aria-label="ball: displacement over time".*?</svg>', text, re.S
-    )
-    lines = [
-        np.array([[float(x), float(y)] for x, y in re.findall(r"[ML] (\S+) (\S+)", path)])
-        for path in re.findall(r'<path d="([^"]*)" [^>]*stroke: var\(--axis-1\)', chart[0])
-    ]
-    drawn = next(
-        line for line in lines if len(line) == len(run_times := measure(run, [sensor])["ball"].times_s)
-    )
-    assert np.corrcoef(drawn[:, 0], run_times)[0, 1] > 0.99999
-    values = measure(run, [sensor])["ball"].displacement[:, 0]
-    assert np.corrcoef(-drawn[:, 1], values)[0, 1] > 0.99999
-    assert np.ptp(drawn[:, 1]) > 10  # a wave, not a line of rounding errors
 
 
 def test_scores_are_printed_beside_both_anchors(full, metrics):
