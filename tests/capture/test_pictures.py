@@ -1,6 +1,5 @@
 """Pictures on disk are read as those in memory, and no more often than they must be."""
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from PIL import Image
 from dataset_gen.png import encode
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
-from tg4mm.capture import Capture, frames, load_images
+from tg4mm.capture import Capture, load_images
 from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
@@ -29,20 +28,6 @@ def capture(tmp_path: Path) -> Capture:
     for path, image in zip(paths, data, strict=True):
         Image.fromarray(image).save(path)
     return replace(capture, root=tmp_path, paths=paths)
-
-
-@pytest.fixture
-def decoded(monkeypatch: pytest.MonkeyPatch) -> Counter[Path]:
-    """How often each file has been decoded."""
-    counts: Counter[Path] = Counter()
-    whole = frames.decode
-
-    def counting(path: Path) -> np.ndarray:
-        counts[path] += 1
-        return whole(path)
-
-    monkeypatch.setattr(frames, "decode", counting)
-    return counts
 
 
 def with_one_of_16_bits(capture: Capture) -> None:

@@ -86,8 +86,6 @@ def test_unusable_cameras_are_refused(make, message):
 
 RIG = CameraSetup("rig", views=6, clock_offset_s=0.4)
 CLIPS = CameraSetup("clips", views=7, n_timesteps=75)
-FLAT = CameraSetup("flat", test_views=5)
-SWEEP = CameraSetup("sweep", views=4)
 
 
 def test_clocks_are_off_by_up_to_what_was_asked_and_the_first_is_the_scenes():

@@ -53,10 +53,6 @@ CAMERA = cameras_at(CameraSetup("rig", views=5), 0)["train"][3]
 SIZE = 128
 
 
-def shifts(camera, vectors, places):
-    return np.array([record.pixels_before(camera, SIZE, v, places) - places for v in vectors])
-
-
 @pytest.mark.parametrize("fps", [30.0, 240.0])
 def test_shake_is_tremor_between_1_and_10_hz(fps):
     n = int(40 * fps)

@@ -1,10 +1,8 @@
 """Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,19 +15,8 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.fit.motion import gauss_newton as module
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
-from tg4mm.fit.motion.hyperparameters import Hyperparameters
-from tg4mm.fit.motion.jacobian.pixels import pixels_moved
-from tg4mm.fit.motion.nuisance.first_look import first_look
-from tg4mm.fit.motion.nuisance.projection import nuisances_of
-from tg4mm.fit.motion.observations import observe
-from tg4mm.fit.motion.solver.operator import Fold
-from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.split_half import folds_of
-from tg4mm.fit.motion.states import StateObservations, states_of
-from tg4mm.fit.motion.temporal.synchronous import Synchronous, principal_components
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.truth import exact_motion
@@ -190,87 +177,3 @@ def test_what_only_gets_worse_is_not_taken(
     log = runs[1].log()["motion"]
     assert (log["gauss_newton"], len(log["misfits"])) == (0, 1)
     assert _same_scene(runs[1], scene)
-
-
-class Lab:
-    """One iteration's problem, on the scene of `quick`."""
-
-    def __init__(self, scene: Run, scale: float) -> None:
-        """`scale`: how large the motion found so far is, of the true one."""
-        capture = load_capture(scene.dataset)
-        self.gaussians, self.observations = scene.load_space(), observe(capture, load_images(capture))
-        self.views = [module.view_jacobian(self.gaussians, f, (32, 32)) for f in self.observations.frames]
-        nothing = np.zeros(12, bool)
-        nuisances = nuisances_of(self.views, self.observations.frames, self.gaussians.means.numpy(), nothing)
-        targets = principal_components(
-            self.observations, first_look(self.observations, nuisances), nuisances, 2
-        )
-        hyper = Hyperparameters(np.zeros(len(targets.basis), bool), 300.0)
-        self.folds = folds_of(6, (32, 32), False)
-        problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
-        self.at_rest = problem.changed(nuisances=nuisances, means=targets.mean)
-        model = Synchronous(
-            self.gaussians, self.observations, self.at_rest, targets, self.folds, MotionConfig(), {}, [],
-            np.arange(len(targets.basis)),
-        )  # fmt: skip
-        linear = np.zeros((2, len(targets.basis), len(self.gaussians), 6), np.float32)
-        self.loop = GaussNewton(model, hyper, linear)
-        truth = exact_motion(
-            load_truth(scene.dataset, capture.fps, capture.n_timesteps), self.gaussians.means.numpy()
-        )
-        t = np.arange(capture.n_timesteps)
-        turn = np.exp(2j * np.pi * np.outer(truth.freqs_hz, t) / capture.fps)
-        moves = np.einsum("kt,knc->tnc", turn, truth.displacement).real
-        self.fields = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
-        self.fields[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
-        states = states_of(self.loop.basis, pixels_moved(self.views, self.fields[..., :3]))
-        shifts = np.tensordot(states.gains, self.fields[..., :3], 1).astype(np.float32)
-        self.pixels = float(pixels_moved(self.views, shifts).max())
-        self.observed = StateObservations.of(self.observations, states, targets, self.loop.used)
-        self.problem = problem.changed(pixel_weights=self.loop.weights)
-        self.knots = module.knots_of(self.gaussians, self.views, self.fields, self.observed)
-
-    def targets(self, fold: Fold) -> Iterator[np.ndarray]:
-        residuals, _ = self.observed.residuals(self.gaussians, self.fields, "cpu")
-        return module.targets_at(self.knots, fold, residuals, self.fields, self.observed)
-
-    def operator(self, fold: Fold) -> Any:
-        """And its right-hand sides."""
-        return module.coupled_operator(
-            self.problem, self.at_rest, self.knots, fold, 300.0, self.targets(fold)
-        )
-
-
-@pytest.fixture(scope="module")
-def lab(quick: tuple[Run, Run, ModalMotion]) -> Lab:
-    return Lab(quick[0], 1.0)
-
-
-def test_the_operator_of_several_knots_is_symmetric_and_couples_components(lab: Lab) -> None:
-    operator, b = lab.operator(lab.folds[0])
-    x, y = np.random.default_rng(1).normal(size=(2, *b.shape)).astype(np.float32)
-    xy, yx, xx, yy = (
-        float((p.astype(float) * operator.products(q)).sum()) for p, q in ((x, y), (y, x), (x, x), (y, y))
-    )
-    assert abs(xy - yx) < 1e-4 * np.sqrt(xx * yy)
-    assert xx > 0
-    alone = x.copy()
-    alone[1:] = 0
-    both = operator.products(alone)
-    assert np.linalg.norm(both[1:]) > 1e-3 * np.linalg.norm(both[:1])
-
-
-def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
-    """Nothing is left of the pictures, so that what each knot must explain is what its views show of the motion."""
-    errors = lab.observed.residuals(lab.gaussians, lab.fields, "cpu")[1]
-    still = lab.observed.residuals(lab.gaussians, 0 * lab.fields, "cpu")[1]
-    assert errors.changes < 0.08 * still.changes
-    assert errors.is_no_larger(still)
-    off, total = 0.0, 0.0
-    everything = Fold(np.arange(len(lab.views)))
-    places = [(knot, view) for knot in lab.knots for view in knot.views]
-    for (knot, view), target in zip(places, lab.targets(everything), strict=True):
-        shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.fields, 1).astype(np.float32))
-        off += float(((target - shown) ** 2).sum())
-        total += float((shown**2).sum())
-    assert off < 0.1 * total

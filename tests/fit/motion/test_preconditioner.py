@@ -8,9 +8,8 @@ from scipy.sparse import bsr_matrix
 
 from tests.fit.motion.scenes import inner, operator, problem
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.prior.graph import ROWS, build_graph
-from tg4mm.fit.motion.solver import aggregates as module
-from tg4mm.fit.motion.solver.aggregates import Aggregates, aggregate
+from tg4mm.fit.motion.prior.graph import ROWS
+from tg4mm.fit.motion.solver.aggregates import Aggregates
 from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.preconditioner import (
@@ -77,11 +76,3 @@ def test_it_is_reached_in_fewer_iterations() -> None:
     end = solved(o, 100)
     far = [np.linalg.norm(solved(some, 20) - end) for some in (plain(o), o)]
     assert far[1] < 0.3 * far[0]
-
-
-def cloud(monkeypatch: pytest.MonkeyPatch) -> Aggregates:
-    """Sixteen aggregates of a cloud of balls."""
-    monkeypatch.setattr(module, "MOST", 16)
-    means = np.random.default_rng(0).normal(size=(800, 3)).astype(np.float32)
-    around = build_graph(means, np.tile(np.eye(3), (800, 1, 1)), np.ones((800, 3)))
-    return aggregate(around, means)

@@ -1,15 +1,11 @@
 """The call itself: what is refused, and what a CUDA tensor passes on to gsplat."""
 
 import inspect
-import sys
-import types
 from typing import Any
 
 import pytest
 import torch
 
-from tests.fit.rasterize.oracle import check, make_scene
-from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.rasterize import rasterization
 
 
@@ -33,20 +29,13 @@ def arguments(**changes: Any) -> dict[str, Any]:
     ("name", "shape", "expected"),
     [
         ("means", (5, 2), "(5, 3)"),
-        ("means", (5,), "(5, 3)"),
         ("quats", (4, 4), "(5, 4)"),
-        ("quats", (5, 3), "(5, 4)"),
         ("scales", (1, 3), "(5, 3)"),
         ("opacities", (5, 1), "(5,)"),
-        ("opacities", (1,), "(5,)"),
         ("colors", (4, 3), "(5, 'any')"),
-        ("colors", (5, 16, 3), "(5, 'any')"),
         ("viewmats", (4, 4), "(4, 4, 4)"),
-        ("viewmats", (2, 3, 4), "(2, 4, 4)"),
         ("Ks", (3, 3), "(2, 3, 3)"),
-        ("Ks", (1, 3, 3), "(2, 3, 3)"),
         ("backgrounds", (3,), "(2, 3)"),
-        ("backgrounds", (2, 4), "(2, 3)"),
     ],
 )
 def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, ...], expected: str) -> None:
@@ -61,10 +50,8 @@ def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, 
     [
         ({"render_mode": "RGBD"}, r"render_mode is 'RGBD', expected one of RGB, D, ED, RGB\+D, RGB\+ED"),
         ({"sh_degree": 4, "colors": torch.ones(5, 25, 3)}, "sh_degree is 4, expected 0 to 3"),
-        ({"sh_degree": -1, "colors": torch.ones(5, 1, 3)}, "sh_degree is -1, expected 0 to 3"),
         ({"sh_degree": 2, "colors": torch.ones(5, 4, 3)}, "colors has 4 SH coefficients, degree 2 needs 9"),
         ({"width": 0}, "image size is 0×6, expected at least 1×1"),
-        ({"height": -2}, "image size is 8×-2, expected at least 1×1"),
     ],
 )
 def test_a_wrong_option_is_refused(changes: dict[str, Any], message: str) -> None:
@@ -107,28 +94,3 @@ def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch: pytest.
         assert calls[0].arguments[name] is value, name
     extra = {k: v for k, v in calls[0].arguments.items() if k not in call}
     assert extra == {"packed": False}
-
-
-@pytest.mark.usefixtures("pretend_cuda")
-def test_without_gsplat_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gsplat", None)
-    with pytest.raises(Tg4mmError, match=r'device cuda needs gsplat: pip install "\.\[cuda\]"'):
-        rasterization(**arguments())
-
-
-@pytest.mark.usefixtures("pretend_cuda")
-def test_a_wrong_shape_is_refused_before_gsplat_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake = types.ModuleType("gsplat")
-    fake.rasterization = lambda *_, **__: pytest.fail("gsplat was called")  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "gsplat", fake)
-    with pytest.raises(ValueError, match="quats has shape"):
-        rasterization(**arguments(quats=torch.ones(5, 3)))
-
-
-@pytest.mark.skipif(
-    not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device; torch sees none"
-)
-@pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
-def test_gsplat_on_cuda_equals_the_twin(mode: str) -> None:
-    pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
-    check(make_scene(80, cameras=2), mode=mode, tolerance=1e-3, device="cuda")

@@ -4,14 +4,11 @@ import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.fit.rasterize.oracle import assert_close, make_scene
-from tests.helpers.adam import assert_same_steps, watch_space
 from tests.helpers.cuda import needs_cuda
 from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import psnr_of_test_views
@@ -20,7 +17,6 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import pictures_digest
-from tg4mm.fit.space.levels import level_at, levels
 from tg4mm.fit.space.view import RenderedView, _render_cuda, render_view
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
@@ -66,50 +62,6 @@ def test_a_view_on_cuda_is_the_cpus(degree: int) -> None:
     expected = outcome(render_view, degree)
     for name, value in outcome(render_view, degree, "cuda").items():
         assert_close(name, value, expected[name], 5e-3)
-
-
-def test_training_through_gsplats_calls_is_training(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], gsplat_on_cpu: None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    # too short for density control, in whose draws rounding would grow
-    config = SpaceConfig(iterations=12, max_gaussians=500, init_points=300)
-    watched = watch_space(monkeypatch)
-    expected = train_space(new_run(), views, points, config)
-    monkeypatch.setattr(stage, "FUSED", ())
-    monkeypatch.setattr(stage, "render_view", _render_cuda)
-    train_space(new_run(), views, points, config)
-    assert (expected.opacities - 0.3).abs().max() > 0.03  # where they all start
-    assert_same_steps(watched[1], watched[0])
-
-
-class Fetches(TorchDispatchMode):
-    """Counts numbers that are brought to the host: on a GPU each one waits for everything before it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.count = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        if func is torch.ops.aten._local_scalar_dense.default:
-            self.count += 1
-        return func(*args, **(kwargs or {}))
-
-
-def test_an_iteration_fetches_nothing(
-    views: RestViews, points: SurfacePoints, gsplat_on_cpu: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stage, "FUSED", ())
-    monkeypatch.setattr(stage, "render_view", _render_cuda)
-    config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
-    fit, extent, _ = stage._started(views, points, config, "cpu")
-    level = level_at(levels(config, views.size), 0)
-    cameras = stage._Views(views, config, "cpu", level.shrink, level.spacing)
-    with Fetches() as fetches:
-        for _ in range(10):
-            stage._iterate(fit, cameras, config, level, extent)
-    assert fetches.count == 0
-    assert float(fit.psnr) > 5
 
 
 def test_a_checkpoint_with_a_second_generator_comes_back(

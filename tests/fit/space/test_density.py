@@ -1,19 +1,13 @@
 """Adaptive density control: budget, what fades, what is split and how."""
 
 import numpy as np
-import pytest
 import torch
 from torch import Tensor
 
-from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.fit.space.density import (
-    APART,
     DIM,
-    EVERY,
     SHRINK,
     control_density,
-    growth,
-    is_due,
     split_rows,
 )
 from tg4mm.fit.space.parameters import ParameterAdam
@@ -56,32 +50,6 @@ def test_the_halves_of_a_split_keep_the_mass_centre() -> None:
     np.testing.assert_allclose(halves["logits"].sigmoid(), 0.5 * DIM, rtol=1e-5)
     shrunk = torch.cat([p["log_scales"][rows]] * 2).exp() / SHRINK
     np.testing.assert_allclose(halves["log_scales"].exp(), shrunk, rtol=1e-5)
-
-
-def test_the_halves_stand_where_the_old_one_stood() -> None:
-    """Over many splits of one Gaussian the offsets have APART² of its covariance."""
-    p = parameters(1, scale=0.3)
-    halves = split_rows(p, torch.zeros(4000, dtype=torch.long), generator())
-    offset = (halves["means"][:4000] - p["means"]).double()
-    B = rotation_matrices(p["quats"])[0].double() * p["log_scales"].exp().double()
-    expected = APART**2 * B @ B.T
-    np.testing.assert_allclose(offset.T @ offset / 4000, expected, atol=0.08 * expected.abs().max())
-
-
-@pytest.mark.parametrize(("start", "most", "iterations"), [(150, 10_000, 2_000), (4, 9_000, 20_000)])
-def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, iterations: int) -> None:
-    """In equal steps, where twentieths would end at a fraction of it."""
-    n, counts = start, []
-    caught_up = 0.35 * iterations
-    for iteration in filter(lambda i: is_due(i, iterations), range(1, iterations)):
-        n = min(most, n + int(growth(n, most, iteration, caught_up) * n))
-        counts.append(n)
-        if iteration + EVERY > caught_up:
-            break
-    assert counts[-1] >= 0.95 * most
-    if start > 10:  # below, whole Gaussians are coarse steps
-        steps = np.array([start, *counts])
-        assert np.ptp(steps[1:] / steps[:-1]) < 0.1
 
 
 def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:

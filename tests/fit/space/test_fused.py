@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numba
-import numpy as np
 import pytest
 import torch
 
@@ -13,8 +12,6 @@ from tests.helpers.space_parameters import EXTENT, gradients, take_step
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.fused import FusedAdam
-from tg4mm.fit.space.kernels import compare
-from tg4mm.fit.space.losses import photometric_loss
 from tg4mm.fit.space.parameters import ParameterAdam, ParameterRows
 
 LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
@@ -135,24 +132,3 @@ def test_an_optimiser_taken_up_from_a_checkpoint_goes_on_to_the_bit() -> None:
     assert other.moments()["step"] == 5
     back = FusedAdam({k: v.detach() for k, v in other.parameters.items()}, EXTENT, other.moments())
     assert torch.equal(back.moments()["shn.v"], other.moments()["shn.v"])
-
-
-@pytest.mark.parametrize(("l2", "scale"), [(0.0, 1.0), (10.0, 1.0), (3.0, 0.7)])
-def test_the_losss_gradient_is_autograds(l2: float, scale: float) -> None:
-    rng = np.random.default_rng(0)
-    image = rng.uniform(size=(23, 31, 4)).astype(np.float32)
-    transmittance, target = (rng.uniform(size=s).astype(np.float32) for s in ((23, 31), (23, 31, 3)))
-    more = rng.normal(size=target.shape).astype(np.float32)
-    gain = np.array([0.8, 1.0, 1.3], np.float32)
-    v_image, v_transmittance, squares = np.empty_like(image), np.empty_like(transmittance), np.empty(23)
-    compare(image, transmittance, target, 1.0, gain, scale, l2, more, v_image, v_transmittance, squares)
-    leaves = [torch.from_numpy(a.astype(np.float64)).requires_grad_() for a in (image, transmittance)]
-    rgb = (leaves[0][..., :3] + leaves[1][..., None]) * torch.from_numpy(gain)
-    loss = scale * photometric_loss(rgb, torch.from_numpy(target).double(), l2, 0.0)
-    (loss + (rgb * torch.from_numpy(more)).sum()).backward()
-    error = (rgb.detach() - torch.from_numpy(target)).abs().sum(-1)
-    np.testing.assert_allclose(v_image[..., :3], leaves[0].grad[..., :3], rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(v_image[..., 3], error, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(v_transmittance, leaves[1].grad, rtol=1e-4, atol=1e-7)
-    expected = ((rgb.detach() - torch.from_numpy(target)) ** 2).sum().item()
-    assert squares.sum() == pytest.approx(expected, rel=1e-6)
