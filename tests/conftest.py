@@ -35,14 +35,3 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def repo_root() -> Path:
     """The repository's folder."""
     return ROOT
-
-
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """The folder of example captures, `../shared/data` (or $TG4MM_DATA); without it the test is skipped."""
-    folder = Path(os.environ.get("TG4MM_DATA", ROOT.parent / "shared" / "data"))
-    if not (folder / "mic_5Hz_000").is_dir():
-        pytest.skip(
-            f"no example data: {folder}/mic_5Hz_000 is absent (set TG4MM_DATA to the folder above it)"
-        )
-    return folder

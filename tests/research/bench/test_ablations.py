@@ -49,12 +49,6 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
 
 
-@pytest.fixture(scope="module")
-def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    out = tmp_path_factory.mktemp("smoothness") / "out"
-    return out, ablation_table(run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent))
-
-
 def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
     run_ablation("filter-phase", [data], tmp_path / "out", None, PAPER, Plan(alphas=(20.0,)), silent)
     assert len(list((tmp_path / "out").glob("runs/*/*/run"))) == 1
