@@ -91,18 +91,12 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path)
 @pytest.mark.parametrize(
     ("file", "old", "new", "parts"),
     [
-        (
-            "cameras",
-            "25 6 4 0",
-            "25 6 4 0.0125",
-            ("camera 2 is SIMPLE_RADIAL with distortion 0.0125", "undistort"),
-        ),
         ("cameras", "PINHOLE 12 8 20 21", "OPENCV_FISHEYE 12 8 20 21", ("OPENCV_FISHEYE", "8")),
         (
             "cameras",
-            "PINHOLE 12 8 20 21 6 4.5",
-            "OPENCV_FISHEYE 12 8 20 21 6 4.5 0 0 0 0",
-            ("camera 1 is OPENCV_FISHEYE; expected PINHOLE", "tg4mm sfm"),
+            "1 PINHOLE 12 8 20 21 6 4.5",
+            "1 OTHER 12 8 20 21 6 4.5",
+            ("camera 1 is OTHER, which pycolmap does not know", "tg4mm sfm"),
         ),
         ("cameras", "1 PINHOLE", "5 PINHOLE", ("is of camera 1, which is not among the cameras",)),
         ("cameras", "12 8 20", "13 8 20", ("w is 13; expected 12",)),

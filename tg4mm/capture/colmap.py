@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import View, assemble, in_order
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.records import Record
+
+if TYPE_CHECKING:
+    from tg4mm.capture.sfm.undistort import Lens
 
 # COLMAP's numbers of its camera models, and how many parameters each has.
 MODELS = {
@@ -225,17 +228,28 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     """Every registered image as a capture with T = 1; the model's points are its points."""
     if alpha:
         raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
-    folder = _model_folder(root)
-    assert folder is not None  # `recognises` found it
     if split != "train":
         raise MissingSplitError(
-            f"{folder}: a COLMAP folder has training images only: there is no {split!r} split"
+            f"{_model_folder(root)}: a COLMAP folder has training images only: there is no {split!r} split"
         )
+    views, points = views_of(root)
+    return assemble(root, split, in_order(views), read_scene(root, needs_fps=False), 1, points)
+
+
+def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
+    """Every registered image of the folder's model, without a time, and the model's points.
+
+    A lens that bends straight lines is straightened by pycolmap, where pictures are decoded.
+    """
+    folder = _model_folder(root)
+    assert folder is not None  # `recognises` found it
     model = read_model(inside(root, folder, "the COLMAP model"))
     if not model.images:
         raise CaptureError(f"{folder}: holds no registered image")
-    views = in_order([_view(root, model, image) for image in model.images])
-    return assemble(root, split, views, read_scene(root, needs_fps=False), 1, model.points)
+    used = {image.camera_id for image in model.images} & set(model.cameras)
+    bent = any(_bends(model.cameras[i]) for i in used)
+    lenses = _lenses(model, used) if bent else {}
+    return [_view(root, model, image, lenses) for image in model.images], model.points
 
 
 def _model_folder(root: Path) -> Path | None:
@@ -245,28 +259,48 @@ def _model_folder(root: Path) -> Path | None:
     return None
 
 
-def _view(root: Path, model: ColmapModel, image: ColmapImage) -> View:
+def _bends(camera: ColmapCamera) -> bool:
+    if camera.model in _ONE_FOCAL:
+        return any(camera.params[3:])
+    return camera.model not in _TWO_FOCALS or any(camera.params[4:])
+
+
+def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
+    """How pictures of each camera become those of a pinhole, all of one size. Raises Tg4mmError without pycolmap."""
+    from tg4mm.capture.sfm.engine import colmap
+    from tg4mm.capture.sfm.undistort import lenses
+
+    known = {}
+    for i in sorted(used):
+        camera = model.cameras[i]
+        try:
+            known[i, 0] = colmap("undistortion").Camera(
+                model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
+            )
+        except (ValueError, RuntimeError) as error:
+            raise CaptureError(
+                f"{model.folder}: camera {i} is {camera.model}, which pycolmap does not know: {REMEDY}"
+            ) from error
+    return {i: lens for (i, _), lens in lenses(known).items()}
+
+
+def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, Lens]) -> View:
     where = f"{model.folder}: image {image.name!r}"
     path = image_path(root, root / IMAGES, image.name, where)
     if image.camera_id not in model.cameras:
         raise CaptureError(f"{where}: is of camera {image.camera_id}, which is not among the cameras")
     camera = model.cameras[image.camera_id]
-    fl_x, fl_y, cx, cy = _intrinsics(f"{model.folder}: camera {image.camera_id}", camera)
-    values = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
     pose = np.linalg.inv(image.cam_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    if (lens := lenses.get(image.camera_id)) is not None:
+        return View(path, 0, pose, Record(where, {}), Record(str(model.folder), {}), lens=lens)
+    fl_x, fl_y, cx, cy = _intrinsics(camera)
+    values = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
     return View(path, 0, pose, Record(where, values), Record(str(model.folder), {}))
 
 
-def _intrinsics(where: str, camera: ColmapCamera) -> tuple[float, float, float, float]:
-    """Focal lengths and principal point, pixels. Raises CaptureError where the lens bends straight lines."""
+def _intrinsics(camera: ColmapCamera) -> tuple[float, float, float, float]:
+    """Focal lengths and principal point of a pinhole, pixels."""
     params = camera.params
     if camera.model in _ONE_FOCAL:
-        values, rest = (params[0], params[0], params[1], params[2]), params[3:]
-    elif camera.model in _TWO_FOCALS:
-        values, rest = (params[0], params[1], params[2], params[3]), params[4:]
-    else:
-        raise CaptureError(f"{where} is {camera.model}; expected PINHOLE or SIMPLE_PINHOLE: {REMEDY}")
-    if any(rest):
-        bent = ", ".join(f"{x:.4g}" for x in rest)
-        raise CaptureError(f"{where} is {camera.model} with distortion {bent}; expected 0: {REMEDY}")
-    return values
+        return params[0], params[0], params[1], params[2]
+    return params[0], params[1], params[2], params[3]

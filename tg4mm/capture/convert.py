@@ -171,6 +171,11 @@ def link_pictures(capture: Capture, folder: Path) -> list[str]:
                 if not (folder / name).is_file():
                     (folder / name).parent.mkdir(parents=True, exist_ok=True)
                     save_png(folder / name, picture(path)[..., :3])
+            elif capture.lenses and capture.lenses[done - 1] is not None:
+                name = name.with_suffix(".png")
+                if not (folder / name).is_file():
+                    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                    save_png(folder / name, capture.pinhole(done - 1, picture(path)))
             elif not _is_there(path, folder / name):
                 link_or_copy(path, folder / name)
             names.append(name.as_posix())

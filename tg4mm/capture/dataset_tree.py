@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from tg4mm.capture import colmap, nerf_synthetic, nerfstudio
-from tg4mm.capture.confine import inside
+from tg4mm.capture.confine import IMAGE_SUFFIXES, inside
 from tg4mm.capture.model import Capture
-from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import assemble, read_views
+from tg4mm.capture.scene import Scene, read_scene
+from tg4mm.capture.transforms import View, assemble, natural, read_views
 from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
@@ -30,6 +31,8 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     """
     scene = read_scene(root, needs_fps=True)
     base = root / "magnified" / f"x{alpha:03d}" if alpha else root
+    if not base.is_dir() and (published := _published(root).get(alpha)) is not None:
+        return _published_truth(root, published, scene)
     if not base.is_dir():
         raise CaptureError(
             f"{base}: does not exist: no ground truth for α = {alpha}; the dataset has {_present(root)}"
@@ -45,6 +48,48 @@ def load(root: Path, split: str, alpha: int) -> Capture:
         )
     views = [view for t, folder in folders.items() for view in read_views(root, folder, split, t)]
     return assemble(root, split, views, scene, count)
+
+
+_PUBLISHED = re.compile(r"mag_([0-9]{1,4})x_test")
+
+
+def _published(root: Path) -> dict[int, Path]:
+    """The folders of timesteps by α in [3DMM]'s layout of ground truth: mag_50x_test/SCENE/000 … in the dataset's
+    folder, beside it, or beside the folder that it lies in; SCENE is the dataset's name, or the part before `_`."""
+    found: dict[int, Path] = {}
+    top = root.resolve()
+    for above in (top, top.parent, top.parent.parent):
+        for folder in sorted(above.glob("mag_*x_test")):
+            match = _PUBLISHED.fullmatch(folder.name)
+            for scene in (folder / top.name, folder / top.name.partition("_")[0]):
+                if match and scene.is_dir() and _numbered(scene):
+                    found.setdefault(int(match[1]), scene)
+    return found
+
+
+def _published_truth(root: Path, base: Path, scene: Scene) -> Capture:
+    """Its pictures, which are of the test views in order of name where no transforms_test.json says more."""
+    folders = _timestep_folders(base, base, gaps=True)
+    test: list[View] = []
+    views: list[View] = []
+    for t, folder in folders.items():
+        if (folder / "transforms_test.json").is_file():
+            views += read_views(base, folder, "test", t)
+            continue
+        test = test or read_views(root, _timestep_folders(root, root, gaps=True)[0], "test", 0)
+        pictures = sorted(
+            (p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES),
+            key=lambda p: natural(p.name),
+        )
+        if len(pictures) != len(test):
+            raise CaptureError(
+                f"{folder}: holds {len(pictures)} pictures, expected {len(test)}, one for each test view of {root}"
+            )
+        views += [
+            replace(view, path=inside(base, path, "picture"), timestep=t)
+            for view, path in zip(test, pictures, strict=True)
+        ]
+    return assemble(base, "test", views, scene, max(max(folders) + 1, scene.n_timesteps or 0))
 
 
 def _numbered(base: Path) -> dict[int, Path]:
@@ -75,10 +120,13 @@ def _timestep_folders(root: Path, base: Path, gaps: bool) -> dict[int, Path]:
 
 def _present(root: Path) -> str:
     names = sorted(path.name for path in (root / "magnified").glob("x*") if path.is_dir())
-    return ", ".join(f"magnified/{name}" for name in names) or "no magnified/x… folder"
+    names += [path.parent.name for path in _published(root).values()]
+    shown = ", ".join(f"magnified/{name}" if name[0] == "x" else name for name in names)
+    return shown or "no magnified/x… folder"
 
 
 def magnified_alphas(root: Path) -> list[int]:
     """The α above 0 that a dataset has ground truth for, ascending: of its folders magnified/x005."""
     names = (path.name[1:] for path in (root / "magnified").glob("x*") if path.is_dir())
-    return sorted(int(n) for n in names if n.isdecimal() and n == f"{int(n):03d}" and int(n))
+    own = {int(n) for n in names if n.isdecimal() and n == f"{int(n):03d}" and int(n)}
+    return sorted(own | set(_published(root)))

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tg4mm.capture.timing import kind_of_cameras, times_of_timesteps
 from tg4mm.core.choices import KINDS, Kind
+
+if TYPE_CHECKING:
+    from tg4mm.capture.sfm.undistort import Lens
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class Capture:
     # [C] float64, seconds on the clock of the image's own camera, of its middle row; NaN for a picture of the scene at
     # rest without a time. t / fps if not given.
     times_s: np.ndarray = None  # type: ignore[assignment]
+    # C, by which a picture as it is stored becomes a pinhole's when it is decoded; (): all are
+    lenses: tuple[Lens | None, ...] = ()
 
     def __post_init__(self) -> None:
         if self.times_s is None:
@@ -70,6 +76,11 @@ class Capture:
         """C, the number of images."""
         return len(self.paths)
 
+    def pinhole(self, i: int, image: np.ndarray) -> np.ndarray:
+        """[H, W, 4] of picture i as it is decoded."""
+        lens = self.lenses[i] if self.lenses else None
+        return image if lens is None else lens.apply(image)
+
     @property
     def rows_s(self) -> float:
         """The readout that is taken into account: rows of a moving camera count as read at once."""
@@ -85,4 +96,5 @@ class Capture:
             camera_ids=self.camera_ids[rows],
             times_s=self.times_s[rows],
             paths=tuple(self.paths[i] for i in rows),
+            lenses=tuple(self.lenses[i] for i in rows) if self.lenses else (),
         )

@@ -99,7 +99,7 @@ def load_images(capture: Capture) -> ImageStack:
         ) from None
 
     def take(i: int, image: np.ndarray) -> None:
-        data[i] = _stored(capture.paths[i], image, (height, width), bits)
+        data[i] = _stored(capture.paths[i], capture.pinhole(i, image), (height, width), bits)
 
     shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
     with shown as update:
@@ -195,7 +195,8 @@ class FilePictures:
         return self._stored(i, picture(self.capture.paths[i]))
 
     def _stored(self, i: int, image: np.ndarray) -> np.ndarray:
-        return _stored(self.capture.paths[i], image, self.size, self.maximum.bit_length())
+        own = self.capture.pinhole(i, image)
+        return _stored(self.capture.paths[i], own, self.size, self.maximum.bit_length())
 
 
 @dataclass(frozen=True)

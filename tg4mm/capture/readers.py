@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from tg4mm.capture import colmap, dataset_tree, nerf_synthetic, nerfstudio
+from tg4mm.capture import colmap, dataset_tree, nerf_synthetic, nerfstudio, real_captures
 from tg4mm.capture.model import Capture
 from tg4mm.capture.transforms import SPLITS
 from tg4mm.core.errors import CaptureError
 
-READERS = (dataset_tree, nerf_synthetic, nerfstudio, colmap)  # the first that recognises a folder reads it
+READERS = (
+    real_captures,
+    dataset_tree,
+    nerf_synthetic,
+    nerfstudio,
+    colmap,
+)  # the first that recognises a folder reads it
 
 
 def load_capture(path: str | Path, split: str = "train", magnification: int | float | None = None) -> Capture:

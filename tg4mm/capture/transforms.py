@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.records import Record, read_record
 from tg4mm.core.values import shown
 
+if TYPE_CHECKING:
+    from tg4mm.capture.sfm.undistort import Lens
+
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
 
@@ -39,6 +42,9 @@ class View:
     frame: Record
     file: Record
     time_s: float = math.nan  # the frame's own time; NaN where it has none
+    lens: Lens | None = (
+        None  # how its picture becomes a pinhole's, where it is none; then intrinsics are its own
+    )
 
 
 def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View]:
@@ -134,6 +140,9 @@ def assemble(
     """
     with ThreadPoolExecutor(THREADS) as pool:
         sizes = [(h.width, h.height) for h in pool.map(picture_header, [view.path for view in views])]
+    for k, view in enumerate(views):
+        if view.lens is not None:
+            sizes[k] = view.lens.checked(view.path, sizes[k]).size
     for view, size in zip(views, sizes, strict=True):
         if size != sizes[0]:
             first = f"{views[0].path} is {sizes[0][0]}×{sizes[0][1]}"
@@ -141,7 +150,9 @@ def assemble(
     width, height = sizes[0]
     times_s = _times(root, views, scene.fps, n_timesteps)
     viewmats = world_to_camera(np.stack([view.pose for view in views]))
-    Ks = np.stack([read_intrinsics(view.frame, view.file, width, height) for view in views])
+    Ks = np.stack(
+        [read_intrinsics(v.frame, v.file, width, height) if v.lens is None else v.lens.K for v in views]
+    )
     return Capture(
         root=root,
         split=split,
@@ -154,6 +165,7 @@ def assemble(
         timesteps=np.array([view.timestep for view in views], dtype=np.int64),
         camera_ids=camera_ids(viewmats, Ks),
         paths=tuple(view.path for view in views),
+        lenses=tuple(view.lens for view in views) if any(view.lens for view in views) else (),
         unit_scale_m=scene.unit_scale_m,
         points=read_points(root) if points is None else points,
         scene=scene.values,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,11 +33,21 @@ class Lens:
     source: np.ndarray | None
     turns: int = 0  # quarter turns counterclockwise, that the pinhole's picture is turned by
     block: int = 1  # pixels along each side averaged first, where the new pictures are smaller
+    taken_of: tuple[int, int] | None = None  # width and height of the camera's own pictures
 
     @property
     def keeps(self) -> bool:
         """Whether pictures stay as they are."""
         return self.source is None and self.turns % 4 == 0
+
+    def checked(self, path: Path, size: tuple[int, int]) -> Lens:
+        """Itself. Raises CaptureError for a picture of another size (width, height) than the camera's."""
+        if self.taken_of is not None and size != self.taken_of:
+            raise CaptureError(
+                f"{path}: is {size[0]}×{size[1]} pixels, but its camera's pictures are "
+                f"{self.taken_of[0]}×{self.taken_of[1]}"
+            )
+        return self
 
     def viewmat(self, viewmat: np.ndarray) -> np.ndarray:
         """[4, 4] world-to-camera of the pinhole, from that of the camera."""
@@ -129,12 +140,13 @@ def _pinhole(camera: Any, turns: int) -> _Pinhole:
 def _lens(camera: Any, turns: int, pinhole: _Pinhole, size: tuple[int, int]) -> Lens:
     K, (width, height) = pinhole.K, size
     own = (camera.height, camera.width) if turns % 2 else (camera.width, camera.height)
+    taken_of = camera.width, camera.height
     if camera.is_undistorted() and own == size:
-        return Lens(K, size, None, turns)
+        return Lens(K, size, None, turns, taken_of=taken_of)
     block = int(1 / pinhole.scale) if pinhole.scale <= 0.5 else 1
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1)
     unturned = rays.reshape(-1, 3) @ np.linalg.matrix_power(_QUARTER, turns % 4)
     seen = np.asarray(camera.img_from_cam(unturned)).reshape(height, width, 2)
     source = np.stack([seen[..., 1], seen[..., 0]]) / block - 0.5
-    return Lens(K, size, source.astype(np.float32), turns, block)
+    return Lens(K, size, source.astype(np.float32), turns, block, taken_of)
