@@ -65,7 +65,9 @@ def test_a_tripods_frames_have_the_pose_of_the_last_picture(tripod: Path) -> Non
     np.testing.assert_allclose(np.sort(capture.times_s[frames]), np.arange(15) / 15)
     assert sorted(capture.viewmats[~frames, 0, 3]) == [0, 1, 2, 3]
     shown = load_images(capture).data[frames, 0, 0, 0]
-    np.testing.assert_allclose(shown[np.argsort(capture.timesteps[frames])], 255 * 0.05 * np.arange(15), atol=1)
+    np.testing.assert_allclose(
+        shown[np.argsort(capture.timesteps[frames])], 255 * 0.05 * np.arange(15), atol=1
+    )
 
 
 def test_a_handheld_captures_timesteps_begin_at_its_start(handheld: Path) -> None:
