@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plyfile import PlyData
 
 from tests.core.splatfile.conftest import assert_same, random_splat
-from tg4mm.core.splatfile import read_splat, write_splat
+from tg4mm.core.splatfile import header, read_splat, write_splat
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +106,10 @@ def test_the_ends_of_opacity_and_scale_survive(tmp_path):
     np.testing.assert_allclose(read.opacities, [2**-24, 1 - 2**-24, 0.5], rtol=1e-6)
     np.testing.assert_allclose(read.scales, [[1e-12, 1e-12, 1e-12], [1, 1e30, 1e-6], [1, 1, 1]], rtol=1e-5)
     assert_same(read, replace(splat, scales=np.maximum(splat.scales, np.float32(1e-12))))
+
+
+def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
+    splat = random_splat(n=5)
+    write_splat(tmp_path / "a.ply", splat)
+    monkeypatch.setattr(header, "ROWS_AT_ONCE", 2)
+    assert_same(read_splat(tmp_path / "a.ply"), splat)

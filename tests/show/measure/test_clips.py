@@ -56,7 +56,7 @@ def test_a_vibration_has_its_phasor_and_the_clips_their_phases() -> None:
 @pytest.mark.parametrize("is_known", [False, True])
 def test_deviations_are_the_scatter_over_many_records(is_known: bool) -> None:
     known = KnownPhases(np.array([HZ]), THETA[:, None]) if is_known else NONE
-    peaks = [found(seed, 0.15, known)[0].spectrum.peaks[0] for seed in range(40)]
+    peaks = [found(seed, 0.15, known)[0].spectrum.peaks[0] for seed in range(24)]
     errors = np.array([np.abs(p.phasor) - np.abs(PHASOR) for p in peaks]) / [p.deviation for p in peaks]
     assert 0.8 < errors.std() < 1.2
     assert abs(errors.mean()) < 0.4
