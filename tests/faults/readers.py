@@ -6,11 +6,9 @@ and the like) are not among them: they are read in a process of their own, by co
 
 import io
 import json
-import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,23 +16,19 @@ import yaml
 from PIL import Image
 from safetensors.torch import save_file
 
-from dataset_gen import exr, png
 from dataset_gen.farm import sets
-from dataset_gen.report.dataset import read_dataset
 from dataset_gen.sources import bodies_file
 from dataset_gen.tree import work_folder
 from dataset_gen.vibration import read_motion
-from tests.capture.conftest import write_folder, write_tree
 from tests.capture.sfm.videos import still, write_video
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
 from tests.faults.reader import Reader, T, gaussians, motion, paper_run, reading, record, run_of
+from tests.faults.readers_captures import CAPTURES
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
 from tests.faults.readers_splats import SPLATS
 from tests.helpers.bodies_file import FOUND
-from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
-from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.sfm.clip import WHOLE, Clip
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.defects import is_fixed, stretches_of
@@ -42,7 +36,6 @@ from tg4mm.capture.sfm.scale import checked_length, read_length
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.staging import exif_turns
 from tg4mm.capture.sfm.survey import survey_clip
-from tg4mm.capture.truth_file import load_truth
 from tg4mm.capture.video import video_frames, video_info
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
@@ -55,148 +48,8 @@ from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.measure.sensors import read_sensors
-from tg4mm.show.render.cameras import cameras_from_file
 from tg4mm.show.report.closing import _stage
 from tg4mm.show.report.summary import total_seconds
-
-# Datasets.
-
-
-def _capture(root: Path) -> None:
-    load_images(load_capture(root))
-
-
-def _tree(root: Path) -> Path:
-    scene = {
-        "fps": 30,
-        "n_timesteps": T,
-        "unit_scale_m": 0.01,
-        "kind": "rig",
-        "alphas": [5],
-        "modes": [{"name": "a"}],
-    }
-    write_tree(root, T, scene | {"width": 12, "height": 8, "format_version": 1, "amplitude": 0.02})
-    return root / "scene.json"
-
-
-def _transforms(root: Path) -> Path:
-    _tree(root)
-    return root / "001" / "transforms_train.json"
-
-
-def _sized_transforms(root: Path) -> Path:
-    path = _transforms(root)
-    for file in root.rglob("transforms_*.json"):
-        file.write_text(json.dumps(json.loads(file.read_text()) | {"w": 12, "h": 8}))
-    return path
-
-
-def _sized(root: Path) -> Path:
-    _sized_transforms(root)
-    return root / "scene.json"
-
-
-def _truth(root: Path) -> Path:
-    _sized_transforms(root)
-    rng = np.random.default_rng(0)
-    arrays: dict[str, Any] = {
-        "objects": np.array(["a", "ü"]),
-        "frequencies_hz": np.array([0.0, 5.0]),
-        "gains": rng.normal(size=(2, T)) + 0j,
-        "magnified": np.array([True, False]),
-    }
-    for i in range(2):
-        arrays[f"rest_{i}"] = rng.normal(size=(4, 3)).astype(np.float32)
-        arrays[f"faces_{i}"] = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-        arrays[f"mode_{i}"] = rng.normal(size=(2, 4, 3)).astype(np.complex64)
-    (root / "truth").mkdir()
-    np.savez_compressed(root / "truth" / "motion.npz", **arrays)
-    return root / "truth" / "motion.npz"
-
-
-def _read_dataset(root: Path) -> None:
-    read_dataset(root).timesteps_by_strength()
-
-
-def _nerfstudio(root: Path) -> Path:
-    write_folder(root)
-    values = json.loads((root / "transforms_train.json").read_text())
-    (root / "transforms_train.json").unlink()
-    values |= {
-        "camera_model": "OPENCV",
-        "k1": 0.0,
-        "fl_x": 20.0,
-        "fl_y": 20.0,
-        "cx": 6,
-        "cy": 4,
-        "w": 12,
-        "h": 8,
-    }
-    values |= {"train_filenames": [f["file_path"] for f in values["frames"]], "ply_file_path": "p.ply"}
-    (root / "transforms.json").write_text(json.dumps(values))
-    _ply(root, "p.ply")
-    return root / "transforms.json"
-
-
-def _ply(root: Path, name: str = "points3d.ply") -> Path:
-    if name == "points3d.ply":
-        write_folder(root)
-    head = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + "".join(
-        f"property {kind} {axis}\n"
-        for kind, axes in (("float", "xyz"), ("uchar", ("red", "green", "blue")))
-        for axis in axes
-    )
-    rows = np.zeros(4, [("x", "<f4", 3), ("c", "u1", 3)])
-    rows["x"] = np.arange(12).reshape(4, 3)
-    (root / name).write_bytes(f"{head}end_header\n".encode() + rows.tobytes())
-    return root / name
-
-
-def _colmap(name: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
-        pictures(root)
-        model = root / "sparse" / "0"
-        model.mkdir(parents=True)
-        if name.endswith(".txt"):
-            for stem, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
-                (model / f"{stem}.txt").write_text(text)
-        else:
-            _colmap_binary(model)
-        return model / name
-
-    return make
-
-
-def _colmap_binary(model: Path) -> None:
-    (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
-    images = struct.pack("<Q", 2)
-    for i, name in enumerate(("a/r_2.png", "b.png")):
-        images += struct.pack("<i7di", i + 1, 1, 0, 0, 0, 0, 0, 4 + i, 1) + name.encode() + b"\0"
-        images += struct.pack("<Q2dq", 1, 3.5, 4.5, 7)
-    (model / "images.bin").write_bytes(images)
-    points = struct.pack("<Q", 2)
-    for i in range(2):
-        points += struct.pack("<Q3d3BdQ2i", i, 1.5, 2.5, i, 10, 20, 30, 0.25, 1, 1, 0)
-    (model / "points3D.bin").write_bytes(points)
-
-
-def _picture(suffix: str, deep: bool = False) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
-        write_folder(root)
-        pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 4), np.uint8)
-        (root / "train" / "r_000.png").unlink()
-        path = root / "train" / f"r_000{suffix}"
-        if suffix == ".exr":
-            path.write_bytes(exr.encode(pixels.astype(np.float32) / 255))
-        elif deep:
-            path.write_bytes(png.encode(pixels.astype(np.uint16) * 257))
-        elif suffix == ".png":
-            path.write_bytes(png.encode(pixels))
-        else:
-            Image.fromarray(pixels[..., :3]).save(path)
-        return path
-
-    return make
 
 
 def _splat(root: Path) -> Path:
@@ -384,24 +237,6 @@ _read_motion = reading("motion.*", lambda file: read_motion(file).to_json())
 _read_length = reading("length.*", lambda file: checked_length(read_length(file)))
 
 READERS: dict[str, Reader] = {
-    "scene.json": Reader(_tree, _capture, of_json),
-    "transforms": Reader(_transforms, _capture, of_json),
-    "nerfstudio": Reader(_nerfstudio, _capture, of_json),
-    "points3d.ply": Reader(_ply, _capture, of_header),
-    "colmap cameras.bin": Reader(_colmap("cameras.bin"), _capture, of_bytes),
-    "colmap images.bin": Reader(_colmap("images.bin"), _capture, of_bytes),
-    "colmap points3D.bin": Reader(_colmap("points3D.bin"), _capture, of_bytes),
-    "colmap cameras.txt": Reader(_colmap("cameras.txt"), _capture, of_text),
-    "colmap images.txt": Reader(_colmap("images.txt"), _capture, of_text),
-    "colmap points3D.txt": Reader(_colmap("points3D.txt"), _capture, of_text),
-    "PNG, 8 bits": Reader(_picture(".png"), _capture, of_png),
-    "PNG, 16 bits": Reader(_picture(".png", deep=True), _capture, of_png),
-    "JPEG": Reader(_picture(".jpg"), _capture, of_bytes),
-    "EXR": Reader(_picture(".exr"), _capture, of_bytes),
-    "cameras file": Reader(
-        _nerfstudio, lambda root: cameras_from_file(root / "transforms.json", (12, 8)), of_json
-    ),
-    "truth motion.npz": Reader(_truth, lambda root: load_truth(root, 30.0, T), of_npz),
     "splat file": Reader(_splat, reading("a.ply", read_splat), of_header),
     "run config.json": Reader(run_of("config.json"), _read_run, of_json),
     "run config.json, resumed": Reader(run_of("config.json"), _resume_run, of_json),
@@ -424,9 +259,6 @@ READERS: dict[str, Reader] = {
     "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),
     "motion JSON": Reader(_motion_file(".json"), _read_motion, of_json),
     "bodies npz": Reader(_bodies, reading("found.npz", bodies_file.load), of_npz),
-    "dataset report: scene.json": Reader(_sized, _read_dataset, of_json),
-    "dataset report: transforms": Reader(_sized_transforms, _read_dataset, of_json),
-    "dataset report: motion.npz": Reader(_truth, _read_dataset, of_npz),
     "generate: scene.json": Reader(record("scene.json", CLAIM, "set"), _claim, of_json),
     "farm configuration": Reader(record("config.json", FARM), _farm, of_json),
     "sfm length.json": Reader(_length(".json"), _read_length, of_json),
@@ -439,6 +271,7 @@ READERS: dict[str, Reader] = {
     "rendered picture": Reader(_photograph(".png"), reading("a.png", read_png), of_png),
     "sensors YAML": Reader(_sensors, reading("sensors.yaml", read_sensors), of_text),
     "sfm video": Reader(_video, _read_video, of_bytes),
+    **CAPTURES,
     **SPLATS,
     **DATASETS,
     **RESULTS,

@@ -8,11 +8,13 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tests.core.splatfile.conftest import random_splat
 from tg4mm.core.splatfile import SplatFile
 from tg4mm.core.splatfile.axes import y_up
 from tg4mm.core.splatfile.spz import write_spz
@@ -231,3 +233,51 @@ def write_as(kind: str, folder: Path, splat: SplatFile) -> Path:
     path = folder / f"a{ending}"
     write(path, splat)
     return path
+
+
+# What a kind keeps: place (scene units), covariance (of the largest), opacity, constant and further coefficients.
+EXACT = (1e-6, 1e-5, 1e-6, 1e-6, 1e-6)
+
+
+KEPT = {
+    "compressed PLY": (0.005, 0.02, 0.003, 0.02, 0.02),
+    ".splat": (1e-6, 0.05, 0.003, 0.008, None),
+    "SPZ 1": (0.002, 0.2, 0.003, 0.014, 0.01),
+    "SPZ 2": (1e-5, 0.2, 0.003, 0.014, 0.01),
+    "SPZ 3": (1e-5, 0.08, 0.003, 0.014, 0.01),
+    "SPZ 4": (1e-5, 0.08, 0.003, 0.014, 0.01),
+    "SOG 1": (0.001, 0.05, 0.02, 0.02, 0.01),
+    "SOG 2": (0.001, 0.05, 0.003, 0.02, 0.01),
+}
+
+
+def still(n: int = 60, k: int = 16, seed: int = 3) -> SplatFile:
+    """A scene at rest whose colours every kind can hold."""
+    made = random_splat(seed=seed, n=n, k=k, m=0, fps=0.0, n_timesteps=1, unit_scale_m=None)
+    sh = np.clip(0.2 * made.sh, -0.4, 0.4)
+    sh[:, 0] = np.clip(made.sh[:, 0], -1.7, 1.7)
+    return replace(made, sh=sh, time_origin_s=0.0)
+
+
+def covariances(splat: SplatFile) -> np.ndarray:
+    w, x, y, z = (splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)).astype(float).T
+    axes = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    scaled = axes * splat.scales[:, None, :]
+    return scaled @ scaled.transpose(0, 2, 1)
+
+
+def assert_alike(read: SplatFile, want: SplatFile, kept: tuple) -> None:
+    place, shape, opacity, constant, rest = kept
+    np.testing.assert_allclose(read.means, want.means, atol=place)
+    size = want.scales.max(axis=1)[:, None, None] ** 2
+    np.testing.assert_allclose(covariances(read) / size, covariances(want) / size, atol=shape)
+    np.testing.assert_allclose(read.opacities, want.opacities, atol=opacity)
+    np.testing.assert_allclose(read.sh[:, 0], want.sh[:, 0], atol=constant)
+    if rest is not None:
+        np.testing.assert_allclose(read.sh[:, 1:], want.sh[:, 1:], atol=rest)
