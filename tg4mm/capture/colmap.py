@@ -210,7 +210,7 @@ _TEXT = (_cameras, _images, _points)
 
 
 LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
-IMAGES = "images"
+IMAGES, MASKS = "images", "masks"
 # Where a model lies: COLMAP's mapper numbers its models, its undistorter does not.
 FOLDERS = ("sparse/0", "sparse")
 # Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
@@ -287,15 +287,17 @@ def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
 def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, Lens]) -> View:
     where = f"{model.folder}: image {image.name!r}"
     path = image_path(root, root / IMAGES, image.name, where)
+    named = root / MASKS / f"{image.name}.png"  # as COLMAP's own extractor has it
+    mask = inside(root, named, where) if named.is_file() else None
     if image.camera_id not in model.cameras:
         raise CaptureError(f"{where}: is of camera {image.camera_id}, which is not among the cameras")
     camera = model.cameras[image.camera_id]
     pose = np.linalg.inv(image.cam_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
     if (lens := lenses.get(image.camera_id)) is not None:
-        return View(path, 0, pose, Record(where, {}), Record(str(model.folder), {}), lens=lens)
+        return View(path, 0, pose, Record(where, {}), Record(str(model.folder), {}), mask=mask, lens=lens)
     fl_x, fl_y, cx, cy = _intrinsics(camera)
     values = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
-    return View(path, 0, pose, Record(where, values), Record(str(model.folder), {}))
+    return View(path, 0, pose, Record(where, values), Record(str(model.folder), {}), mask=mask)
 
 
 def _intrinsics(camera: ColmapCamera) -> tuple[float, float, float, float]:

@@ -56,6 +56,7 @@ class Capture:
     times_s: np.ndarray = None  # type: ignore[assignment]
     # C, by which a picture as it is stored becomes a pinhole's when it is decoded; (): all are
     lenses: tuple[Lens | None, ...] = ()
+    masks: tuple[Path | None, ...] = ()  # C files, white where a picture counts (`masks.py`); (): everywhere
 
     def __post_init__(self) -> None:
         if self.times_s is None:
@@ -97,4 +98,5 @@ class Capture:
             times_s=self.times_s[rows],
             paths=tuple(self.paths[i] for i in rows),
             lenses=tuple(self.lenses[i] for i in rows) if self.lenses else (),
+            masks=tuple(self.masks[i] for i in rows) if self.masks else (),
         )

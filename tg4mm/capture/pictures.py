@@ -6,7 +6,7 @@ From disk, what one camera saw is decoded when its turn comes and let go after: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -201,10 +201,12 @@ class FilePictures:
 
 @dataclass(frozen=True)
 class MaskedPictures:
-    """One fixed camera's pictures; what is masked stays as it is in the first of them."""
+    """Fixed cameras' pictures; what is masked stays as it is in the first of each camera's."""
 
     pictures: Pictures
-    mask: np.ndarray  # [H, W] bool
+    masks: np.ndarray  # [V, H, W] bool
+    of_row: Mapping[int, int]  # which of the V cameras took a picture
+    first: tuple[int, ...]  # V pictures
 
     @property
     def size(self) -> tuple[int, int]:
@@ -214,16 +216,17 @@ class MaskedPictures:
     def maximum(self) -> int:
         return self.pictures.maximum
 
-    @cached_property
-    def _first(self) -> np.ndarray:
-        return np.array(self.pictures.strips([0])(slice(None))[0])
-
     def strips(self, rows: Sequence[int]) -> Strips:
         raw = self.pictures.strips(rows)
+        cameras = [self.of_row.get(int(row)) for row in rows]
+        held = {v: self.pictures.strips([self.first[v]]) for v in cameras if v is not None}
 
         def strip(part: slice) -> np.ndarray:
-            data, mask = np.array(raw(part)), self.mask[part]
-            data[:, mask] = self._first[part][mask]
+            data, still = np.array(raw(part)), {v: own(part)[0] for v, own in held.items()}
+            for k, v in enumerate(cameras):
+                if v is not None:
+                    mask = self.masks[v, part]
+                    data[k][mask] = still[v][mask]
             return data
 
         return strip

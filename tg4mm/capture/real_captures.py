@@ -84,7 +84,11 @@ def _of_tripod(root: Path, views: list[View]) -> list[View]:
         raise CaptureError(f"{root / FRAMES}: holds no pictures")
     _check_complete(frames)
     where = str(root / FRAMES)
-    return [replace(views[-1], path=image_path(root, root / FRAMES, path.name, where)) for path in frames]
+    found = []
+    for frame in frames:
+        path = image_path(root, root / FRAMES, frame.name, where)
+        found.append(replace(views[-1], path=path, mask=_mask(root, frame) or views[-1].mask))
+    return found
 
 
 def _of_hand(root: Path, views: list[View], scene: Scene) -> list[View]:
@@ -106,6 +110,12 @@ def _of_hand(root: Path, views: list[View], scene: Scene) -> list[View]:
                 f"{path}: is a timestep, and is not registered in {colmap.FOLDERS[0]}: its pose is not known"
             )
     return [of[path] for path in wanted]
+
+
+def _mask(root: Path, frame: Path) -> Path | None:
+    """masks/video_frames_1/<name>.png, of one frame of a tripod; without it that of its view counts."""
+    named = root / colmap.MASKS / FRAMES / f"{frame.name}.png"
+    return inside(root, named, str(root)) if named.is_file() else None
 
 
 def _pictures(folder: Path) -> list[Path]:

@@ -42,6 +42,7 @@ class View:
     frame: Record
     file: Record
     time_s: float = math.nan  # the frame's own time; NaN where it has none
+    mask: Path | None = None  # white where it counts; None: everywhere
     lens: Lens | None = (
         None  # how its picture becomes a pinhole's, where it is none; then intrinsics are its own
     )
@@ -80,8 +81,21 @@ def views_of_frames(
         if image in views:
             raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
         time_s = frame.number("time") if frame.has("time") else math.nan
-        views[image] = View(image, timestep, read_pose(frame), frame, file, time_s)
+        views[image] = View(
+            image, timestep, read_pose(frame), frame, file, time_s, _mask(root, folder, frame)
+        )
     return in_order(views.values())
+
+
+def _mask(root: Path, folder: Path, frame: Record) -> Path | None:
+    """The file that `mask_path` of a frame names. Raises CaptureError where it is not there or leaves the dataset."""
+    if not frame.has("mask_path"):
+        return None
+    where = f"{frame.where}: mask_path"
+    path = inside(root, folder / frame.text("mask_path"), where)
+    if not path.is_file():
+        raise CaptureError(f"{where} is {frame.text('mask_path')!r}, which does not exist")
+    return path
 
 
 def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
@@ -165,6 +179,7 @@ def assemble(
         timesteps=np.array([view.timestep for view in views], dtype=np.int64),
         camera_ids=camera_ids(viewmats, Ks),
         paths=tuple(view.path for view in views),
+        masks=tuple(view.mask for view in views) if any(view.mask for view in views) else (),
         lenses=tuple(view.lens for view in views) if any(view.lens for view in views) else (),
         unit_scale_m=scene.unit_scale_m,
         points=read_points(root) if points is None else points,

@@ -63,6 +63,22 @@ def train(
             "one or two periods. [default: what stands out]",
         ),
     ] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE | X,Y X,Y …",
+            help="Where motion may be, in pixels of the one fixed camera: a PNG, white there, or a polygon's corners: "
+            "--set motion.region. [default: everywhere]",
+        ),
+    ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE | X,Y X,Y …",
+            help="What counts in that camera's pictures, for the scene at rest and its motion: --set space.mask. "
+            "[default: everything]",
+        ),
+    ] = None,
     list_settings: Annotated[
         bool,
         typer.Option(
@@ -80,7 +96,10 @@ def train(
     """
     chosen = split_settings(settings or [])
     if band:
-        chosen = with_band(chosen, parse_bands(band))
+        chosen = with_setting(chosen, "motion.band", "--band", band_text(parse_bands(band)))
+    for name, option, text in (("motion.region", "--region", region), ("space.mask", "--mask", mask)):
+        if text is not None:
+            chosen = with_setting(chosen, name, option, text)
     from tg4mm.run.train import train as train_run
     from tg4mm.show.result import lines_of, result_of
 
@@ -88,13 +107,18 @@ def train(
     typer.echo("\n".join(lines_of(result_of(run))))
 
 
-def with_band(settings: dict[str, str], bands: Sequence[tuple[float, float] | None]) -> dict[str, str]:
-    """The settings with motion.band. Raises Tg4mmError for `auto`, several bands, and one that is set twice."""
+def band_text(bands: Sequence[tuple[float, float] | None]) -> str:
+    """Of the setting motion.band. Raises Tg4mmError for `auto` and several bands."""
     if len(bands) != 1 or bands[0] is None:
         raise Tg4mmError("--band: training takes one band, two frequencies in Hz, LO HI")
-    if "motion.band" in settings:
-        raise Tg4mmError("--band and --set motion.band exclude each other")
-    return {**settings, "motion.band": "{:g} {:g}".format(*bands[0])}
+    return "{:g} {:g}".format(*bands[0])
+
+
+def with_setting(settings: dict[str, str], name: str, option: str, text: str) -> dict[str, str]:
+    """The settings with one that has an option of its own. Raises Tg4mmError where it is set twice."""
+    if name in settings:
+        raise Tg4mmError(f"{option} and --set {name} exclude each other")
+    return {**settings, name: text}
 
 
 def split_settings(pairs: Sequence[str]) -> dict[str, str]:

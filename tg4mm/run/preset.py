@@ -14,16 +14,20 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
+import numpy as np
+
 from tg4mm.capture import Capture
+from tg4mm.capture.masks import region_mask
 from tg4mm.capture.pictures import pictures_for
-from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.magnify.linear import magnified_motion
 from tg4mm.fit.motion.animate import animator
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.config import checked as checked_motion
-from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
 from tg4mm.fit.space.config import checked as checked_space
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_at_capture
@@ -100,13 +104,48 @@ def _check(configs: Mapping[str, Any]) -> None:
 
 def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) -> None:
     images = pictures_for(capture)
+    counts, moves = asked_masks(capture, configs)
     if not run.has_space and not capture.kind.sees_depth:
-        train_plane(run, rest_views(capture, images), configs["space"], device)
+        train_plane(run, _masked(rest_views(capture, images), capture, counts), configs["space"], device)
     elif not run.has_space:
-        train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+        views = _masked(rest_views(capture, images), capture, counts)
+        train_space(run, views, capture.points, configs["space"], device)
     if capture.n_timesteps > 1:
         found = look_at_capture(run, capture, images)
-        train_motion(run, capture, images, configs["motion"], device, None if found is None else found.mask())
+        masks = [
+            None if found is None else found.mask(),
+            *(None if m is None else ~m for m in (counts, moves)),
+        ]
+        given = [mask for mask in masks if mask is not None]
+        mask = np.any(given, axis=0) if given else None
+        train_motion(run, capture, images, configs["motion"], device, mask)
+
+
+def asked_masks(capture: Capture, configs: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """[H, W] bool: what counts (space.mask) and where motion may be (motion.region) for the one fixed camera.
+
+    None where it is not asked for. Raises CaptureError for bad masks, and where there is not one fixed camera.
+    """
+    texts = {"space.mask": configs["space"].mask, "motion.region": configs["motion"].region}
+    fixed = fixed_cameras(capture) if any(texts.values()) else []
+    if any(texts.values()) and len(fixed) != 1:
+        named = next(name for name, text in texts.items() if text)
+        raise CaptureError(
+            f"{named} is for the one fixed camera, and {capture.root} has {len(fixed)}: give a mask with each picture "
+            "(docs/conventions.md)"
+        )
+    size = capture.width, capture.height
+    counts, moves = (region_mask(text, size) if text else None for text in texts.values())
+    return counts, moves
+
+
+def _masked(views: RestViews, capture: Capture, counts: np.ndarray | None) -> RestViews:
+    """Without what does not count in the mean picture of the fixed camera."""
+    if counts is not None:
+        row = int(fixed_cameras(capture)[0].rows[0])
+        v = next(v for v, rows in enumerate(views.images) if row in rows)
+        views.rgb[v][~counts] = np.nan
+    return views
 
 
 def _poses(run: Run, method: str, plan: Magnification, device: str) -> Poses:

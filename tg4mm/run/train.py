@@ -18,7 +18,7 @@ from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told, check_shows_motion
 from tg4mm.run import Run
 from tg4mm.run.config import work_folder
-from tg4mm.run.preset import preset_named
+from tg4mm.run.preset import asked_masks, preset_named
 
 _LOG = logging.getLogger("tg4mm")
 _BOOLEANS = {"true": True, "false": False}
@@ -67,6 +67,8 @@ def train(
     # before the run folder exists, which would keep the bad value, and before minutes of the space stage
     chosen.check(configs)
     capture = _capture(Path(dataset))
+    if preset == "modal":
+        asked_masks(capture, configs)  # before minutes of the space stage
     if capture.n_timesteps > 1 and "motion" in configs:
         check_shows_motion(capture)
         if (band := asked_band(getattr(configs["motion"], "band", ""), capture.fps)) is not None:

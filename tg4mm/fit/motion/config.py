@@ -54,6 +54,11 @@ class MotionConfig:
         "LOW HIGH: a frequency there is fitted even if none stands out; empty: what stands out alone",
         "Hz",
     )
+    region: str = setting(
+        "",
+        "where motion may be, in the picture of the one fixed camera: a PNG's path (white), or a polygon "
+        "X,Y X,Y X,Y …; empty: everywhere",
+    )
     seed: int = setting(0, "seed of the random generator")
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import FilePictures, Pictures, over_white
+from tg4mm.capture.masks import mask_of
+from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, over_white
 from tg4mm.capture.scene import codec_period
 from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.core.choices import Kind
@@ -56,6 +57,7 @@ class Observations:
     n_timesteps: int
     is_whole: bool  # no other pictures made the scene at rest
     codec_period: int | None = None  # frames, of the video's compression
+    counts: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that count; None: all
 
     @property
     def size(self) -> tuple[int, int]:
@@ -106,7 +108,26 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
     of_time = capture.fps, capture.n_timesteps
     period = codec_period(capture.root)
-    return Observations(capture.kind, clock, frames, images, *of_time, is_whole, period)
+    found = Observations(capture.kind, clock, frames, images, *of_time, is_whole, period)
+    return found if not capture.masks else _masked(found, capture)
+
+
+def _masked(observations: Observations, capture: Capture) -> Observations:
+    """With the pixels that count in all pictures of a pose; of fixed cameras what others show does not change."""
+    counts = np.ones((len(observations.frames), capture.height, capture.width), bool)
+    for v, frames in enumerate(observations.frames):
+        for row in frames.rows.tolist():
+            if (mask := mask_of(capture, row)) is not None:
+                counts[v] &= mask
+    observations = replace(observations, counts=counts)
+    return observations if observations.clock == "moving" else held(observations, ~counts)
+
+
+def held(observations: Observations, masks: np.ndarray) -> Observations:
+    """Fixed cameras whose masked pixels [V, H, W] bool stay as they are in each one's first picture."""
+    of_row = {int(row): v for v, frames in enumerate(observations.frames) for row in frames.rows}
+    first = tuple(int(frames.rows[0]) for frames in observations.frames)
+    return replace(observations, pictures=MaskedPictures(observations.pictures, masks, of_row, first))
 
 
 def check_shows_motion(capture: Capture) -> None:

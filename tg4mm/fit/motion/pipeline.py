@@ -105,6 +105,8 @@ def select_hyperparameters(
 
     is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
+    if (counts := model.observations.counts) is not None:
+        weights = counts.astype(np.float32) if weights is None else weights * counts
     weighted = replace(model, problem=model.problem.changed(pixel_weights=weights))
 
     def smoothness() -> Arrays:

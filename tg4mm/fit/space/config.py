@@ -47,6 +47,11 @@ class SpaceConfig:
     init_points: int = setting(
         5_000, "at most; a fifth of it from the hull, a tenth at random places", "points"
     )
+    mask: str = setting(
+        "",
+        "what counts in the pictures of the one fixed camera: a PNG's path (white), or a polygon X,Y X,Y X,Y …; "
+        "empty: everything",
+    )
     seed: int = setting(0, "of random draws")
 
 

@@ -101,6 +101,16 @@ def _named(arrays: tuple[np.ndarray, ...]) -> dict[str, Tensor]:
     return dict(zip(_SHAPES, plain, strict=True)) | {"sh0": sh[:, :1], "shn": sh[:, 1:]}
 
 
+def told(target: np.ndarray, image: np.ndarray, transmittance: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """A target [H, W, 3] with what is rendered where it is NaN, so that there is nothing to be gained there."""
+    untold = np.isnan(target[..., 0])
+    if not untold.any():
+        return target
+    out = target.copy()
+    out[untold] = (image[untold][:, :3] + np.float32(WHITE) * transmittance[untold][:, None]) * gain
+    return out
+
+
 class Iteration:
     """One view rendered, compared and stepped, in memory that is kept from one call to the next."""
 
@@ -139,6 +149,7 @@ class Iteration:
         blend_forward(*tiles, image, transmittance, reached=bins.reached)
         v_image, v_transmittance = take("v_image", image.shape), take("v_transmittance", (height, width))
         squares = take("squares", (height,), np.float64)
+        target = told(target, image, transmittance, gain)
         more = self._structure(image, transmittance, target, gain)
         share = 1 - self._dssim
         loss = (share, self._l2, more)
@@ -162,9 +173,8 @@ class Iteration:
         image = self._buffers.take("image", (height, width, FEATURES))
         transmittance = self._buffers.take("transmittance", (height, width))
         every = (slice(None, None, GAIN_EVERY),) * 2
-        return fitting_gain(
-            image[every][..., :3] + np.float32(WHITE) * transmittance[every][..., None], target[every]
-        )
+        shown = image[every][..., :3] + np.float32(WHITE) * transmittance[every][..., None]
+        return fitting_gain(shown, told(target[every], image[every], transmittance[every], _PLAIN))
 
     def _structure(
         self, image: np.ndarray, transmittance: np.ndarray, target: np.ndarray, gain: np.ndarray

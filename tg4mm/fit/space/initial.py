@@ -138,7 +138,8 @@ def mean_colours(xyz: np.ndarray, views: RestViews) -> np.ndarray:
     total, count = np.zeros((len(xyz), 3)), np.zeros(len(xyz))
     for v in range(len(views.rgb)):
         u, w, inside = _project(xyz, views, v)
-        total += views.rgb[v, w, u] * inside[:, None]
+        inside = inside & ~np.isnan(views.rgb[v, w, u, 0])  # where a mask leaves nothing
+        total += np.nan_to_num(views.rgb[v, w, u]) * inside[:, None]
         count += inside
     return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], 0.5).astype(np.float32)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -264,7 +265,7 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
         raise CaptureError(f"a flat capture has one fixed camera, this one has {len(views.rgb)}")
     reset_gpu_peak(device)
     began = time.monotonic()
-    picture, K, viewmat = views.rgb[0], views.Ks[0], views.viewmats[0]
+    picture, K, viewmat = _without_holes(views.rgb[0]), views.Ks[0], views.viewmats[0]
     width, height = views.size
     budget = config.max_gaussians or min(max(width * height // PIXELS_PER_GAUSSIAN, FEWEST), MOST)
     iterations = config.iterations or ITERATIONS
@@ -287,6 +288,15 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
         "psnr_train": psnr,
     }
     return SpaceFit(gaussians, figures)
+
+
+def _without_holes(picture: np.ndarray) -> np.ndarray:
+    """[H, W, 3]: with the nearest pixel where a mask left nothing."""
+    untold = np.isnan(picture[..., 0])
+    if not untold.any():
+        return picture
+    nearest = distance_transform_edt(untold, return_distances=False, return_indices=True)
+    return np.asarray(picture[tuple(nearest)])
 
 
 @torch.no_grad()

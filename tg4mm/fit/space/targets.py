@@ -14,6 +14,7 @@ from itertools import islice
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.masks import mask_of
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.progress import progress
@@ -25,7 +26,7 @@ class RestViews:
 
     viewmats: np.ndarray  # [V, 4, 4] float32
     Ks: np.ndarray  # [V, 3, 3] float32
-    rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1
+    rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1; NaN where no picture counts (`capture/masks.py`)
     alpha: np.ndarray  # [V, H, W] float32 in 0..1
     images: tuple[np.ndarray, ...]  # for each camera, the rows of the capture it took
 
@@ -54,6 +55,8 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
                 total.add(picture)
                 update(done := done + 1)
             rgb[v], alpha[v] = total.means(len(group))
+            if capture.masks:
+                rgb[v] = _told(capture, images, group, rgb[v])
     return RestViews(
         viewmats=capture.viewmats[first].astype(np.float32),
         Ks=capture.Ks[first].astype(np.float32),
@@ -61,6 +64,22 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
         alpha=alpha,
         images=tuple(groups),
     )
+
+
+def _told(
+    capture: Capture, images: ImageStack | FilePictures, group: np.ndarray, mean: np.ndarray
+) -> np.ndarray:
+    """[H, W, 3]: the mean over the pictures that count at each pixel, NaN where none does."""
+    masks = [mask_of(capture, int(i)) for i in group]
+    if all(mask is None for mask in masks):
+        return mean
+    total, count = np.zeros(mean.shape), np.zeros(mean.shape[:2])
+    for i, mask in zip(group, masks, strict=True):
+        counts = np.ones(mean.shape[:2], bool) if mask is None else mask
+        total += images.rgb(int(i)) * counts[..., None]
+        count += counts
+    told = total / np.maximum(count, 1)[..., None]
+    return np.where(count[..., None] > 0, told, np.nan).astype(np.float32)
 
 
 def _in_turn(images: ImageStack | FilePictures, rows: np.ndarray) -> Iterator[np.ndarray]:

@@ -158,6 +158,7 @@ class _Views:
         height, width = target.shape[:2]
         view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree, self._eps2d)
         shown = view.rgb if fit.gains is None else view.rgb * fit.gains[v]
+        target = torch.where(target.isnan(), shown.detach(), target)
         loss = photometric_loss(shown, target, self._config.l2, self._config.dssim)
         difference = shown.detach() - target
         (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()

@@ -9,13 +9,12 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import FilePictures, MaskedPictures
+from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.fit.device import gpu_figures, reset_gpu_peak
@@ -23,7 +22,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.observations import held, observe
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.run import UNCERTAINTY, Run
 
@@ -53,7 +52,7 @@ def train_motion(
     reset_gpu_peak(device)
     observations = observe(capture, images)
     if mask is not None and mask.any():
-        observations = replace(observations, pictures=MaskedPictures(observations.pictures, mask))
+        observations = held(observations, mask[None])
     checkpoint = RunCheckpoint(run, began, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:

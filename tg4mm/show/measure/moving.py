@@ -20,7 +20,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.camera_path import corrected_poses, pictures_of
+from tg4mm.fit.motion.nuisance.camera_path import corrected_poses, left_of, pictures_of
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.show.measure.kept import KeptPass, Wanted
@@ -115,7 +115,7 @@ def _passed(
     with progress("pictures", count, "frames") as update:
         for k, picture in enumerate(pictures_of(observations)):
             view = view_jacobian(gaussians, frames[k], observations.size)
-            left = picture - view.over_white
+            left = left_of(picture, view.over_white)
             if len(modal.fields):
                 field = np.tensordot(series[:, k].astype(np.float32), modal.fields, 1)
                 left -= view.jvp(np.ascontiguousarray(field[None]))[0]

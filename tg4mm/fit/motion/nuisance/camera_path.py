@@ -208,9 +208,17 @@ _ALL = np.ones(12, bool)
 
 
 def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
-    """[H, W, 3] float32 of every frame, over white."""
-    for frame in observations.frames:
-        yield next(whole_pictures(observations, frame.rows))[0]
+    """[H, W, 3] float32 of every frame, over white; NaN where it does not count."""
+    for v, frame in enumerate(observations.frames):
+        picture = next(whole_pictures(observations, frame.rows))[0]
+        if observations.counts is not None:
+            picture[~observations.counts[v]] = np.nan
+        yield picture
+
+
+def left_of(picture: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """[H, W, 3]: a frame less what is shown, 0 where the frame does not count."""
+    return np.nan_to_num(picture - shown)
 
 
 def corrected_poses(
@@ -232,7 +240,7 @@ def corrected_poses(
                 view = view_jacobian(gaussians, frame, observations.size)
                 shown = view.over_white
                 nuisance = Nuisance(view, frame, means, _ALL)
-                n = _coefficients(nuisance, shown, picture - shown)
+                n = _coefficients(nuisance, shown, left_of(picture, shown))
                 frame = replace(frame, viewmat=_corrected(frame.viewmat, n[POSE]))
             if not np.isfinite(frame.viewmat).all():
                 raise RunError(
@@ -242,6 +250,7 @@ def corrected_poses(
             exposures.append(n[:6].astype(np.float32))
             if pictures is not None:
                 pictures[i] = (picture - exposures[i][3:]) / (1 + exposures[i][:3])
+                pictures[i] = np.where(np.isnan(pictures[i]), shown, pictures[i])
                 release(pictures)
             squares.append(_apart(first, frame, means, gaussians.opacities.numpy()))
             update(i + 1)

@@ -30,6 +30,7 @@ from tg4mm.fit.motion.nuisance.camera_path import (
     CameraPath,
     Reading,
     corrected_poses,
+    left_of,
     pictures_of,
 )
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
@@ -252,8 +253,9 @@ def _residual_problem(
             nuisance = Nuisance(view, frame, means, _ALL)
             projection = Projection.of(nuisance, shown, None, is_large, keeps=False)
             model = ObservationModel(frame, view, projection)
-            residuals[k] = model.without_nuisance((picture - shown)[None])
-            left[k] = projection.coefficients(picture - shown)[POSE]
+            change = left_of(picture, shown)
+            residuals[k] = model.without_nuisance(change[None])
+            left[k] = projection.coefficients(change)[POSE]
             model.release()
             views.append(view)
             projections.append(projection)
