@@ -33,29 +33,27 @@ def retime(tree: Path, times: dict[int, float | None], split: str = "train") -> 
         path.write_text(json.dumps(values))
 
 
+STEPS = list(range(20))
+KINDS_OF_CAMERAS = [  # timesteps of each camera, timesteps in all
+    ({0: [0], 1: [0]}, 1, "photos"),
+    ({0: STEPS, 1: [0], 2: [0]}, 20, "tripod"),
+    ({0: STEPS, 1: STEPS}, 20, "rig"),
+    ({t: [t] for t in STEPS}, 20, "handheld"),
+    ({0: STEPS, 1: STEPS[:19]}, 20, "rig"),  # a camera that misses one of many stayed
+    ({0: STEPS, 1: STEPS[:10]}, 20, "tripod"),
+]
+
+
 class TestKind:
-    def test_one_timestep_is_photographs(self) -> None:
-        assert of_cameras({0: [0], 1: [0]}, 1) == "photos"
-
-    def test_cameras_that_stay_are_counted(self) -> None:
-        steps = list(range(20))
-        assert of_cameras({0: steps, 1: [0], 2: [0]}, 20) == "tripod"
-        assert of_cameras({0: steps, 1: steps}, 20) == "rig"
-        assert of_cameras(dict.fromkeys(range(3), steps), 20) == "rig"
-        assert of_cameras({t: [t] for t in steps}, 20) == "handheld"
-
-    def test_a_camera_that_misses_one_of_many_stayed(self) -> None:
-        assert of_cameras({0: list(range(20)), 1: list(range(19))}, 20) == "rig"
-        assert of_cameras({0: list(range(20)), 1: list(range(10))}, 20) == "tripod"
+    @pytest.mark.parametrize(("cameras", "n_timesteps", "kind"), KINDS_OF_CAMERAS)
+    def test_cameras_that_stay_are_counted(self, cameras, n_timesteps, kind):
+        assert of_cameras(cameras, n_timesteps) == kind
 
     def test_scene_json_has_the_last_word(self, tree: Path) -> None:
         assert load_capture(tree).kind == "rig"
         for kind in KINDS:
             edit(tree / "scene.json", lambda v, kind=kind: v.update(kind=kind))
             assert load_capture(tree).kind == kind
-
-    def test_a_single_folder_is_photographs(self, folder: Path) -> None:
-        assert load_capture(folder).kind == "photos"
 
 
 class TestTimes:
@@ -115,27 +113,32 @@ class TestTimes:
         (folder / "scene.json").write_text('{"fps": 12}')
         assert load_capture(folder).times_s.tolist() == [0.0, 0.0]
 
-    def test_dropped_frames_are_fine(self) -> None:
-        dropped = np.array([0, 1, 2, 3, 5, 6, 7, 8, 11, 12]) / 30
-        check_times("scene.json", dropped, np.arange(10), ["a"] * 10, 30.0)
-        with pytest.raises(CaptureError):
-            check_times("scene.json", dropped, np.arange(10), ["a"] * 10, 29.0)
 
-    def test_ntsc_and_its_rounding_agree(self) -> None:
-        times = np.arange(30) * 1001 / 30000
-        check_times("scene.json", times, np.arange(30), ["a"] * 30, 29.97)
+STEP = 1 / 30
+DROPPED = np.array([0, 1, 2, 3, 5, 6, 7, 8, 11, 12]) * STEP
+AGREE = {  # times, timesteps, cameras, frames per second
+    "dropped frames": (DROPPED, np.arange(10), "a" * 10, 30.0),
+    "NTSC and its rounding": (np.arange(30) * 1001 / 30000, np.arange(30), "a" * 30, 29.97),
+    "every tenth timestep": (np.arange(4) * 10 * STEP, np.arange(4) * 10, "a" * 4, 30.0),
+    "clocks of their own": (
+        np.concatenate([np.arange(5) * STEP, 100 + np.arange(5) * STEP]), np.tile(np.arange(5), 2),
+        "a" * 5 + "b" * 5, 30.0,
+    ),
+}  # fmt: skip
 
-    def test_a_camera_seen_at_every_tenth_timestep_is_measured_by_tens(self) -> None:
-        check_times("scene.json", np.arange(4) * 10 / 30, np.arange(4) * 10, ["a"] * 4, 30.0)
 
-    def test_the_camera_whose_times_are_wrong_is_named(self) -> None:
-        times = np.concatenate([np.arange(2) / 30, np.arange(2) / 25])
-        with pytest.raises(CaptureError, match=r"the times of camera b step by 0\.04 s \(25 Hz\)"):
-            check_times("scene.json", times, np.tile(np.arange(2), 2), ["a"] * 2 + ["b"] * 2, 30.0)
+@pytest.mark.parametrize("what", AGREE)
+def test_times_agree_with_the_frame_rate(what):
+    times, timesteps, cameras, fps = AGREE[what]
+    check_times("scene.json", times, timesteps, list(cameras), fps)
+    with pytest.raises(CaptureError):
+        check_times("scene.json", times, timesteps, list(cameras), 0.96 * fps)
 
-    def test_each_camera_has_a_clock_of_its_own(self) -> None:
-        times = np.concatenate([np.arange(5) / 30, 100 + np.arange(5) / 30])
-        check_times("scene.json", times, np.tile(np.arange(5), 2), ["a"] * 5 + ["b"] * 5, 30.0)
+
+def test_the_camera_whose_times_are_wrong_is_named():
+    times = np.concatenate([np.arange(2) / 30, np.arange(2) / 25])
+    with pytest.raises(CaptureError, match=r"the times of camera b step by 0\.04 s \(25 Hz\)"):
+        check_times("scene.json", times, np.tile(np.arange(2), 2), ["a"] * 2 + ["b"] * 2, 30.0)
 
 
 def test_a_capture_made_by_hand_gets_kind_and_times() -> None:

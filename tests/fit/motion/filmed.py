@@ -10,8 +10,10 @@ from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _p
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.rasterize import rasterization
 
 FPS, SIZE = 30.0, 48
@@ -83,3 +85,22 @@ def error_of(found: np.ndarray, true: np.ndarray, opacities: np.ndarray) -> floa
     """rms/rms of complex displacements [N, 3], weighted by opacity."""
     weights = opacities[:, None]
     return float(np.sqrt((weights * np.abs(found - true) ** 2).sum() / (weights * np.abs(true) ** 2).sum()))
+
+
+def fitted(gaussians: Gaussians, observations: Observations, nuisance: str = "auto") -> MotionFit:
+    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
+    return fit_motion(gaussians, observations, config)
+
+
+def length(values: np.ndarray) -> float:
+    return float(np.linalg.norm(np.abs(values).astype(np.float64)))
+
+
+def at_hz(fit: MotionFit, hz: float) -> np.ndarray:
+    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - hz)))]
+
+
+def elsewhere(fit: MotionFit, hz: float) -> float:
+    """rms of what moves at other frequencies, over that at the true one."""
+    other = np.abs(fit.motion.freqs_hz - hz) > 1
+    return length(fit.motion.displacement[other]) / length(at_hz(fit, hz))

@@ -8,16 +8,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tests.fit.motion.filmed import FPS, K_of
+from tests.fit.motion.filmed import FPS, K_of, at_hz, elsewhere, fitted, length
 from tests.fit.motion.scenes import SCENES, Camera, camera_of, view_of
 from tests.fit.rasterize.oracle import Scene
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
@@ -28,7 +27,6 @@ from tg4mm.fit.motion.nuisance.projection import (
     without,
 )
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
@@ -58,10 +56,6 @@ def seen(scene: Scene, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         scene.Ks[0], scene.width, scene.height,
     )  # fmt: skip
     return (image + 1 - alpha[..., None]).numpy()
-
-
-def length(values: np.ndarray) -> float:
-    return float(np.linalg.norm(values.astype(np.float64)))
 
 
 def differences(scene: Scene, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -185,21 +179,6 @@ def moving() -> tuple[Gaussians, ModalMotion]:
     return _gaussians(parts, 1), _motion(parts, (HZ,), 0.012, FPS, T)
 
 
-def fitted(gaussians: Gaussians, observations: Observations, nuisance: str) -> MotionFit:
-    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
-    return fit_motion(gaussians, observations, config)
-
-
-def at_hz(fit: MotionFit) -> np.ndarray:
-    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - HZ)))]
-
-
-def elsewhere(fit: MotionFit) -> float:
-    """rms of what moves at other frequencies, over that at the true one."""
-    other = np.abs(fit.motion.freqs_hz - HZ) > 1
-    return length(np.abs(fit.motion.displacement[other])) / length(np.abs(at_hz(fit)))
-
-
 def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
     """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
     gaussians, motion = moving
@@ -209,12 +188,12 @@ def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotio
     steady = fitted(gaussians, filmed(lambda p, v, t: 0.8 * p, gaussians, motion), "auto")
     drifting = filmed(lambda p, v, t: drift[v, t] * p + offset[v, t], gaussians, motion)
     taken_out, left_in = (fitted(gaussians, drifting, n) for n in ("auto", "none"))
-    size = length(np.abs(at_hz(steady)))
-    off = [length(np.abs(at_hz(f) - at_hz(steady))) / size for f in (taken_out, left_in)]
+    size = length(at_hz(steady, HZ))
+    off = [length(at_hz(f, HZ) - at_hz(steady, HZ)) / size for f in (taken_out, left_in)]
     assert off[0] < 0.08
     assert off[1] > 3 * off[0]
-    assert elsewhere(taken_out) < 0.1
-    assert elsewhere(left_in) > 3 * elsewhere(taken_out)
+    assert elsewhere(taken_out, HZ) < 0.1
+    assert elsewhere(left_in, HZ) > 3 * elsewhere(taken_out, HZ)
     assert taken_out.figures["nuisance"] == ["exposure"]
     assert 2 < taken_out.figures["exposure_gain_percent"] < 10
     assert left_in.figures["nuisance"] == []

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from tests.fit.motion.filmed import FPS, K_of
+from tests.fit.motion.filmed import FPS, K_of, at_hz, elsewhere, fitted, length
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white
@@ -20,7 +20,6 @@ from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
 from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.pipeline import fit_motion
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6
@@ -137,25 +136,6 @@ def filmed(
     return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, False)
 
 
-def fitted(gaussians: Gaussians, observations: Observations, nuisance: str = "auto") -> MotionFit:
-    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
-    return fit_motion(gaussians, observations, config)
-
-
-def length(values: np.ndarray) -> float:
-    return float(np.linalg.norm(np.abs(values).astype(np.float64)))
-
-
-def at_hz(fit: MotionFit) -> np.ndarray:
-    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - HZ)))]
-
-
-def elsewhere(fit: MotionFit) -> float:
-    """rms of what moves at other frequencies, over that at the true one."""
-    other = np.abs(fit.motion.freqs_hz - HZ) > 1
-    return length(fit.motion.displacement[other]) / length(at_hz(fit))
-
-
 def but_for_a_rigid_motion(field: np.ndarray, means: np.ndarray) -> np.ndarray:
     """A field [N, 3] less the rigid motion of all Gaussians that is nearest to it."""
     turns = np.stack([np.cross(axis, means) for axis in np.eye(3)], -1)
@@ -165,8 +145,8 @@ def but_for_a_rigid_motion(field: np.ndarray, means: np.ndarray) -> np.ndarray:
 
 def apart(fit: MotionFit, other: MotionFit) -> float:
     """At the true frequency, but for a rigid motion, rms over that of the other."""
-    left = but_for_a_rigid_motion(at_hz(fit) - at_hz(other), other.gaussians.means.numpy())
-    return length(left) / length(at_hz(other))
+    left = but_for_a_rigid_motion(at_hz(fit, HZ) - at_hz(other, HZ), other.gaussians.means.numpy())
+    return length(left) / length(at_hz(other, HZ))
 
 
 def test_motion_before_cameras_that_shake_is_that_before_still_ones(
@@ -179,12 +159,12 @@ def test_motion_before_cameras_that_shake_is_that_before_still_ones(
         fitted(gaussians, o, n) for o, n in ((steady, "auto"), (shaken, "auto"), (shaken, "exposure"))
     )
     assert apart(after, before) < 0.1
-    assert elsewhere(after) < 0.15
+    assert elsewhere(after, HZ) < 0.15
     assert after.figures["shake_px"] == pytest.approx(SHAKE_PX, rel=0.1)
     assert sum("camera shake is taken out: 0.5 px" in note for note in after.notes) == 1
     assert not any("shake" in note for note in before.notes)
     assert apart(left_in, before) > 0.5
-    assert elsewhere(left_in) > 1
+    assert elsewhere(left_in, HZ) > 1
 
 
 def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
