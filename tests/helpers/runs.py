@@ -1,4 +1,7 @@
-"""Random Gaussians and modes for a run, and the error that a run refuses with."""
+"""Random Gaussians and modes for a run, a copy of one, and the error that a run refuses with."""
+
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ import torch
 from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.run import Run
 
 SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}
 
@@ -27,3 +31,8 @@ def modal(n: int = 7, k: int = 2) -> ModalMotion:
 def refused(match: str) -> pytest.RaisesExc:
     """RunError whose message is one line and matches."""
     return pytest.raises(RunError, match=r"\A[^\n]*" + match + r"[^\n]*\Z")
+
+
+def copied(run: Run, path: Path) -> Run:
+    """The run in a new folder `path`; its dataset stays where it is."""
+    return Run.open(shutil.copytree(run.path, path))

@@ -1,7 +1,5 @@
 """Appearance through the whole stage: a shadow that goes with the motion is found, saved and magnified."""
 
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 import torch
 
 from tests.helpers import synthetic
+from tests.helpers.runs import copied
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
@@ -52,21 +51,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageS
     return run, capture, load_images(capture)
 
 
-@pytest.fixture
-def new_run(made: tuple[Run, Capture, ImageStack], tmp_path: Path) -> Callable[[], Run]:
-    def copy() -> Run:
-        path = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
-        shutil.copytree(made[0].path, path)
-        return Run.open(path)
-
-    return copy
-
-
 @pytest.fixture(scope="module")
 def trained(made: tuple[Run, Capture, ImageStack], tmp_path_factory: pytest.TempPathFactory) -> Run:
-    path = tmp_path_factory.mktemp("trained") / "run"
-    shutil.copytree(made[0].path, path)
-    run = Run.open(path)
+    run = copied(made[0], tmp_path_factory.mktemp("trained") / "run")
     train_motion(run, *made[1:], MotionConfig())
     return run
 
@@ -102,10 +89,10 @@ def test_the_log_tells_what_was_found(trained: Run) -> None:
 
 
 def test_the_shadow_is_not_taken_for_motion(
-    trained: Run, made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run]
+    trained: Run, made: tuple[Run, Capture, ImageStack], tmp_path: Path
 ) -> None:
     """The floor under it stands still. The motion's second pass is fitted without what appearance explains."""
-    run = new_run()
+    run = copied(made[0], tmp_path / "run")
     plain = train_motion(run, *made[1:], MotionConfig(appearance=False))
     assert plain.appearance is None
     assert "appearance_reliability" not in run.log()["motion"]

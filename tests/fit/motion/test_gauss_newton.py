@@ -1,6 +1,5 @@
 """Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 import torch
 
 from tests.helpers.motion_stage import NEVER, stop_after
+from tests.helpers.runs import copied
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run
 from tg4mm.capture import load_capture, load_images
@@ -44,11 +44,6 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return _scene(tmp_path_factory.mktemp("large"), 0.09)
 
 
-def _copy(run: Run, path: Path) -> Run:
-    shutil.copytree(run.path, path)
-    return Run.open(path)
-
-
 def _trained(run: Run, config: MotionConfig, device: str = "cpu") -> ModalMotion:
     capture = load_capture(run.dataset)
     return train_motion(run, capture, load_images(capture), config, device)
@@ -67,7 +62,7 @@ def _error(run: Run) -> float:
 def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
     """The linear fit alone, and Gauss-Newton."""
     root = tmp_path_factory.mktemp("found")
-    runs = _copy(large, root / "linear"), _copy(large, root / "repeated")
+    runs = copied(large, root / "linear"), copied(large, root / "repeated")
     for run, most in zip(runs, (0, CONFIG.gauss_newton), strict=True):
         _trained(run, replace(CONFIG, gauss_newton=most))
     return runs
@@ -133,7 +128,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run, ModalMoti
     """A small scene of large motion; a run of it that nobody killed, and what it found."""
     root = tmp_path_factory.mktemp("quick")
     scene = _scene(root, 0.2, size=32, detail=1)
-    whole = _copy(scene, root / "whole")
+    whole = copied(scene, root / "whole")
     return scene, whole, _trained(whole, SHORT)
 
 
@@ -143,7 +138,7 @@ def test_killed_after_an_iteration_it_goes_on_after_it(
 ) -> None:
     """To the bit, the scene at rest too; what was done is not done again."""
     scene, whole, expected = quick
-    run = _copy(scene, tmp_path / "run")
+    run = copied(scene, tmp_path / "run")
     with monkeypatch.context() as patch:
         stop_after(LINEAR + iterations, patch)
         with pytest.raises(Killed):
@@ -167,7 +162,7 @@ def test_what_only_gets_worse_is_not_taken(
 ) -> None:
     """An iteration whose motion points away leaves everything as the linear fit had it."""
     scene = quick[0]
-    runs = [_copy(scene, tmp_path / name) for name in ("linear", "wrong")]
+    runs = [copied(scene, tmp_path / name) for name in ("linear", "wrong")]
     expected = _trained(runs[0], replace(SHORT, gauss_newton=0))
     monkeypatch.setattr(GaussNewton, "_solved", lambda self, state, *_: (-3 * state.fold_fields, 300.0))
     found = _trained(runs[1], SHORT)

@@ -1,7 +1,6 @@
 """The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one step at most."""
 
 import logging
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.motion_stage import NEVER, stop_after
+from tests.helpers.runs import copied
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
@@ -54,21 +54,14 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, Image
 def unbroken(small: tuple[Run, Capture, ImageStack], tmp_path_factory: pytest.TempPathFactory) -> ModalMotion:
     """What SHORT finds on the small run when nothing kills it."""
     run, capture, images = small
-    path = tmp_path_factory.mktemp("unbroken") / "run"
-    shutil.copytree(run.path, path)
-    return train_motion(Run.open(path), capture, images, SHORT)
+    copy = copied(run, tmp_path_factory.mktemp("unbroken") / "run")
+    return train_motion(copy, capture, images, SHORT)
 
 
 @pytest.fixture
 def new_run(small: tuple[Run, Capture, ImageStack], tmp_path: Path) -> Callable[[], Run]:
     """A copy of the small run, space stage done, each time it is called."""
-
-    def copy() -> Run:
-        path = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
-        shutil.copytree(small[0].path, path)
-        return Run.open(path)
-
-    return copy
+    return lambda: copied(small[0], tmp_path / f"run{len(list(tmp_path.iterdir()))}")
 
 
 def equal(a: ModalMotion, b: ModalMotion) -> bool:

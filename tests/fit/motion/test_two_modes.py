@@ -1,6 +1,5 @@
 """A mode of hundredths of a pixel beside one of two pixels: iterations for the large one do not cost the small one."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import synthetic
+from tests.helpers.runs import copied
 from tg4mm.capture import load_capture, load_images
 from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.run import Run
@@ -50,8 +50,7 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
     images = load_images(capture)
     out = []
     for count in (0, 3):
-        shutil.copytree(run.path, root / f"{count}")
-        copy = Run.open(root / f"{count}")
+        copy = copied(run, root / f"{count}")
         found = train_motion(copy, capture, images, replace(CONFIG, gauss_newton=count))
         assert copy.log()["motion"]["gauss_newton"] == count
         out.append([_error(found, true, k) for k in range(2)])

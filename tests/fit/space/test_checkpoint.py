@@ -1,6 +1,5 @@
 """An unfinished space stage that does not fit is refused in one line and stays on disk, whoever wrote it."""
 
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from tests.helpers.runs import copied
 from tests.helpers.space_train import SHORT, Killed, killed_after
 from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import RunError
@@ -48,8 +48,7 @@ def killed_once(
 
 @pytest.fixture
 def interrupted(killed_once: dict[bool, Run], tmp_path: Path) -> Run:
-    shutil.copytree(killed_once[False].path, tmp_path / "run")
-    return Run.open(tmp_path / "run")
+    return copied(killed_once[False], tmp_path / "run")
 
 
 def forge(run: Run, change: Callable[[Tensors, State], None]) -> None:
@@ -170,8 +169,7 @@ def test_pictures_that_changed_underneath_are_refused(interrupted: Run, views, p
 def test_forged_gains_are_refused(
     change: Callable, match: str, killed_once: dict[bool, Run], tmp_path: Path, views, points
 ) -> None:
-    shutil.copytree(killed_once[True].path, tmp_path / "run")
-    run = Run.open(tmp_path / "run")
+    run = copied(killed_once[True], tmp_path / "run")
     forge(run, change)
     with pytest.raises(RunError, match=match):
         train_space(run, views, points, replace(SHORT, gains=True))

@@ -14,6 +14,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from tests.helpers.runs import copied
 from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
@@ -127,8 +128,7 @@ class TestResume:
 class TestRefusals:
     @pytest.fixture
     def copy(self, trained: Run, tmp_path: Path) -> Run:
-        shutil.copytree(trained.path, tmp_path / "copy")
-        return Run.open(tmp_path / "copy")
+        return copied(trained, tmp_path / "copy")
 
     def test_planes_of_another_timestep_or_run_are_refused(self, copy: Run, trained: Run) -> None:
         model = load_model(copy)

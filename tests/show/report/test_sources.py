@@ -2,12 +2,12 @@
 
 import json
 import os
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.helpers.runs import copied
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import json_digest
 from tg4mm.core.magnification import AS_CAPTURED
@@ -35,16 +35,11 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     assert "4 %" in why
 
 
-def copied(run: Run, tmp_path) -> Run:
-    shutil.copytree(run.path, tmp_path / "run")
-    return replace(Run.open(tmp_path / "run"), config={**run.config})
-
-
 METRICS = {"format": "tg4mm-metrics", "metrics": [], "alphas": [], "absent": {}, "notes": []}
 
 
 def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path):
-    own = copied(run, tmp_path)
+    own = copied(run, tmp_path / "run")
     calls = []
 
     def evaluate(run):
@@ -62,7 +57,7 @@ def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tm
 
 
 def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
-    own = copied(run, tmp_path)
+    own = copied(run, tmp_path / "run")
     figures = METRICS | {"alphas": [{"alpha": 5, "n_images": 1, "rows": {}, "closure": 0.75}]}
     written = json.dumps(figures | {"digest": json_digest(figures)})
     (own.path / "metrics.json").write_text(written)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.helpers.runs import copied
 from tests.show.result.conftest import NOISE
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
@@ -90,7 +91,7 @@ def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> Non
         displacement=np.concatenate([motion.displacement[:1], faint, motion.displacement[1:]]),
         rotation=np.concatenate([motion.rotation[:1], 0 * faint, motion.rotation[1:]]),
     )
-    copy = copied(run, tmp_path)
+    copy = copied(run, tmp_path / "run")
     copy.save_motion(noisy, {})
     with pytest.raises(Tg4mmError, match=r"--band 4\.5 5\.5: no motion was found there"):
         refuse_empty(copy, plan(4.5, 5.5))
@@ -118,16 +119,9 @@ def test_turns_beyond_half_a_radian_are_said(run: Run) -> None:
     assert f"becomes {reach.pixels:.3g} px" in line
 
 
-def copied(run: Run, tmp_path: Path) -> Run:
-    import shutil
-
-    shutil.copytree(run.path, tmp_path / "run")
-    return Run.open(tmp_path / "run")
-
-
 def other_motion(run: Run, tmp_path: Path, amplitude: float, hz: float = 3.0) -> Run:
     """All Gaussians alike along x."""
-    copy, motion = copied(run, tmp_path), run.load_motion()
+    copy, motion = copied(run, tmp_path / "run"), run.load_motion()
     displacement = np.zeros_like(motion.displacement[:1])
     displacement[..., 0] = amplitude
     copy.save_motion(
