@@ -77,7 +77,7 @@ def generate(context: Any, go_on: bool) -> Job:
     Raises GenerateError or OSError, one line.
     """
     settings = context.scene.tg4mm_generate
-    chosen = objects.moving(settings, context.scene)
+    chosen = objects.moving(settings)
     parts = objects.parts(chosen, context.evaluated_depsgraph_get())
     described = kinds.description(settings, parts)
     if described.main.frequency_hz >= settings.fps / 2:

@@ -16,7 +16,7 @@ from .. import names
 _GLOB = str.maketrans({"[": "[[]", "*": "[*]", "?": "[?]"})
 
 
-def moving(settings: Any, scene: Any) -> list[Any]:
+def moving(settings: Any) -> list[Any]:
     """The objects chosen to move that are still there; empty: everything moves."""
     return [item.object for item in settings.moving if item.object is not None and item.object.users_scene]
 
@@ -139,7 +139,7 @@ def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:
 def chosen(context: Any) -> list[Any]:
     """What a box is taken around: the moving objects; without any the active object; else all that is shown."""
     settings = context.scene.tg4mm_generate
-    if found := moving(settings, context.scene):
+    if found := moving(settings):
         return found
     active = context.object
     return [active] if active is not None else previewed(context.view_layer)

@@ -56,7 +56,7 @@ def start(context: Any) -> int:
         if len(body.vertices)
     ]
     bodies = [body for _, body in made]
-    chosen = objects.moving(settings, scene)
+    chosen = objects.moving(settings)
     parts = [glob for glob in objects.parts([o for o in chosen if o in shown], depsgraph) if "/" not in glob]
     if chosen and not parts and settings.source == "PANEL":
         raise GenerateError("none of the moving objects is a mesh that is visible here and in renders")

@@ -88,13 +88,13 @@ def _tank(model: b.BrickModel) -> None:
     for k in range(2):
         model.brick("body", (-8, -2 + 2 * k, 5.5), (2, 2, 1.2))
     model.brick("body", (-8, -2, 6.7), (2, 4, 0.4))
-    model.add("label", _panel("label", (-8.03, 1.8, 5.6), (0, -3.6, 0), (0, 0, 1.0)), mapped=True)
+    model.add("label", _panel((-8.03, 1.8, 5.6), (0, -3.6, 0), (0, 0, 1.0)), mapped=True)
     for y in (-1.0, 1.0):
         cap = m.revolve([(0.42, 0.0), (0.42, 0.22), (0.36, 0.3), (0.15, 0.3), (0.15, 0.4), (0.0, 0.4)], 20)
         model.add("engine", cap.moved(m.frame((-7.0, y, 7.28), (0, 0, 1))))
 
 
-def _panel(name: str, origin: tuple, right: tuple, up: tuple, thick: float = 0.05) -> Mesh:
+def _panel(origin: tuple, right: tuple, up: tuple, thick: float = 0.05) -> Mesh:
     """A thin tile whose printed face spans `right` × `up` from `origin`; the print is the whole texture."""
     o, r, u = (np.asarray(v, float) for v in (origin, right, up))
     normal = np.cross(r, u) / np.linalg.norm(np.cross(r, u))
@@ -123,7 +123,7 @@ def _hood(model: b.BrickModel) -> None:
         start, right = (2.15, -2.0, 6.42), (5.7, 0.0, 0.0)
         if side > 0:
             start, right = (7.85, 2.0, 6.42), (-5.7, 0.0, 0.0)
-        model.add("label", _panel("label", start, right, (0.0, 0.0, 0.96)), mapped=True)
+        model.add("label", _panel(start, right, (0.0, 0.0, 0.96)), mapped=True)
     exhaust = [(5.5, 1.0, 7.7), (5.5, 1.0, 9.0), (5.5, 1.0, 10.2), (5.35, 1.0, 10.6), (4.9, 1.0, 10.85)]
     path = m.spline(exhaust, 8)
     model.add("chrome", m.sweep(path, m.circle(0.3, 18), up=(1, 0, 0)))

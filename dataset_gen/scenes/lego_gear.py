@@ -105,10 +105,10 @@ def _edge(model: b.BrickModel, front: np.ndarray, back: np.ndarray) -> None:
     near, far = _face(a, _BLADE[2] - 0.05), _face(a, _BLADE[2] + 0.02)
     for y in np.arange(-7.0, 7.0, 2.0):
         sheet = s.lamella(near, far, y + 0.1, y + 1.9)
-        model.add("stripes", _striped(sheet, y), mapped=True)
+        model.add("stripes", _striped(sheet), mapped=True)
 
 
-def _striped(sheet: Mesh, y0: float) -> Mesh:
+def _striped(sheet: Mesh) -> Mesh:
     """Texture coordinates of a striped sticker: u across the blade, v up."""
     corners = sheet.vertices[sheet.triangles]
     u = (corners[..., 1] + 7.0) / 4.0

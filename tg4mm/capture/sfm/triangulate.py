@@ -138,7 +138,7 @@ def triangulate_views(views: PosedViews, config: TriangulationConfig = Triangula
         folder = Path(name)
         names = _write_pictures(folder, views)
         model = _known_model(c, views, names)
-        _write_database(c, folder / "database.db", model)
+        _write_database(folder / "database.db", model)
         extract(folder / "database.db", folder / "images", names, folder / "masks")
         _match(c, folder / "database.db", views, config)
         with progress("triangulation", 1, "run") as update:
@@ -188,7 +188,7 @@ def _rigid(viewmat: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _write_database(c: Any, path: Path, model: Any) -> None:
+def _write_database(path: Path, model: Any) -> None:
     with opened(path) as db:
         for i in sorted(model.images):
             db.write_camera(model.cameras[i], use_camera_id=True)

@@ -43,7 +43,6 @@ class Unseen:
 
     covariance: np.ndarray  # [N, 3, 3] float32, scene units squared
     freedom: float  # coordinates of the motion that the pictures show, of one component
-    prior_scale: float  # τ, in the fit's own units
 
 
 def unseen_motion(
@@ -71,7 +70,7 @@ def unseen_motion(
     u = operator.fields(solution.theta[_FOR_FREEDOM:])[..., :3].astype(np.float64)
     each = np.einsum("snc,snd->ncd", u, u) / len(u)
     covariance = mean_over_neighbours(each, operator.graph.knn) * (scale2 / n_timesteps)
-    return Unseen(covariance.astype(np.float32), freedom, float(np.sqrt(scale2)))
+    return Unseen(covariance.astype(np.float32), freedom)
 
 
 def _white_pictures(operator: CpuOperator, rng: np.random.Generator) -> list[np.ndarray]:

@@ -92,7 +92,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
         figures["reliability"] = [round(float(g), 4) for g in reliability]
-    return _result(model, hyper, fields, model.motion(fields, changes), uncertainty, figures)
+    return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 
 
 def select_hyperparameters(
@@ -202,7 +202,6 @@ def _uncertainty(
 def _result(
     model: TemporalModel,
     hyper: Hyperparameters,
-    fields: np.ndarray,
     motion: ModalMotion,
     uncertainty: Uncertainty | None,
     figures: dict[str, Any],
