@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     from tg4mm.show.render.cameras import Camera
 
 
+class PathOf(StrEnum):
+    """Whose way the camera goes."""
+
+    capture = "capture"
+
+
 class Split(StrEnum):
     """Which cameras of the dataset."""
 
@@ -65,6 +71,10 @@ def render(
             help="Number of pictures on one turn around the scene; to and fro, where cameras saw it from one side.",
         ),
     ] = None,
+    path: Annotated[
+        PathOf | None,
+        typer.Option(help="capture: one video along the capture's own path, picture t from pose t."),
+    ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
     frequencies: Annotated[
@@ -81,12 +91,15 @@ def render(
 ) -> None:
     """Render pictures and videos of a run, or of a splat file, with magnified motion.
 
-    Writes OUT/<timestep>/<camera>.png and OUT/<camera>.mp4; with --orbit, OUT/r_000.png … and OUT/orbit.mp4.
-    Give one of --split, --cameras and --orbit.
+    Writes OUT/<timestep>/<camera>.png and OUT/<camera>.mp4; with --orbit, OUT/r_000.png … and OUT/orbit.mp4; with
+    --path, OUT/r_000.png … and OUT/path.mp4. Give one of --split, --cameras, --orbit and --path.
     """
-    given = [n for n, v in (("--split", split), ("--cameras", cameras), ("--orbit", orbit)) if v is not None]
+    asked_for = {"--split": split, "--cameras": cameras, "--orbit": orbit, "--path": path}
+    given = [name for name, value in asked_for.items() if value is not None]
     if len(given) > 1:
         raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
+    if path is not None and slow != 1:
+        raise Tg4mmError(f"--slow {slow:g} and --path exclude each other: picture t shows timestep t")
     if orbit is not None and not video:
         raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
     if slow != 1 and not video:
@@ -97,7 +110,7 @@ def render(
     from tg4mm.core.splatfile.drawable import parsed_frequencies
     from tg4mm.fit.device import check_device
     from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
-    from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
+    from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_path, render_sequence
 
     check_device(device.value)
     opened = open_run(run, parsed_frequencies(frequencies or ""), fps)
@@ -108,7 +121,10 @@ def render(
     request = RenderRequest(plan, slow=slow, low_pass_px2=low_pass).checked()
     check_magnified(opened, plan, allow_empty_band)
     warn_too_far(opened, plan)
-    if orbit is not None:
+    if path is not None:
+        cameras_on_path = path_cameras(opened)
+        render_path(opened, cameras_on_path, request, out, video=video, device=device.value)
+    elif orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:
         chosen = split_cameras(opened, split) if cameras is None else file_cameras(opened, cameras)
@@ -128,6 +144,14 @@ def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
             raise
         load_capture(run.dataset)  # raises where more than the test split is wrong
         raise CaptureError(f"{error}; choose --split train, --orbit N or --cameras FILE") from None
+
+
+def path_cameras(run: Run) -> tuple[Camera, ...]:
+    """One for each timestep of the run's dataset. Raises CaptureError where the timesteps have several poses each."""
+    from tg4mm.capture import load_capture
+    from tg4mm.show.render.cameras import capture_path
+
+    return capture_path(load_capture(run.dataset))
 
 
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.core.errors import RunError
+from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
-from tg4mm.show.render.cameras import capture_cameras, orbit
+from tg4mm.show.render.cameras import capture_cameras, capture_path, orbit
 from tg4mm.show.render.image import render_image
-from tg4mm.show.render.sequence import RenderRequest, pose_of, render_orbit, render_sequence
+from tg4mm.show.render.sequence import RenderRequest, pose_of, render_orbit, render_path, render_sequence
 
 
 @pytest.fixture
@@ -74,3 +74,20 @@ def test_an_orbit_has_a_picture_a_camera_while_time_runs(run, dataset, tmp_path)
         expected = render_image(pose(i / 2), same[0].viewmat, same[0].K, 32, 32)
         np.testing.assert_allclose(read_png(out / f"r_{i:03d}.png") / 255, expected, atol=0.5 / 255 + 1e-6)
     assert json.loads((out / "render.json").read_text())["slow"] == 2
+
+
+def test_on_the_capture_s_path_picture_t_is_from_pose_t(run, dataset, tmp_path):
+    capture = load_capture(dataset)
+    with pytest.raises(
+        CaptureError, match="timestep 0 has pictures from [0-9]+ poses: --path capture is of one"
+    ):
+        capture_path(capture)
+    one = capture.selected(np.array([int(np.flatnonzero(capture.timesteps == t)[t % 2]) for t in range(4)]))
+    path = capture_path(replace(one, n_timesteps=4))
+    assert [camera.name for camera in path] == ["r_000", "r_001", "r_002", "r_003"]
+    out = render_path(run, path, RenderRequest(Magnification.of(20)), tmp_path / "out")
+    assert (out / "path.mp4").stat().st_size > 0
+    pose, _, _ = pose_of(run, RenderRequest(Magnification.of(20)))
+    for t in range(4):
+        expected = render_image(pose(t), one.viewmats[t], one.Ks[t], 32, 32)
+        np.testing.assert_allclose(read_png(out / f"r_{t:03d}.png") / 255, expected, atol=0.5 / 255 + 1e-6)

@@ -70,6 +70,28 @@ def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
+def capture_path(capture: Capture) -> tuple[Camera, ...]:
+    """The camera at every timestep: a moving one's own, or the one that stays put, called r_000, r_001 … by timestep.
+
+    Raises CaptureError for one timestep, and where a timestep has pictures from several poses or from none.
+    """
+    if capture.n_timesteps < 2:
+        raise CaptureError(f"{capture.root}: has one timestep, which is no path")
+    cameras = []
+    for t in range(capture.n_timesteps):
+        rows = np.flatnonzero((capture.timesteps == t) & np.isfinite(capture.times_s))
+        poses = set(capture.camera_ids[rows].tolist())
+        if len(poses) != 1:
+            what = "no picture" if not poses else f"pictures from {len(poses)} poses"
+            raise CaptureError(
+                f"{capture.root}: timestep {t} has {what}: --path capture is of one camera; choose --split or --orbit"
+            )
+        i = int(rows[0])
+        name = f"r_{t:03d}"
+        cameras.append(Camera(name, capture.viewmats[i], capture.Ks[i], capture.width, capture.height))
+    return tuple(cameras)
+
+
 def look_at_point(viewmats: np.ndarray) -> np.ndarray:
     """The point [3] nearest to all optical axes in the least-squares sense; viewmats are [C, 4, 4].
 

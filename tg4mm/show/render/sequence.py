@@ -119,6 +119,28 @@ def render_orbit(
     return out
 
 
+def render_path(
+    run: Run,
+    cameras: Sequence[Camera],
+    request: RenderRequest,
+    out: Path,
+    video: bool = True,
+    device: str = "cpu",
+) -> Path:
+    """Write OUT/r_000.png …, timestep t from the t-th of `cameras`, and OUT/path.mp4."""
+    pose, _, fps = pose_of(run, request, device)
+    if video:
+        check_rate(fps)
+    folder = work_folder(out)
+    with folder.held("renders into it"):
+        folder.claim(record(run, request, cameras, "path"))
+        jobs = [(float(t), camera, out / f"{camera.name}.png") for t, camera in enumerate(cameras)]
+        render_missing(jobs, close_up(run, pose), request, f"path, α = {request.label}")
+        if video:
+            _video_once(out / "path.mp4", [path for _, _, path in jobs], fps)
+    return out
+
+
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
     """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
     poses = poses_of(run, request.checked().magnified, device)
