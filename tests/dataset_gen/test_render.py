@@ -6,8 +6,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 OpenEXR = pytest.importorskip("OpenEXR")
 
-from mathutils import Vector  # noqa: E402
-from mathutils.bvhtree import BVHTree  # noqa: E402
 
 from dataset_gen import build, compat, exr, render, truth  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
@@ -96,42 +94,6 @@ def test_magnified_is_the_mode_scaled_by_hand(stage, picture, motion, bodies, tm
     by_hand = render.linear_picture(stage)
     a, b = (PNG.pixels(linear).astype(int) for linear in (magnified, by_hand))
     assert (np.abs(a - b) > 1).mean() < 0.002  # a vertex in the last bit may send a light path elsewhere
-
-
-def test_depth_reprojects_to_position(passes, motion):
-    data = passes(motion.state(1, 50.0))
-    seen = data["Depth"] < 1e9
-    assert 200 < seen.sum() < SIZE * SIZE
-    assert (data["Depth"][~seen] == 1e10).all()
-    xy, depth = CAMERAS[5].project(data["Position"][seen].astype(float), SIZE, SIZE)
-    row, column = np.nonzero(seen)
-    np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
-    np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.01)
-
-
-def test_displacement_pass_is_the_analytic_motion(passes, motion, bodies):
-    state = motion.state(2, 20.0)
-    data = passes(state)
-    seen = data["Depth"] < 1e9
-    rest = (data["Position"] - data["Displacement"])[seen].astype(float)
-    starts = np.cumsum([0] + [len(body.vertices) for body in bodies])
-    vertices = np.concatenate([body.vertices for body in bodies])
-    faces = np.concatenate([body.triangles + s for body, s in zip(bodies, starts[:-1], strict=True)])
-    moves = np.concatenate([motion.displacement(i, state) for i in range(len(bodies))])
-    surface = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
-    error, distance = [], []
-    for point, displacement in zip(rest, data["Displacement"][seen], strict=True):
-        nearest, _, face, gap = surface.find_nearest(Vector(point))
-        corners = vertices[faces[face]]
-        weights = np.linalg.lstsq(np.vstack([corners.T, [1e3] * 3]), [*nearest, 1e3], rcond=None)[0]
-        error.append(np.abs(weights @ moves[faces[face]] - displacement).max())
-        distance.append(gap)
-    assert (
-        max(distance) < 1e-5
-    )  # float32; undone by its displacement, every point seen lies on the surface at rest
-    assert np.abs(data["Displacement"]).max() > 0.05
-    assert np.percentile(error, 99) < 2e-6
-    assert max(error) < 1e-4  # where two parts touch, the nearest triangle may be the other's
 
 
 def test_truth_file_comes_back_as_it_was_written(passes, motion, tmp_path):
