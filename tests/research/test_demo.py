@@ -1,6 +1,7 @@
 """The demo's order, resuming and refusals; generating and training are replaced by quick exact ones."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -21,9 +22,9 @@ class Said(list):
         return sum(words in line for line in self)
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A dataset made without Blender, and its exact model in place of a trained one."""
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+    """The demo's folder and words, of a dataset made without Blender and its exact model in place of a trained one."""
     made = {}
 
     def generate(places: demo.Places, size: int) -> None:
@@ -35,15 +36,20 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         run.save_space(made["model"][0], {"seconds": 1.0})
         run.save_motion(made["model"][1], {"seconds": 1.0})
 
-    monkeypatch.setattr(demo, "_generate", generate)
-    monkeypatch.setattr(demo, "_train", train)
-    monkeypatch.setattr(demo, "ORBIT_FRAMES", 4)
-
-
-def test_the_demo_makes_everything_and_a_second_call_makes_nothing(quick, tmp_path):
-    out = tmp_path / "demo"
-    report = demo.run_demo(out, 32, said := Said())
+    out = tmp_path_factory.mktemp("made") / "demo"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "_generate", generate)
+        patch.setattr(demo, "_train", train)
+        patch.setattr(demo, "ORBIT_FRAMES", 4)
+        report = demo.run_demo(out, 32, said := Said())
     assert report == out / "report.html"
+    return out, said
+
+
+def test_the_demo_makes_everything_and_a_second_call_makes_nothing(made, monkeypatch):
+    monkeypatch.setattr(demo, "ORBIT_FRAMES", 4)
+    out, said = made
+    report = out / "report.html"
     text = report.read_text(encoding="utf-8")
     assert text.count("<video ") == 4
     assert "splat file" in text
@@ -59,12 +65,12 @@ def test_the_demo_makes_everything_and_a_second_call_makes_nothing(quick, tmp_pa
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_another_size_or_a_foreign_folder_is_refused(quick, tmp_path):
-    demo.run_demo(tmp_path / "a", 32, Said())
+def test_another_size_or_a_foreign_folder_is_refused(made, tmp_path):
+    out = made[0]
     with pytest.raises(Tg4mmError, match=r"was made with size = 32, asked is 48"):
-        demo.run_demo(tmp_path / "a", 48, Said())
+        demo.run_demo(out, 48, Said())
     with pytest.raises(Tg4mmError, match="is a file"):
-        demo.run_demo(tmp_path / "a" / "splat.ply", 32, Said())
+        demo.run_demo(out / "splat.ply", 32, Said())
     (tmp_path / "mine" / "data").mkdir(parents=True)
     with pytest.raises(Tg4mmError, match=r"is not empty and holds no demo\.json"):
         demo.run_demo(tmp_path / "mine", 32, Said())

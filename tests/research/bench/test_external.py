@@ -221,7 +221,6 @@ def move_a_test_camera(path: Path) -> None:
     ("change", "what"),
     [
         (other_bytes, "003/train/r_000.png"),
-        (other_bytes, "points3d.ply"),
         (move_a_test_camera, "003/transforms_test.json"),
     ],
 )
@@ -259,7 +258,6 @@ def encoded(kind: str, size: tuple[int, int]) -> bytes:
         (None, "does not exist: at an α that has a picture, all are needed"),
         (encoded("PNG", (16, 32)), "is 16×32 pixels, expected 32×32"),
         (encoded("JPEG", (32, 32)), "is no PNG file"),
-        (b"text", "is no PNG file"),
     ],
 )
 def test_a_bad_picture_takes_its_alpha_along_and_no_more(

@@ -73,7 +73,7 @@ def test_what_the_clips_disagree_on_is_in_the_deviation() -> None:
 
 
 def test_noise_alone_makes_no_peak() -> None:
-    assert not any(found(seed, phasor=np.zeros(3))[0].spectrum.peaks for seed in range(40))
+    assert not any(found(seed, phasor=np.zeros(3))[0].spectrum.peaks for seed in range(20))
 
 
 def test_a_direction_that_no_clip_shows_is_not_observed() -> None:
