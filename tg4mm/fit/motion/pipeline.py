@@ -25,6 +25,7 @@ from tg4mm.fit.motion.linear_fit import LinearFit
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.picture_gain import LACKING, PictureGain
 from tg4mm.fit.motion.split_half import LEAST, wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.independent import IndependentClocks
@@ -84,13 +85,16 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
-    uncertainty = _uncertainty(model, hyper, _estimate(model, folds, fields, rows, targets), gradients)
+    estimate = _estimate(model, folds, fields, rows, targets)
+    uncertainty = _uncertainty(model, hyper, estimate, gradients)
     changes = None
     if not iterates and (appearance := _appearance_fit(model)) is not None:
         with progress("appearance", len(fields), "components") as update:
             changes, kept = appearance.fitted(_motion_residual(model, fields), update)
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
+        if not model.observations.is_flat:
+            figures["picture_gain"] = round(estimate.gain.ratio, 4)
         figures["reliability"] = [round(float(g), 4) for g in reliability]
     return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 
@@ -176,11 +180,20 @@ def _estimate(
     rows: list[int],
     targets: Iterable[np.ndarray],
 ) -> MotionEstimate:
-    """With the residual of some views' target images [ρ, H, W, 3]."""
-    problem, frames = model.problem, model.observations.frames
-    residuals = (problem.residual(v, own, fields) for v, own in zip(rows, targets, strict=True))
+    """With the residual of some views' target images [ρ, H, W, 3]; where a flat capture lies is known."""
+    problem, frames, gain = model.problem, model.observations.frames, PictureGain()
+
+    def residuals() -> Iterator[np.ndarray]:
+        for v, own in zip(rows, targets, strict=True):
+            if not model.observations.is_flat:
+                picture = model.targets.mean[v] if model.targets.mean.size else problem.views[v].over_white
+                gain.add(problem, v, picture, folds.mean(0), own)
+            yield problem.residual(v, own, fields)
+
     views, cameras = [problem.views[v] for v in rows], [frames[v] for v in rows]
-    return MotionEstimate(folds, fields, model.gaussians, problem.graph.knn, views, cameras, residuals)
+    return MotionEstimate(
+        folds, fields, model.gaussians, problem.graph.knn, views, cameras, residuals(), gain
+    )
 
 
 def _uncertainty(
@@ -215,6 +228,11 @@ def _result(
         notes.append(
             f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
             f"holds up to {ABOVE_PX} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
+        )
+    if (gain := figures.get("picture_gain", 1.0)) > LACKING:
+        notes.append(
+            f"how far things move: the pictures change by {gain:.2g} times as much as the motion found says, since from "
+            "these cameras it cannot be told well where things lie; photographs or cameras from more sides tell"
         )
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]

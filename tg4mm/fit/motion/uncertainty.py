@@ -22,6 +22,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.few_view_posterior import ITERATIONS, unseen_motion
 from tg4mm.fit.motion.jacobian.pixels import along_and_across, depth_sensitivity
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
+from tg4mm.fit.motion.picture_gain import PictureGain
 from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.split_half import deviation, mean_over_neighbours
 
@@ -43,6 +44,7 @@ class MotionEstimate:
     views: Sequence[ViewJacobian]  # some of those Gaussians
     cameras: Sequence[PosedView]
     residuals: Iterable[np.ndarray]  # [R, H, W, 3] of each of those views, of its target images
+    gain: PictureGain = field(default_factory=PictureGain)  # of those views, once their residuals were read
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ def _along_viewing_rays(
 def _model_error(estimate: MotionEstimate) -> np.ndarray:
     """[N] variance of the displacement, summed over functions of time."""
     variance = local_variance(estimate.fields[..., :3], estimate.knn)
-    return _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
+    out = _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
+    return out + estimate.gain.squares(estimate.fields)
 
 
 def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
