@@ -21,8 +21,8 @@ def listed(defaults: Mapping[str, Any]) -> list[str]:
     for stage, config in defaults.items():
         for field in dataclasses.fields(config):
             value = getattr(config, field.name)
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            unit = field.metadata.get("unit", "")
+            text = str(value).lower() if isinstance(value, bool) else str(value) or "empty"
+            unit = field.metadata.get("unit", "") if value != "" else ""
             rows.append((f"{stage}.{field.name}", f"{text} {unit}".strip(), field.metadata.get("about", "")))
     wide = [max((len(row[i]) for row in rows), default=0) for i in range(2)]
     return [f"{name:<{wide[0]}}  {value:<{wide[1]}}  {about}".rstrip() for name, value, about in rows]

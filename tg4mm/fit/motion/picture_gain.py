@@ -1,10 +1,10 @@
 """Whether the pictures change by as much as the fitted motion says: a test that does not trust the scene's geometry.
 
-A fit by least squares comes out too small where the Jacobian is wrong: with few cameras Gaussians lie at wrong depths or
-hang before what moves, and what they would change the pictures by is not what changed. Its own residual cannot tell. The
-pictures can: what their slope ∇I and the flow f of the fitted motion m make of it, P = −∇I · f, holds nothing of the
-Jacobian. With data y the ratio ⟨P, y⟩ / ⟨P, J m⟩ is one where m is right, whatever J leaves out, and larger where m is
-too small (P is the instrument of an errors-in-variables problem: Fuller, Measurement Error Models, 1987, §1.4).
+A fit by least squares comes out too small where the Jacobian is wrong: with few cameras Gaussians lie at wrong depths
+or hang before what moves, and what they would change the pictures by is not what changed. Its own residual cannot tell.
+The pictures can: what their slope ∇I and the flow f of the fitted motion m make of it, P = −∇I · f, holds nothing of
+the Jacobian. With data y the ratio ⟨P, y⟩ / ⟨P, J m⟩ is one where m is right, whatever J leaves out, and larger where m
+is too small (P is the instrument of an errors-in-variables problem: Fuller, Measurement Error Models, 1987, §1.4).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -231,8 +231,8 @@ def _result(
         )
     if (gain := figures.get("picture_gain", 1.0)) > LACKING:
         notes.append(
-            f"how far things move: the pictures change by {gain:.2g} times as much as the motion found says, since from "
-            "these cameras it cannot be told well where things lie; photographs or cameras from more sides tell"
+            f"how far things move: the pictures change by {gain:.2g} times as much as the motion found says, since "
+            "from these cameras it cannot be told well where things lie; photographs or cameras from more sides tell"
         )
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]
