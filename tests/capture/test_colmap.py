@@ -46,7 +46,7 @@ def check(root: Path) -> None:
     assert points is not None
     assert points.xyz.tolist() == [[1.5, 2.5, 3.5], [-1, 0, 1]]
     assert points.rgb.tolist() == [[10, 20, 30], [200, 100, 0]]
-    assert (points.xyz.dtype, points.rgb.dtype) == (np.float32, np.uint8)
+    assert (points.xyz.dtype, points.rgb.dtype) == (np.float64, np.uint8)
 
 
 def test_a_text_model(text: Path) -> None:

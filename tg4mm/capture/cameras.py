@@ -12,7 +12,7 @@ from tg4mm.core.records import Record, as_number
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
-FARTHEST = 1e6  # scene units; float32 rendering holds no more
+FARTHEST = 1e9  # scene units; poses in JSON, float64, tell a ten-millionth of one there
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Fields of transforms files that say that a pixel does not look where a pinhole camera's does, unless they are 0, false
 # or empty.
@@ -57,7 +57,8 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
         raise CaptureError(f"{frame.where}: {key} holds {bad!r}; expected finite numbers")
     if np.abs(pose[:3, 3]).max() > FARTHEST:
         raise CaptureError(
-            f"{frame.where}: {key} lies {np.abs(pose[:3, 3]).max():g} units from the origin; expected at most 1e6"
+            f"{frame.where}: {key} lies {np.abs(pose[:3, 3]).max():g} units from the origin; "
+            f"expected at most {FARTHEST:g}"
         )
     if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
@@ -151,6 +152,33 @@ def nearest_point_equations(centres: np.ndarray, axes: np.ndarray) -> tuple[np.n
     return across.sum(0), np.einsum("cij,cj->i", across, centres)
 
 
+def relative_to(viewmats: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """World-to-camera [C, 4, 4] float64 of the same cameras, in a world whose origin was at `origin` [3]."""
+    if not np.any(origin):
+        return viewmats
+    centres, _ = optical_axes(viewmats)
+    moved = viewmats.copy()
+    moved[:, :3, 3] = -np.einsum("cij,cj->ci", viewmats[:, :3, :3], centres - origin)
+    return moved
+
+
+FAR = 64.0  # times what the cameras look at is away from them: beyond, float32 loses a thousandth of a pixel
+
+
+def far_origin(
+    viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int], xyz: np.ndarray | None
+) -> np.ndarray:
+    """[3] where coordinates begin best: 0, or a round place amid a scene that lies far from there.
+
+    Arguments as `middle_distance` takes them.
+    """
+    centre, distance = middle_distance(viewmats, Ks, size, xyz)
+    if np.abs(centre).max() <= FAR * distance:
+        return np.zeros(3)
+    grid = 2.0 ** math.floor(math.log2(distance))
+    return np.asarray(np.round(centre / grid) * grid)
+
+
 def working_box(viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
     """Centre [3] and half side (scene units) of the cube that cameras with pictures of size (W, H) look at together.
 
@@ -158,13 +186,28 @@ def working_box(viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int]) -> 
     sees at that distance.
     """
     origins, axes = optical_axes(viewmats)
-    A, b = nearest_point_equations(origins, axes)
+    middle = origins.mean(0)
+    A, b = nearest_point_equations(origins - middle, axes)
     # a small pull to a point in front of the mean camera settles parallel axes
-    depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1))
-    if depth < 1e-9 * (1 + np.abs(origins).max()):
-        depth = 1.0  # cameras at one place see no distance: one scene unit, well beyond the near plane
-    prior = origins.mean(0) + depth * axes.mean(0)
-    centre = np.linalg.solve(A + 1e-3 * np.eye(3), b + 1e-3 * prior)
+    depth = np.median(np.linalg.norm(origins - middle, axis=1))
+    if depth <= 1e-12 * np.abs(origins).max():
+        depth = 1.0  # cameras at one place see no distance: one scene unit
+    centre = middle + np.linalg.solve(A + 1e-3 * np.eye(3), b + 1e-3 * depth * axes.mean(0))
     distance = np.linalg.norm(origins - centre, axis=1)
     half_field = np.maximum(size[0] / Ks[:, 0, 0], size[1] / Ks[:, 1, 1]) / 2
     return centre, float(np.max(distance * half_field))
+
+
+def middle_distance(
+    viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int], xyz: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
+    """What the cameras look at together [3], and how far it is: the median over the cameras, scene units.
+
+    Cameras at one place see no distance: of these, the middle of the points xyz [M, 3] and their distance, if given.
+    """
+    origins, _ = optical_axes(viewmats)
+    if xyz is not None and np.ptp(origins, axis=0).max() <= 1e-12 * np.abs(origins).max():
+        centre = np.median(xyz.astype(np.float64), axis=0)
+    else:
+        centre, _ = working_box(viewmats, Ks, size)
+    return centre, float(np.median(np.linalg.norm(origins - centre, axis=1))) or 1.0

@@ -113,7 +113,7 @@ def _surface(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> SurfacePoints | No
         return None
     if not np.isfinite(xyz).all():
         raise CaptureError(f"{path}: holds a point that is not finite")
-    return SurfacePoints(np.ascontiguousarray(xyz, np.float32), np.ascontiguousarray(rgb, np.uint8))
+    return SurfacePoints(np.ascontiguousarray(xyz, np.float64), np.ascontiguousarray(rgb, np.uint8))
 
 
 class _Bytes:

@@ -55,6 +55,7 @@ def write_nerfstudio(captures: Sequence[Capture], out: Path) -> Path:
     trainers of that family take it; `time_s` is in seconds, on its camera's own clock. Goes on after a kill. Raises
     CaptureError for an `out` that holds anything else.
     """
+    captures = [capture.moved_to(np.zeros(3)) for capture in captures]
     with _owned(out, "nerfstudio", captures):
         return _nerfstudio(captures, out)
 
@@ -102,6 +103,7 @@ def write_colmap(capture: Capture, out: Path) -> Path:
     camera. Points have no tracks: no picture is said to see them. Goes on after a kill. Raises CaptureError for an
     `out` that holds anything else.
     """
+    capture = capture.moved_to(np.zeros(3))
     with _owned(out, "colmap", [capture]):
         return _colmap(capture, out)
 

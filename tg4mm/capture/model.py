@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tg4mm.capture.cameras import relative_to
 from tg4mm.capture.timing import kind_of_cameras, times_of_timesteps
 from tg4mm.core.choices import KINDS, Kind
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 class SurfacePoints:
     """Points on the surfaces, an initialisation without SfM."""
 
-    xyz: np.ndarray  # [M, 3] float32, scene units
+    xyz: np.ndarray  # [M, 3] float32, or float64 where the file has that, scene units
     rgb: np.ndarray  # [M, 3] uint8, display-referred sRGB
 
 
@@ -57,6 +58,9 @@ class Capture:
     # C, by which a picture as it is stored becomes a pinhole's when it is decoded; (): all are
     lenses: tuple[Lens | None, ...] = ()
     masks: tuple[Path | None, ...] = ()  # C files, white where a picture counts (`masks.py`); (): everywhere
+    # [3] float64, in the dataset's coordinates: where those of viewmats and points begin. 0 but for a scene that lies
+    # far from the dataset's own origin (`far_origin`), whose places float32 would not hold.
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         if self.times_s is None:
@@ -86,6 +90,16 @@ class Capture:
     def rows_s(self) -> float:
         """The readout that is taken into account: rows of a moving camera count as read at once."""
         return 0.0 if self.kind.moving else self.readout_s
+
+    def moved_to(self, origin: np.ndarray) -> Capture:
+        """The same capture in coordinates that begin at `origin` [3], which is in the dataset's coordinates."""
+        shift = origin - self.origin
+        if not shift.any():
+            return self
+        points = self.points
+        if points is not None:
+            points = replace(points, xyz=(points.xyz.astype(np.float64) - shift))
+        return replace(self, viewmats=relative_to(self.viewmats, shift), points=points, origin=origin)
 
     def selected(self, rows: np.ndarray) -> Capture:
         """Only the images `rows`, whole numbers; camera_ids are those of this capture."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyElement
 
+from tg4mm.capture.cameras import FAR
 from tg4mm.capture.confine import inside
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.core.errors import CaptureError
@@ -21,16 +22,23 @@ def read_points(root: Path, name: str = "points3d.ply") -> SurfacePoints | None:
     if not path.is_file():
         return None
     vertex = _vertices(path)
-    xyz = np.stack([_column(path, vertex, name) for name in "xyz"], axis=1).astype(np.float32)
+    xyz = np.stack([_column(path, vertex, name) for name in "xyz"], axis=1)
     if not np.isfinite(xyz).all():
         bad = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0])
         raise CaptureError(f"{path}: point {bad} is {xyz[bad].tolist()}; expected finite coordinates")
-    return SurfacePoints(xyz, _colours(path, vertex))
+    return SurfacePoints(
+        xyz.astype(np.float64 if xyz.dtype == np.float64 else np.float32), _colours(path, vertex)
+    )
 
 
 def write_points(path: Path, points: SurfacePoints) -> None:
-    """points3d.ply, binary: x y z float, red green blue uchar."""
-    fields = [*((name, "f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
+    """points3d.ply, binary: x y z float, double far from the origin, where float holds no places; colours uchar."""
+    extent = np.ptp(points.xyz, axis=0).max() if len(points.xyz) else 0.0
+    far = np.abs(points.xyz).max(initial=0) > FAR * extent > 0
+    fields = [
+        *((name, "f8" if far else "f4") for name in "xyz"),
+        *((name, "u1") for name in ("red", "green", "blue")),
+    ]
     rows = np.zeros(len(points.xyz), dtype=fields)
     for k, (axis, colour) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
         rows[axis], rows[colour] = points.xyz[:, k], points.rgb[:, k]

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
+
+import numpy as np
 
 from tg4mm.capture import colmap, dataset_tree, nerf_synthetic, nerfstudio, real_captures
+from tg4mm.capture.cameras import far_origin
 from tg4mm.capture.model import Capture
 from tg4mm.capture.transforms import SPLITS
-from tg4mm.core.errors import CaptureError
+from tg4mm.core.errors import CaptureError, MissingSplitError
 
+_LOG = logging.getLogger("tg4mm")
+_SAID: set[Path] = set()  # datasets whose origin has been said
 READERS = (
     real_captures,
     dataset_tree,
@@ -46,11 +54,33 @@ def load_capture(path: str | Path, split: str = "train", magnification: int | fl
     try:
         for reader in READERS:
             if reader.recognises(root):
-                return reader.load(root, split, alpha)
+                capture = reader.load(root, split, alpha)
+                return capture.moved_to(_origin(reader, capture))
     except OSError as error:
         raise CaptureError(f"{error.filename or root}: cannot be read: {error.strerror}") from error
     known = "; ".join(reader.LAYOUT for reader in READERS)
     raise CaptureError(f"{root}: is not a dataset; tg4mm reads: {known}")
+
+
+def _origin(reader: ModuleType, capture: Capture) -> np.ndarray:
+    """`far_origin` of the training views, which all splits share; said once where it is not 0."""
+    if not _far(capture).any():
+        return np.zeros(3)
+    with suppress(MissingSplitError):
+        capture = reader.load(capture.root, "train", 0) if capture.split != "train" else capture
+    origin = _far(capture)
+    if origin.any() and capture.root not in _SAID:
+        _SAID.add(capture.root)
+        place = ", ".join(f"{x:.10g}" for x in origin)
+        _LOG.warning(
+            f"{capture.root}: lies far from its origin: coordinates in results are from ({place}) on"
+        )
+    return origin
+
+
+def _far(capture: Capture) -> np.ndarray:
+    points = None if capture.points is None else capture.points.xyz
+    return far_origin(capture.viewmats, capture.Ks, (capture.width, capture.height), points)
 
 
 def _whole_alpha(alpha: int | float) -> int:

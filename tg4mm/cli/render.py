@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -157,13 +158,15 @@ def path_cameras(run: Run) -> tuple[Camera, ...]:
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
     """The cameras of a file; where it does not say, pictures are as large as the dataset's, or as its own first one."""
     from tg4mm.capture import load_capture
+    from tg4mm.capture.cameras import relative_to
     from tg4mm.run.splat_run import SplatRun
     from tg4mm.show.render.cameras import cameras_from_file, size_of_first_picture
 
     if isinstance(run, SplatRun):
         return cameras_from_file(path, size_of_first_picture(path))
     capture = load_capture(run.dataset)
-    return cameras_from_file(path, (capture.width, capture.height))
+    cameras = cameras_from_file(path, (capture.width, capture.height))
+    return tuple(replace(c, viewmat=relative_to(c.viewmat[None], capture.origin)[0]) for c in cameras)
 
 
 def orbit_cameras(run: Run, n: int) -> tuple[Camera, ...]:

@@ -17,6 +17,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import pictures_digest
+from tg4mm.fit.space.normalise import SceneUnit
 from tg4mm.fit.space.view import RenderedView, _render_cuda, render_view
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
@@ -68,12 +69,13 @@ def test_a_checkpoint_with_a_second_generator_comes_back(
     views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
 ) -> None:
     """What a GPU's run leaves is taken up on the CPU; the state of the device's generator goes along."""
-    config = stage.resolved(SHORT, views)
-    fit, extent, _ = stage._started(views, points, config, "cpu")
+    config, unit = stage.resolved(SHORT, views), SceneUnit.of(views, points)
+    own = unit.views(views)
+    fit, extent, _ = stage._started(own, unit.points(points), config, "cpu")
     fit.draws = torch.Generator().manual_seed(5)
     assert "draws" in fit.tensors()
     run = new_run()
-    run.save_checkpoint("space", *fit.checkpoint(extent, pictures_digest(views)))
+    run.save_checkpoint("space", *fit.checkpoint(extent, pictures_digest(own)))
     checkpoint = run.load_checkpoint("space")
     assert checkpoint is not None
     back, _ = stage._restored(checkpoint, views, "cpu")

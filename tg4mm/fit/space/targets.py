@@ -24,7 +24,7 @@ from tg4mm.core.progress import progress
 class RestViews:
     """V cameras and their mean pictures, composited over white."""
 
-    viewmats: np.ndarray  # [V, 4, 4] float32
+    viewmats: np.ndarray  # [V, 4, 4] float32 or float64
     Ks: np.ndarray  # [V, 3, 3] float32
     rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1; NaN where no picture counts (`capture/masks.py`)
     alpha: np.ndarray  # [V, H, W] float32 in 0..1
@@ -58,7 +58,7 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
             if capture.masks:
                 rgb[v] = _told(capture, images, group, rgb[v])
     return RestViews(
-        viewmats=capture.viewmats[first].astype(np.float32),
+        viewmats=capture.viewmats[first],
         Ks=capture.Ks[first].astype(np.float32),
         rgb=rgb,
         alpha=alpha,

@@ -23,9 +23,10 @@ from tg4mm.fit.space.fused import FusedAdam, Iteration
 from tg4mm.fit.space.initial import extent_of, initial_points
 from tg4mm.fit.space.levels import Level, level_at, levels, resolved, sampled, shrunk, turn_of, work
 from tg4mm.fit.space.losses import GAIN_EVERY, fitting_gain, photometric_loss, with_gain
+from tg4mm.fit.space.normalise import SceneUnit
 from tg4mm.fit.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.fit.space.targets import RestViews
-from tg4mm.fit.space.view import EPS2D, render_view
+from tg4mm.fit.space.view import EPS2D, NEAR, render_view
 
 CHECKPOINT_EVERY_S = 20.0
 CHEAP_S = 0.4  # where saving one takes longer, they are so many times rarer
@@ -156,7 +157,7 @@ class _Views:
     def _iterate_torch(self, fit: _Fit, adam: ParameterAdam, v: int, degree: int, done: float) -> Tensor:
         viewmat, K, target = self._sampled(self._tensors, fit, v)
         height, width = target.shape[:2]
-        view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree, self._eps2d)
+        view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree, self._eps2d, NEAR)
         shown = view.rgb if fit.gains is None else view.rgb * fit.gains[v]
         target = torch.where(target.isnan(), shown.detach(), target)
         loss = photometric_loss(shown, target, self._config.l2, self._config.dssim)
@@ -212,7 +213,8 @@ def fit_space(
 ) -> SpaceFit:
     """Fit static Gaussians to the rest views; go on from what was `kept`, if anything was.
 
-    points: initialisation without SfM, or None.
+    points: initialisation without SfM, or None. The fit, and what is kept of it, is in the stage's own unit
+    (`normalise.py`), what is returned in scene units.
     On CUDA everything that an iteration needs lives there, in float32 throughout: rounding of targets or parameters
     to 16 bits would be as large as the differences that the motion stage reads (a fiftieth of a pixel).
     Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from, RunError where a
@@ -220,6 +222,8 @@ def fit_space(
     """
     config, kept = resolved(config or SpaceConfig(), views), kept or Nowhere()
     reset_gpu_peak(device)
+    unit = SceneUnit.of(views, points)
+    views, points = unit.views(views), unit.points(points)
     pictures = pictures_digest(views)
     checkpoint = kept.load(
         lambda tensors, state: check_checkpoint(tensors, state, pictures, len(views.rgb), config)
@@ -249,7 +253,7 @@ def fit_space(
                 kept.save(fit.checkpoint(extent, pictures), source)
                 saved = time.monotonic()
                 pause = CHECKPOINT_EVERY_S * max(1.0, (saved - due) / CHEAP_S)
-    gaussians = activate(fit.adam.parameters).detach().to("cpu")
+    gaussians = unit.back(activate(fit.adam.parameters).detach().to("cpu"))
     figures: dict[str, Any] = {
         "seconds": time.monotonic() - began,
         "peak_memory_mib": peak_memory_mib(),

@@ -9,13 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.fit.gaussians import Gaussians
 
 WHITE = 1.0
-NEAR, FAR, EPS2D = 0.01, 1e10, 0.3  # gsplat's defaults
+NEAR, FAR, EPS2D = 0.01, 1e10, 0.3  # gsplat's defaults, of a scene that is DISTANCE away
+DISTANCE = 4.0  # scene units, NeRF-synthetic's from the cameras to what they look at
+_LOOKED_AT = 4096  # Gaussians, at least, that tell how far the scene is
+
+
+def near_plane(means: Tensor | np.ndarray, viewmat: Tensor | np.ndarray) -> float:
+    """Scene units: NEAR as a share of DISTANCE, of the median depth of the means [N, 3] before the camera [4, 4].
+
+    So what a camera sees does not depend on the unit that its scene is in.
+    """
+    row = np.asarray(torch.as_tensor(viewmat)[2].detach().cpu(), np.float64)
+    some = np.asarray(torch.as_tensor(means[:: max(1, len(means) // _LOOKED_AT)]).detach().cpu(), np.float64)
+    depth = some @ row[:3] + row[3]
+    before = depth[depth > 0]
+    return NEAR * float(np.median(before)) / DISTANCE if len(before) else NEAR
 
 
 @dataclass(frozen=True)
@@ -28,19 +43,26 @@ class RenderedView:
 
 
 def render_view(
-    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int, eps2d: float = EPS2D
+    gaussians: Gaussians,
+    viewmat: Tensor,
+    K: Tensor,
+    size: tuple[int, int],
+    degree: int,
+    eps2d: float = EPS2D,
+    near: float | None = None,
 ) -> RenderedView:
     """Render one camera (viewmat [4, 4], K [3, 3]) at size (width, height) with SH up to `degree`.
 
-    eps2d: low-pass, squared pixels.
+    eps2d: low-pass, squared pixels. near: scene units; None, `near_plane`.
     """
+    near = near_plane(gaussians.means, viewmat) if near is None else near
     if gaussians.means.is_cuda:
-        return _render_cuda(gaussians, viewmat, K, size, degree, eps2d)
+        return _render_cuda(gaussians, viewmat, K, size, degree, eps2d, near)
     from tg4mm.fit.rasterize.cpu import View, rasterize_cpu
     from tg4mm.fit.rasterize.kernels.layout import FEAT
 
     g = gaussians
-    view = View(*size, NEAR, FAR, eps2d, degree, False)
+    view = View(*size, near, FAR, eps2d, degree, False)
     images, transmittances, (record,) = rasterize_cpu(
         g.means, g.quats, g.scales, g.opacities, g.sh, viewmat[None], K[None], view
     )
@@ -54,7 +76,13 @@ def render_view(
 
 
 def _render_cuda(
-    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int, eps2d: float = EPS2D
+    gaussians: Gaussians,
+    viewmat: Tensor,
+    K: Tensor,
+    size: tuple[int, int],
+    degree: int,
+    eps2d: float = EPS2D,
+    near: float = NEAR,
 ) -> RenderedView:
     """Colours are made here, not by gsplat's rasterization: the carrier must ride beside them, and gsplat would
     invert viewmat with a wait for the device."""
@@ -68,7 +96,7 @@ def _render_cuda(
     carrier = torch.zeros(len(g), 1, device=g.means.device, requires_grad=True)
     renders, alphas, _ = rasterization(
         g.means, g.quats, g.scales, g.opacities, torch.cat([colours, carrier], 1),
-        viewmat[None], K[None], *size, NEAR, FAR, eps2d,
+        viewmat[None], K[None], *size, near, FAR, eps2d,
     )  # fmt: skip
 
     def shares() -> Tensor:

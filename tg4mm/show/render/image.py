@@ -7,6 +7,7 @@ import torch
 
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.space.view import near_plane
 from tg4mm.show.render.cameras import Camera
 
 WHITE = (1.0, 1.0, 1.0)
@@ -68,6 +69,7 @@ def render_images(
         views,
         ks,
         *size,
+        near_plane=min(near_plane(gaussians.means, view) for view in views),
         eps2d=low_pass_px2,
         sh_degree=gaussians.sh_degree,
         backgrounds=torch.tensor([background], dtype=torch.float32, device=device).repeat(len(views), 1),
@@ -94,6 +96,7 @@ def render_features(
         torch.as_tensor(camera.K, dtype=torch.float32, device=device)[None],
         camera.width,
         camera.height,
+        near_plane=near_plane(gaussians.means, camera.viewmat),
     )
     opacity = alphas[0, ..., 0].cpu().numpy()
     mean = blended[0].cpu().numpy() / np.maximum(opacity, 1e-6)[..., None]

@@ -23,7 +23,7 @@ from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.fit.rasterize.kernels.linearised import blend_cotangents, blend_tangents
 from tg4mm.fit.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.fit.rasterize.kernels.project import empty_splats, pack_camera, project_forward
-from tg4mm.fit.space.view import EPS2D, FAR, NEAR, WHITE
+from tg4mm.fit.space.view import EPS2D, FAR, WHITE, near_plane
 
 # Rendering drops alphas below 1/255, which cuts the rim off every Gaussian. The cut moves with the Gaussian, and that
 # step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
@@ -161,7 +161,8 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     width, height = size
     means, quats, scales, opacities, sh = _arrays(gaussians)
     degree = gaussians.sh_degree
-    packed_camera = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
+    near = near_plane(means, camera.viewmat)
+    packed_camera = pack_camera(camera.viewmat, camera.K, near, FAR, EPS2D, ALPHA_MIN_LINEAR)
     splats = empty_splats(len(means))
     project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
     bins = bin_splats(splats, width, height)

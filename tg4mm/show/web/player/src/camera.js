@@ -2,8 +2,9 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const NEAR = 0.01; // as tg4mm's rasteriser has it; scene units
-const FAR = 1e5;
+// By how far what is looked at is: near as tg4mm's rasteriser has it.
+const NEAR = 1 / 400;
+const FAR = 2.5e4;
 
 /** Set the projection of a pinhole [K in pixels of w×h] in a window of width×height that shows all of its picture; returns its scale. */
 export function project(camera, { K, width: w, height: h }, width, height) {
@@ -12,11 +13,14 @@ export function project(camera, { K, width: w, height: h }, width, height) {
   const fy = s * K[1][1];
   const cx = width / 2 + s * (K[0][2] - w / 2);
   const cy = height / 2 + s * (K[1][2] - h / 2);
-  const a = -(FAR + NEAR) / (FAR - NEAR);
-  const b = (-2 * FAR * NEAR) / (FAR - NEAR);
+  const distance = camera.userData.distance ?? 4;
+  const near = NEAR * distance;
+  const far = FAR * distance;
+  const a = -(far + near) / (far - near);
+  const b = (-2 * far * near) / (far - near);
   camera.fov = (2 * Math.atan(height / (2 * fy)) * 180) / Math.PI; // OrbitControls pans by it
-  camera.near = NEAR;
-  camera.far = FAR;
+  camera.near = near;
+  camera.far = far;
   // prettier-ignore
   camera.projectionMatrix.set(
     (2 * fx) / width, 0, 1 - (2 * cx) / width, 0,
@@ -40,6 +44,7 @@ export function place(camera, viewmat) {
 export class Orbit {
   constructor(camera, element, start, depth, onChange) {
     this.camera = camera;
+    camera.userData.distance = depth;
     place(camera, start.viewmat);
     const [right, down, forward] = start.viewmat.slice(0, 3).map((row) => new THREE.Vector3(...row));
     // The world's up, less its part across the picture: the camera's own tilt then stays as it is.

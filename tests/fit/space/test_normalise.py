@@ -1,0 +1,92 @@
+"""The space stage and what a camera sees do not depend on the unit that a scene is in, nor on where it lies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm import SpaceConfig, fit_space, load_capture
+from tg4mm.capture import Capture
+from tg4mm.capture.pictures import pictures_for
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.observations import observe
+from tg4mm.show.render.image import render_image
+
+SHORT = SpaceConfig(iterations=120, max_gaussians=900)
+
+
+def moved(data: Path, scale: float, offset: np.ndarray) -> Path:
+    """The dataset in another unit, elsewhere; its points in double precision."""
+    for file in data.rglob("transforms_*.json"):
+        content = json.loads(file.read_text())
+        for frame in content["frames"]:
+            pose = np.array(frame["transform_matrix"])
+            pose[:3, 3] = pose[:3, 3] * scale + offset
+            frame["transform_matrix"] = pose.tolist()
+        file.write_text(json.dumps(content))
+    old = PlyData.read(data / "points3d.ply")["vertex"].data
+    rows = np.zeros(len(old), [(n, "f8" if n in "xyz" else "u1") for n in old.dtype.names])
+    for name in old.dtype.names:
+        rows[name] = old[name]
+    for k, name in enumerate("xyz"):
+        rows[name] = rows[name] * scale + offset[k]
+    PlyData([PlyElement.describe(rows, "vertex")]).write(data / "points3d.ply")
+    return data
+
+
+def fitted(folder: Path, scale: float, offset: float) -> tuple[Capture, Gaussians]:
+    make_synthetic_dataset(folder, n_views=5, n_timesteps=8, size=40, alphas=())
+    capture = load_capture(moved(folder, scale, offset * np.array([1.0, -1.0, 0.7])))
+    return capture, fit_space(capture, SHORT)
+
+
+def picture(capture: Capture, gaussians: Gaussians) -> np.ndarray:
+    return render_image(gaussians, capture.viewmats[0], capture.Ks[0], capture.width, capture.height)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Gaussians]:
+    return fitted(tmp_path_factory.mktemp("plain") / "data", 1.0, 0.0)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-4, 0.0), (1e4, 0.0), (1.0, 1e6)])
+def test_a_scene_in_another_unit_and_place_is_fitted_and_drawn_alike(
+    plain: tuple[Capture, Gaussians], tmp_path: Path, scale: float, offset: float
+) -> None:
+    capture, gaussians = fitted(tmp_path / "data", scale, offset)
+    there, here = picture(capture, gaussians), picture(*plain)
+    mse = [float(((p - plain_rgb(plain[0])) ** 2).mean()) for p in (there, here)]
+    assert abs(10 * np.log10(mse[0] / mse[1])) < 1e-3
+    test = load_capture(capture.root, "test")
+    np.testing.assert_array_equal(test.origin, capture.origin)
+    assert (capture.origin != 0).any() == (offset != 0)
+
+
+def plain_rgb(capture: Capture) -> np.ndarray:
+    return pictures_for(capture).rgb(0)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_the_motion_stages_view_has_all_gaussians_in_any_unit(
+    plain: tuple[Capture, Gaussians], scale: float
+) -> None:
+    capture, gaussians = plain
+    frames = observe(capture, pictures_for(capture)).frames[0]
+    larger = Gaussians(
+        gaussians.means * scale, gaussians.quats, gaussians.scales * scale, gaussians.opacities, gaussians.sh
+    )
+    viewmat = frames.viewmat.copy()
+    viewmat[:3, 3] *= scale
+    far = type(frames)(frames.name, viewmat, frames.K, frames.rows, frames.times_s, frames.readout_s)
+    size = capture.width, capture.height
+    np.testing.assert_allclose(
+        view_jacobian(larger, far, size).image, view_jacobian(gaussians, frames, size).image, atol=1e-4
+    )
+    assert torch.isfinite(larger.means).all()
