@@ -145,3 +145,14 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none() -> None:
     assert 0.1 < asked.deviation[0] < 0.5
     fast = spectrum_of(TIMES, *noisy(sinusoid(7.7), 0.05, 1))
     assert with_band(fast, (7, 8), TIMES, values, sigma, share) is fast
+
+
+def test_a_spectrum_marks_them() -> None:
+    times = np.arange(90) / FPS
+    values = np.cos(2 * np.pi * 4.6 * times) + 0.05 * np.cos(2 * np.pi * 9.2 * times + 1)
+    noise = 0.002 * np.random.default_rng(0).normal(size=(90, 3))
+    spread = np.full((90, 3), 0.002)
+    strong, weak = spectrum_of(times, values[:, None] * np.ones(3) + noise, spread).peaks
+    assert strong.harmonic is None
+    assert weak.harmonic is not None
+    assert str(weak.harmonic) == "may be a harmonic: 2 × 4.6 Hz"
