@@ -146,6 +146,25 @@ def test_what_comes_and_goes_is_a_drift(copy: Run) -> None:
     assert not result_of(copy).vibrations
 
 
+@pytest.mark.parametrize(
+    ("said", "bounds"),
+    [
+        ({}, []),
+        ({"picture_gain": 1.4}, []),
+        ({"picture_gain": 1.6}, [3.0, 7.5]),
+        ({"lower_bound_hz": [3.01]}, [3.0]),
+    ],
+)
+def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(
+    copy: Run, said: dict, bounds: list[float]
+) -> None:
+    copy.record("motion", said)
+    result = result_of(copy)
+    assert sorted(v.hz for v in result.vibrations if v.amplitude.is_bound) == bounds
+    assert sorted(v.hz for v in result.vibrations if v.pixels.is_bound) == bounds
+    assert sum(" > " in line for line in lines_of(result)) == len(bounds)
+
+
 def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy: Run) -> None:
     motion = copy.load_motion()
     nothing = motion.displacement[:0]

@@ -18,7 +18,7 @@ class Length:
 
     value: float
     deviation: float | None = None
-    is_bound: bool = False  # a video's compression took more than the deviation says: shown as > value
+    is_bound: bool = False  # more moves than the deviation says (compression, the fit): shown as > value
 
     def times(self, factor: float) -> Length:
         """In another unit."""

@@ -19,6 +19,7 @@ from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, frames_of
+from tg4mm.fit.motion.picture_gain import LACKING
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages.look import look_of
@@ -235,6 +236,7 @@ class Reading:
             amplitude, place = self.largest(phasors, seen, None if deviations is None else deviations[k])
             if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
                 continue  # as large as its own error
+            amplitude = replace(amplitude, is_bound=self._is_bound(v.hz))
             out.append(
                 Vibration(
                     hz=v.hz,
@@ -280,13 +282,20 @@ class Reading:
         line of sight hides."""
         pixels = seen.pixels(phasors)
         if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
-            return None if pixels is None else Length(pixels)
+            return None if pixels is None else Length(pixels, is_bound=amplitude.is_bound)
         deviation = pixels * amplitude.deviation / amplitude.value
         if "covariance" in self.uncertainty:
             own = self.uncertainty["covariance"].astype(np.float64)
             even = np.trace(own, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
             deviation *= (seen.rms_pixels(own) or 0.0) / max(seen.rms_pixels(even) or 0.0, 1e-30)
-        return Length(pixels, deviation)
+        return Length(pixels, deviation, amplitude.is_bound)
+
+    def _is_bound(self, hz: float) -> bool:
+        """Whether more may move than the model holds, by what the fit says of itself."""
+        slow = np.array(self.log.get("lower_bound_hz", ()))
+        return bool(
+            self.log.get("picture_gain", 1.0) > LACKING or (np.abs(slow - hz) < 1 / self.duration_s).any()
+        )
 
     def _noise(self, seen: Seen) -> tuple[float | None, float | None]:
         if "noise" not in self.uncertainty:

@@ -100,6 +100,12 @@ class MovingCamera(Steady):
             f"what moves by less than {_MOVES:g} of the largest at its frequency is held still, so that it tells "
             "the poses; motion towards the camera comes out too small",
         ]
+        if (slow := frequencies.hz[frequencies.hz < lowest_hz]).size:  # of a band that was asked for
+            figures["lower_bound_hz"] = [round(float(f), 4) for f in slow]
+            notes.append(
+                f"how far things move at {', '.join(f'{f:.4g}' for f in slow)} Hz: with fewer than eight periods the "
+                "scene at rest takes up what changes so slowly, and amplitudes are lower bounds; a fixed camera tells"
+            )
         targets = no_targets(observations)
         if len(frequencies.hz):
             functions = functions_of(observations, frequencies)
