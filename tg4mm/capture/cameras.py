@@ -173,7 +173,11 @@ def far_origin(
     Arguments as `middle_distance` takes them.
     """
     centre, distance = middle_distance(viewmats, Ks, size, xyz)
-    if np.abs(centre).max() <= FAR * distance:
+    origins, _ = optical_axes(viewmats)
+    reach = [distance, np.ptp(origins, axis=0).max()]  # parallel axes meet nowhere: the cameras' own extent
+    if xyz is not None and len(xyz):
+        reach.append(float(np.median(np.linalg.norm(xyz - origins.mean(0), axis=1))))
+    if np.abs(centre).max() <= FAR * max(reach):
         return np.zeros(3)
     grid = 2.0 ** math.floor(math.log2(distance))
     return np.asarray(np.round(centre / grid) * grid)
