@@ -60,7 +60,7 @@ class Drawn:
         """Of the generator, all but where the set goes and its motion."""
         cameras, frames, _ = KINDS[self.kind]
         out = [self.scene, *cameras.split(), "--timesteps", frames, "--fps", FPS, "--size", self.size]
-        out += ["--frequency", self.hz, "--amplitude-px", self.amplitude_px, "--samples", 4, "--points", 0]
+        out += ["--frequency", self.hz, "--amplitude-px", self.amplitude_px, "--samples", 4, "--points", 1000]
         out += ["--test-views", 0, "--truth", "none", "--background", "white", "--sensor", "phone"]
         out += ["--jpeg", 0, "--seed", self.seed, "--processes", 1]
         out += [] if self.crf is None else ["--codec", "h264", "--crf", self.crf]
@@ -164,7 +164,9 @@ def _of_run(reading: Reading, truth: Truth, exact: np.ndarray, what: Drawn) -> S
         used.add(best)
         own = named[best]
         out.frequencies.append((own.hz - hz) / own.deviation_hz)
-        if own.pixels is not None and own.pixels.deviation:
+        if own.pixels is not None and own.pixels.is_bound:
+            out.marked += 1  # a lower bound
+        elif own.pixels is not None and own.pixels.deviation:
             out.amplitudes.append((own.pixels.value - size) / own.pixels.deviation)
         _compare_damping(out, hz, what, own.damping, own.damping_deviation)
     out.false = [f"{v.hz:.3f} Hz" for k, v in enumerate(named) if k not in used]
