@@ -23,28 +23,6 @@ UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate 
 
 
 @dataclass(frozen=True)
-class Clip:
-    """Pictures in order: those of a folder, or the frames of a video."""
-
-    name: str
-    path: Path  # folder or video
-    pictures: tuple[Path, ...] = ()  # of a folder
-    repeats: frozenset[int] = frozenset()  # frames of a video's window that are left out
-
-    def without(self, rows: Iterable[int]) -> Clip:
-        """The clip less some of its pictures, by their rows."""
-        out = frozenset(rows)
-        if self.pictures:
-            return replace(self, pictures=tuple(p for i, p in enumerate(self.pictures) if i not in out))
-        return replace(self, repeats=out)
-
-    @property
-    def is_video(self) -> bool:
-        """Whether the pictures are the frames of a video."""
-        return self.path.suffix.lower() in VIDEO_SUFFIXES and self.path.is_file()
-
-
-@dataclass(frozen=True)
 class Window:
     """Which part of every recording is taken, seconds since its first frame."""
 
@@ -58,6 +36,29 @@ class Window:
 
 
 WHOLE = Window()
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Pictures in order: those of a folder, or the frames of a video."""
+
+    name: str
+    path: Path  # folder or video
+    pictures: tuple[Path, ...] = ()  # of a folder
+    repeats: frozenset[int] = frozenset()  # frames of a video's window that are left out
+    window: Window | None = None  # which part of a video the clip is, where another clip is of it, too
+
+    def without(self, rows: Iterable[int]) -> Clip:
+        """The clip less some of its pictures, by their rows."""
+        out = frozenset(rows)
+        if self.pictures:
+            return replace(self, pictures=tuple(p for i, p in enumerate(self.pictures) if i not in out))
+        return replace(self, repeats=out)
+
+    @property
+    def is_video(self) -> bool:
+        """Whether the pictures are the frames of a video."""
+        return self.path.suffix.lower() in VIDEO_SUFFIXES and self.path.is_file()
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ from tg4mm.capture.sfm.staging import (
     staged_name,
     sweep_shots,
 )
+from tg4mm.capture.sfm.standing import divided
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
@@ -98,6 +99,12 @@ def _made(
     kept = [clip.without(survey.repeats) for clip, survey in zip(sources.clips, surveys, strict=True)]
     sources = replace(sources, clips=type(sources.clips)(kept))
     kind, reason = kind_of(sources, surveys, config.kind)
+    if (found := divided(sources, surveys, config)) is not None:
+        sources, config = found.sources, found.config
+        surveys = [survey_clip(sources.clips[0], work.folder / "survey" / "standing", config.window)]
+        sources = replace(sources, clips=(sources.clips[0].without(surveys[0].repeats),))
+        kind, reason = kind_of(sources, surveys, None)
+        reason = f"{found}; --kind, --from or --until overrule"
     print(f"{images}: taken for {kind}: {reason}", file=sys.stderr, flush=True)
     warn_clocks(surveys, config.fps)
     if not kind.still:
@@ -191,9 +198,10 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
         return ()
     if not sweep.is_video:
         return sweep.pictures
-    survey = survey_clip(sweep, work / "survey", WHOLE)
+    window = sweep.window or WHOLE
+    survey = survey_clip(sweep, work / "survey", window)
     rows = sharp_rows(survey.sharpness, job.config.frames or SWEEP_FRAMES)
-    return extract_frames(sweep.without(survey.repeats), work / "frames" / SWEEP, rows=rows)
+    return extract_frames(sweep.without(survey.repeats), work / "frames" / SWEEP, window, rows)
 
 
 def _model(job: _Job, taken: list[Shot]) -> Any:
