@@ -186,8 +186,7 @@ def _estimate(
     def residuals() -> Iterator[np.ndarray]:
         for v, own in zip(rows, targets, strict=True):
             if not model.observations.is_flat:
-                picture = model.targets.mean[v] if model.targets.mean.size else problem.views[v].over_white
-                gain.add(problem, v, picture, folds.mean(0), own)
+                gain.add(problem, v, folds.mean(0), own)
             yield problem.residual(v, own, fields)
 
     views, cameras = [problem.views[v] for v in rows], [frames[v] for v in rows]
