@@ -8,7 +8,7 @@ import torch
 from tg4mm.capture import Capture
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
-from tg4mm.fit.space.view import near_plane
+from tg4mm.fit.space.view import drawn_from
 
 
 def blending_weights(gaussians: Gaussians, capture: Capture) -> np.ndarray:
@@ -31,9 +31,8 @@ def pixel_sums(gaussians: Gaussians, maps: np.ndarray, viewmat: np.ndarray, K: n
     height, width, channels = maps.shape
     colors = torch.ones(len(g), channels, device=device, requires_grad=True)
     view, k = (torch.as_tensor(m, dtype=torch.float32, device=device)[None] for m in (viewmat, K))
-    image, _, _ = rasterization(
-        g.means, g.quats, g.scales, g.opacities, colors, view, k, width, height, near_plane(g.means, view[0])
-    )
+    means, near = drawn_from(g.means, view[0])
+    image, _, _ = rasterization(means, g.quats, g.scales, g.opacities, colors, view, k, width, height, near)
     target = torch.as_tensor(maps, dtype=torch.float32, device=device)
     (gradient,) = torch.autograd.grad((image[0] * target).sum(), colors)
     return np.asarray(gradient.double().cpu().numpy())

@@ -17,6 +17,7 @@ from tg4mm.capture.pictures import pictures_for
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.space.view import near_plane, without_near
 from tg4mm.show.render.image import render_image
 
 SHORT = SpaceConfig(iterations=120, max_gaussians=900)
@@ -90,3 +91,18 @@ def test_the_motion_stages_view_has_all_gaussians_in_any_unit(
         view_jacobian(larger, far, size).image, view_jacobian(gaussians, frames, size).image, atol=1e-4
     )
     assert torch.isfinite(larger.means).all()
+
+
+def test_on_a_device_what_is_nearer_than_the_near_plane_goes_behind_the_camera() -> None:
+    generator = torch.Generator().manual_seed(0)
+    viewmat = torch.eye(4)
+    viewmat[:3, 3] = torch.tensor([0.1, -0.2, 0.3])
+    means = torch.randn(501, 3, generator=generator) * torch.tensor([1.0, 1.0, 3.0])
+    means[:20, 2] = -0.3 + 0.01 * torch.rand(20, generator=generator)  # right before the camera
+    depth = means[:, 2] + 0.3
+    near = near_plane(means, viewmat)
+    moved = without_near(means, viewmat)
+    hidden = (depth > 0) & (depth <= near)
+    assert 1 <= hidden.sum() <= 20
+    torch.testing.assert_close(moved[~hidden], means[~hidden], rtol=0, atol=0)
+    assert (moved[hidden, 2] + 0.3 <= 0).all()

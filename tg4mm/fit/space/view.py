@@ -7,7 +7,7 @@ zero on every Gaussian) by that channel. The CPU kernels blend four channels any
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -33,6 +33,25 @@ def near_plane(means: Tensor | np.ndarray, viewmat: Tensor | np.ndarray) -> floa
     return NEAR * float(np.median(before)) / DISTANCE if len(before) else NEAR
 
 
+def drawn_from(means: Tensor, viewmat: Tensor) -> tuple[Tensor, float]:
+    """Means [N, 3] and the near plane that a rasteriser takes them with: what is nearer than `near_plane` is not drawn.
+
+    To ask a GPU for that plane would be to wait for it: there, what is nearer goes behind the camera.
+    """
+    if means.device.type == "cpu":
+        return means, near_plane(means, viewmat)
+    return without_near(means, viewmat), 0.0
+
+
+def without_near(means: Tensor, viewmat: Tensor) -> Tensor:
+    """Means [N, 3], those between the camera [4, 4] and `near_plane` mirrored behind it; nothing leaves the device."""
+    depth = means @ viewmat[2, :3] + viewmat[2, 3]
+    some = depth[:: max(1, len(means) // _LOOKED_AT)].detach()
+    near = NEAR / DISTANCE * torch.where(some > 0, some, torch.nan).nanmedian()
+    is_near = (depth > 0) & ~(depth > near)
+    return torch.where(is_near[:, None], means - 2 * depth[:, None] * viewmat[2, :3], means)
+
+
 @dataclass(frozen=True)
 class RenderedView:
     """A picture over white and the channel that carries error back."""
@@ -55,7 +74,9 @@ def render_view(
 
     eps2d: low-pass, squared pixels. near: scene units; None, `near_plane`.
     """
-    near = near_plane(gaussians.means, viewmat) if near is None else near
+    if near is None:
+        means, near = drawn_from(gaussians.means, viewmat)
+        gaussians = replace(gaussians, means=means)
     if gaussians.means.is_cuda:
         return _render_cuda(gaussians, viewmat, K, size, degree, eps2d, near)
     from tg4mm.fit.rasterize.cpu import View, rasterize_cpu

@@ -7,7 +7,7 @@ import torch
 
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
-from tg4mm.fit.space.view import near_plane
+from tg4mm.fit.space.view import drawn_from, near_plane
 from tg4mm.show.render.cameras import Camera
 
 WHITE = (1.0, 1.0, 1.0)
@@ -60,8 +60,12 @@ def render_images(
     """`render_image` of several cameras [C, 4, 4], [C, 3, 3] of one size (width, height): [C, height, width, 3]."""
     device = gaussians.means.device
     views, ks = (torch.as_tensor(m, dtype=torch.float32, device=device) for m in (viewmats, Ks))
+    if len(views) == 1:
+        means, near = drawn_from(gaussians.means, views[0])
+    else:
+        means, near = gaussians.means, min(near_plane(gaussians.means, view) for view in views)
     colours, _, _ = rasterization(
-        gaussians.means,
+        means,
         gaussians.quats,
         gaussians.scales,
         gaussians.opacities,
@@ -69,7 +73,7 @@ def render_images(
         views,
         ks,
         *size,
-        near_plane=min(near_plane(gaussians.means, view) for view in views),
+        near_plane=near,
         eps2d=low_pass_px2,
         sh_degree=gaussians.sh_degree,
         backgrounds=torch.tensor([background], dtype=torch.float32, device=device).repeat(len(views), 1),
@@ -86,17 +90,19 @@ def render_features(
     Where nothing is hit the mean is 0.
     """
     device = gaussians.means.device
+    view = torch.as_tensor(camera.viewmat, dtype=torch.float32, device=device)
+    means, near = drawn_from(gaussians.means, view)
     blended, alphas, _ = rasterization(
-        gaussians.means,
+        means,
         gaussians.quats,
         gaussians.scales,
         gaussians.opacities,
         torch.as_tensor(features, dtype=torch.float32, device=device),
-        torch.as_tensor(camera.viewmat, dtype=torch.float32, device=device)[None],
+        view[None],
         torch.as_tensor(camera.K, dtype=torch.float32, device=device)[None],
         camera.width,
         camera.height,
-        near_plane=near_plane(gaussians.means, camera.viewmat),
+        near_plane=near,
     )
     opacity = alphas[0, ..., 0].cpu().numpy()
     mean = blended[0].cpu().numpy() / np.maximum(opacity, 1e-6)[..., None]
