@@ -78,12 +78,22 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     return rigid
 
 
-def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.ndarray:
+def distortion_of(frame: Record, file: Record) -> dict[str, float]:
+    """The coefficients that are not 0, by name: a frame's own, else the file's."""
+    records = {key: frame if frame.has(key) else file for key in DISTORTION}
+    found = {key: record.number(key) for key, record in records.items() if record.has(key)}
+    return {key: value for key, value in found.items() if value}
+
+
+def read_intrinsics(
+    frame: Record, file: Record, width: int, height: int, is_bent: bool = False
+) -> np.ndarray:
     """K [3, 3] in pixels for an image of width × height: a frame's own values, else the file's.
 
     fl_x, fl_y, cx, cy, w, h (pixels) as in nerfstudio, else camera_angle_x and camera_angle_y, the horizontal and the
     vertical field of view in radians; with one of both, pixels are square. The principal point is the centre unless
-    given. Raises CaptureError, by the field's name, for a lens that is no pinhole's.
+    given. Raises CaptureError, by the field's name, for a lens that is no pinhole's; unless it `is_bent`, also for one
+    with distortion.
     """
 
     def source(key: str) -> Record | None:
@@ -91,7 +101,7 @@ def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.
 
     for key in DISTORTION:
         record = source(key)
-        if record is not None and record.number(key) != 0:
+        if record is not None and record.number(key) != 0 and not is_bent:
             raise record.error(key, "0: undistort the images first")
     for key in OTHER_LENSES:
         record = source(key)

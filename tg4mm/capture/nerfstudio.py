@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from tg4mm.capture.cameras import distortion_of, read_intrinsics
+from tg4mm.capture.frames import picture_header
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import assemble, timed, views_of_frames
+from tg4mm.capture.transforms import View, assemble, timed, views_of_frames
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.records import Record, read_record
 from tg4mm.core.values import shown
 
 LAYOUT = "a nerfstudio folder (transforms.json)"
 FILE = "transforms.json"
-# Lenses without a model of their own are pinholes; OPENCV is one where k1 … p2, checked with each frame, are 0.
+# Lenses without a model of their own are OPENCV, a pinhole where k1 … p2 are 0.
 PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+FISHEYE = "OPENCV_FISHEYE"
+# COLMAP's camera models, the narrowest first, and the coefficients that each has, in its order.
+_BENT = {
+    "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    FISHEYE: ("k1", "k2", "k3", "k4"),
+}
 
 
 def recognises(root: Path) -> bool:
@@ -38,9 +48,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
         raise file.error("frames", "a list of frames")
     chosen = _of_split(file, frames, split)
     views = views_of_frames(root, root, file, chosen, 0)
-    for view in views:
-        _check_lens(view.frame, file)
-    views, scene, n_timesteps = timed(views, read_scene(root, needs_fps=False))
+    views, scene, n_timesteps = timed(_through_lenses(views), read_scene(root, needs_fps=False))
     return assemble(root, split, views, scene, n_timesteps, _points(root, file))
 
 
@@ -71,10 +79,44 @@ def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, An
     return chosen
 
 
-def _check_lens(frame: Record, file: Record) -> None:
-    record = frame if frame.has("camera_model") else file
-    if record.has("camera_model") and record.text("camera_model") not in PINHOLES:
-        raise record.error("camera_model", f"{' or '.join(PINHOLES)}: undistort the images first")
+def _through_lenses(views: list[View]) -> list[View]:
+    """The views, with how their pictures become a pinhole's where a lens bends: pycolmap straightens them."""
+    models = [_model_of(view) for view in views]
+    if not any(model in _BENT for model in models):
+        return views
+    from tg4mm.capture.sfm.engine import colmap
+    from tg4mm.capture.sfm.undistort import lenses
+
+    cameras: dict[tuple[Any, ...], int] = {}
+    rows = []
+    for view, model in zip(views, models, strict=True):
+        header = picture_header(view.path)
+        K = read_intrinsics(view.frame, view.file, header.width, header.height, is_bent=True)
+        bends = distortion_of(view.frame, view.file)
+        params = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(bends.get(key, 0.0) for key in _BENT.get(model, ())))
+        key = (model, header.width, header.height, *(float(x) for x in params))
+        rows.append(cameras.setdefault(key, len(cameras)))
+    c = colmap("undistortion")
+    known = {
+        (i, 0): c.Camera(model=model, width=width, height=height, params=list(params))
+        for (model, width, height, *params), i in cameras.items()
+    }
+    found = lenses(known)
+    return [replace(view, lens=found[i, 0]) for view, i in zip(views, rows, strict=True)]
+
+
+def _model_of(view: View) -> str:
+    """COLMAP's name of a view's camera model. Raises CaptureError for one that is neither a pinhole nor can be bent."""
+    record = view.frame if view.frame.has("camera_model") else view.file
+    name = record.text("camera_model") if record.has("camera_model") else PINHOLES[0]
+    if name not in (*PINHOLES, FISHEYE):
+        raise record.error("camera_model", f"{', '.join(PINHOLES)} or {FISHEYE}: undistort the images first")
+    bends = set(distortion_of(view.frame, view.file))
+    if name == FISHEYE:
+        if unknown := bends - set(_BENT[FISHEYE]):
+            raise record.error(sorted(unknown)[0], f"0: {FISHEYE} has k1 to k4")
+        return FISHEYE
+    return next(model for model, names in {"PINHOLE": (), **_BENT}.items() if bends <= set(names))
 
 
 def _points(root: Path, file: Record) -> SurfacePoints | None:

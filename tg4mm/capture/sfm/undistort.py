@@ -128,7 +128,7 @@ class _Pinhole:
 def _pinhole(camera: Any, turns: int) -> _Pinhole:
     """The pinhole that COLMAP chooses, turned; it would cut a pixel off a camera that is one already."""
     c = colmap("undistortion")
-    if not camera.is_undistorted():
+    if not _is_pinhole(camera):
         camera = c.undistort_camera(c.UndistortCameraOptions(), camera)
     K, (w, h) = np.array(camera.calibration_matrix(), dtype=np.float64), (camera.width, camera.height)
     for _ in range(turns % 4):
@@ -137,11 +137,16 @@ def _pinhole(camera: Any, turns: int) -> _Pinhole:
     return _Pinhole(K, (w, h))
 
 
+def _is_pinhole(camera: Any) -> bool:
+    """A fisheye's coefficients of 0 leave it a fisheye, which COLMAP takes for undistorted."""
+    return bool(camera.is_undistorted()) and "FISHEYE" not in camera.model.name
+
+
 def _lens(camera: Any, turns: int, pinhole: _Pinhole, size: tuple[int, int]) -> Lens:
     K, (width, height) = pinhole.K, size
     own = (camera.height, camera.width) if turns % 2 else (camera.width, camera.height)
     taken_of = camera.width, camera.height
-    if camera.is_undistorted() and own == size:
+    if _is_pinhole(camera) and own == size:
         return Lens(K, size, None, turns, taken_of=taken_of)
     block = int(1 / pinhole.scale) if pinhole.scale <= 0.5 else 1
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
