@@ -55,11 +55,7 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     if not np.isfinite(pose).all():
         bad = next(x for row in rows for x in row if not math.isfinite(as_number(x)))
         raise CaptureError(f"{frame.where}: {key} holds {bad!r}; expected finite numbers")
-    if np.abs(pose[:3, 3]).max() > FARTHEST:
-        raise CaptureError(
-            f"{frame.where}: {key} lies {np.abs(pose[:3, 3]).max():g} units from the origin; "
-            f"expected at most {FARTHEST:g}"
-        )
+    check_near(pose, f"{frame.where}: {key}")
     if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
     axes = pose[:3, :3]
@@ -76,6 +72,13 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     rigid[:3, :3] = u @ vt
     rigid[:3, 3] = pose[:3, 3]
     return rigid
+
+
+def check_near(pose: np.ndarray, where: str) -> None:
+    """Raise CaptureError for a camera-to-world [4, 4] farther from the origin than places are told there."""
+    far = float(np.abs(pose[:3, 3]).max())
+    if not far <= FARTHEST:
+        raise CaptureError(f"{where} lies {far:g} units from the origin; expected at most {FARTHEST:g}")
 
 
 def distortion_of(frame: Record, file: Record) -> dict[str, float]:

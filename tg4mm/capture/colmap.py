@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from tg4mm.capture.cameras import check_near
 from tg4mm.capture.confine import image_path, inside
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.scene import read_scene
@@ -293,6 +294,7 @@ def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, 
         raise CaptureError(f"{where}: is of camera {image.camera_id}, which is not among the cameras")
     camera = model.cameras[image.camera_id]
     pose = np.linalg.inv(image.cam_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    check_near(pose, f"{where}: its camera")
     if (lens := lenses.get(image.camera_id)) is not None:
         return View(path, 0, pose, Record(where, {}), Record(str(model.folder), {}), mask=mask, lens=lens)
     fl_x, fl_y, cx, cy = _intrinsics(camera)
