@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset_gen.vibration import reach
-from dataset_gen.vibration.fields import Rock, Twist
+from dataset_gen.vibration.fields import Rock, Twist, phasor
 from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel, bessel_zero
 
 BASE, TIP = np.array([0.2, -0.1, -0.3]), np.array([0.5, 0.2, 0.4])
@@ -153,6 +153,20 @@ def test_a_plate_solves_its_equation_and_is_zero_at_and_outside_its_edges(nodes)
     np.testing.assert_array_equal(field(edges[2:]), 0.0)
 
 
+@pytest.mark.parametrize(
+    "field",
+    [
+        Membrane((0, 0, 0), (0, 0, 1), 1.0, thickness=0.1),
+        Plate((0, 0, 0), (0, 0, 1), (1, 0, 0), (1.0, 1.0), thickness=0.1),
+    ],
+)
+def test_thickness_ends_the_reach_along_the_normal_smoothly(field):
+    z = np.array([0.0, 0.05, -0.05, 0.075, 0.1, -0.1, 0.5])
+    height = field(np.stack([0 * z, 0 * z, z], 1))[:, 2]
+    np.testing.assert_allclose(height, [1.0, 1.0, 1.0, 0.5, 0.0, 0.0, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(height[4:], 0.0)
+
+
 # Waves.
 
 
@@ -211,3 +225,10 @@ def test_a_rayleigh_wave_leaves_the_surface_free_of_traction():
 
 
 # Helpers.
+
+
+def test_phases_at_quarter_turns_are_exact():
+    turns = np.array([0, 90, 180, 270, 360, -90, 720])
+    np.testing.assert_array_equal(phasor(turns), [1, 1j, -1, -1j, 1, -1j, 1])
+    angles = np.random.default_rng(0).uniform(-1000, 1000, 100)
+    np.testing.assert_allclose(phasor(angles), np.exp(1j * np.radians(angles)), atol=1e-13)

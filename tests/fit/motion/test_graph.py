@@ -1,5 +1,7 @@
 """The prior on motion: what costs nothing, what does, and the rotation that a gradient of displacement is."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from tg4mm.fit.motion.prior.graph import (
     build_graph,
     edge_residual,
     reweight_edges,
+    stiffness_root,
 )
 
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
@@ -68,6 +71,34 @@ def test_what_is_linear_in_space_costs_nothing(shape: str, kind: str) -> None:
         assert energy(around, field(around, u, along / 2)) > 10 * rounding
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_its_energy_is_the_sum_over_pairs(shape: str) -> None:
+    """Σ w (|u_j − u_i − ½ (A_i + A_j) d|² + b |A_j − A_i|²), pair by pair by hand, up to one factor."""
+    means = SHAPES[shape](40)
+    around, rng = graph(means, count=6), np.random.default_rng(3)
+    fields = [rng.normal(size=(ROWS * 40, 3)) * scale for scale in (1, 2, 5)]
+    fields.append(field(around, means[:, :1] * means, np.eye(3) / 9).astype(np.float64))
+    ratios = [brute_energy(around, means, x, 6) / energy(around, x) for x in fields]
+    np.testing.assert_allclose(ratios, ratios[0], rtol=1e-4)
+
+
+def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) -> float:
+    weights: dict[tuple[int, int], float] = {}
+    for i in range(len(means)):
+        distance = np.linalg.norm(means - means[i], axis=1)
+        near = np.argsort(distance, kind="stable")[1 : count + 1]
+        for j in near:
+            w = float(np.exp(-0.5 * (distance[j] / distance[near].mean()) ** 2))
+            pair = (min(i, int(j)), max(i, int(j)))
+            weights[pair] = weights.get(pair, 0.0) + w
+    f, total = x.reshape(-1, ROWS, 3), 0.0
+    for (i, j), w in weights.items():
+        d = (means[j] - means[i]) / around.mean_spacing
+        left = f[j, 0] - f[i, 0] - d @ (f[i, 1:] + f[j, 1:]) / 2
+        total += w * ((left**2).sum() + BENDING * ((f[j, 1:] - f[i, 1:]) ** 2).sum())
+    return total
+
+
 def test_a_turn_is_found_from_its_gradient() -> None:
     means = volume()
     around = graph(means)
@@ -117,6 +148,13 @@ def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
                 row[k, [ROWS * i + k, ROWS * j + k]] = np.sqrt(BENDING) * own[0] * np.array([1, -1])
             expected += row.T @ row / 2  # listed at both ends
     np.testing.assert_allclose(around.blocks.toarray(), expected, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_root_squared_is_the_matrix(shape: str) -> None:
+    around = graph(SHAPES[shape](60))
+    root, expected = stiffness_root(around), around.stiffness.toarray().astype(np.float64)
+    np.testing.assert_allclose((root.T @ root).toarray(), expected, atol=1e-5 * np.abs(expected).max())
 
 
 def ends(around: Graph) -> tuple[np.ndarray, np.ndarray]:

@@ -1,13 +1,19 @@
 """Adaptive density control: budget, what fades, what is split and how."""
 
+from __future__ import annotations
+
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
 from tg4mm.fit.space.density import (
     DIM,
+    EVERY,
     SHRINK,
     control_density,
+    growth,
+    is_due,
     split_rows,
 )
 from tg4mm.fit.space.parameters import ParameterAdam
@@ -50,6 +56,46 @@ def test_the_halves_of_a_split_keep_the_mass_centre() -> None:
     np.testing.assert_allclose(halves["logits"].sigmoid(), 0.5 * DIM, rtol=1e-5)
     shrunk = torch.cat([p["log_scales"][rows]] * 2).exp() / SHRINK
     np.testing.assert_allclose(halves["log_scales"].exp(), shrunk, rtol=1e-5)
+
+
+@pytest.mark.parametrize("most", [40, 12])
+def test_a_full_budget_splits_none(most: int) -> None:
+    adam = ParameterAdam(parameters(40), EXTENT)
+    change = control_density(adam, torch.ones(40), EXTENT, most, generator())
+    assert (change.removed, change.split) == (0, 0)
+    assert numbers(adam) == list(range(40))
+
+
+def test_growth_is_a_twentieth_beside_what_was_removed() -> None:
+    p = parameters(40)
+    p["logits"][:5] = -8.0
+    adam = ParameterAdam(p, EXTENT)
+    change = control_density(adam, torch.ones(40), EXTENT, 1000, generator())
+    assert (change.removed, change.split) == (5, 2 + 5)
+    assert len(adam.parameters["means"]) == 40 - 5 + 7
+
+
+@pytest.mark.parametrize(("start", "most", "iterations"), [(150, 10_000, 2_000), (4, 9_000, 20_000)])
+def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, iterations: int) -> None:
+    """In equal steps, where twentieths would end at a fraction of it."""
+    n, counts = start, []
+    caught_up = 0.35 * iterations
+    for iteration in filter(lambda i: is_due(i, iterations), range(1, iterations)):
+        n = min(most, n + int(growth(n, most, iteration, caught_up) * n))
+        counts.append(n)
+        if iteration + EVERY > caught_up:
+            break
+    assert counts[-1] >= 0.95 * most
+    if start > 10:  # below, whole Gaussians are coarse steps
+        steps = np.array([start, *counts])
+        assert np.ptp(steps[1:] / steps[:-1]) < 0.1
+
+
+@pytest.mark.parametrize(("n", "iteration"), [(10_000, 200), (9_900, 200), (40_000, 3_000), (50_000, 9_000)])
+def test_a_start_near_the_budget_grows_by_twentieths(n: int, iteration: int) -> None:
+    """10,000 points and 40,000 Gaussians over 10,000 iterations."""
+    most = 40_000 if n < 40_000 else n
+    assert growth(n, most, iteration, 3_500) == pytest.approx(0.05)
 
 
 def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:

@@ -132,6 +132,12 @@ def test_a_frequency_between_bins_is_compared_by_what_both_do_there() -> None:
     assert figures["per_frequency"][0]["relative_error"] < 1e-5
 
 
+@pytest.mark.parametrize("frequency", [0.0, 15.0])
+def test_the_ends_of_the_spectrum_are_not_counted_twice(frequency) -> None:
+    row = frequency_figures(*[motion({frequency: np.full((2, 3), 1e-3)})] * 2, np.ones(2))[0]
+    assert row["amplitude_true"] == pytest.approx(np.sqrt(3) * 1e-3, rel=1e-6)
+
+
 def test_what_does_not_fit_together_is_refused(true) -> None:
     with pytest.raises(ValueError, match="'weights': 39"):
         displacement_figures(true, true, np.ones(N - 1))
