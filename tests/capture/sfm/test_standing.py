@@ -31,7 +31,7 @@ def video(path: Path, starts: list[int], jitter: float = 0.0) -> Path:
 
 
 def found(path: Path, config: SfmConfig = DEFAULTS) -> Divided | None:
-    clip = Clip("cam", path)
+    clip = Clip("cam", path, repeats=frozenset({1}))
     return divided(Sources(path, clips=(clip,)), [looked(path)], config)
 
 
@@ -52,6 +52,7 @@ def test_both_parts_are_found_in_either_order(
     assert window.start_s >= stands[0] - 1e-6  # no picture of the walk
     assert window.stop_s == pytest.approx(stands[1], abs=0.3)
     (clip,), sweep = both.sources.clips, both.sources.sweep
+    assert clip == Clip("cam", clip.path)  # whose repeats are looked for anew
     assert sweep == Clip(SWEEP, clip.path, window=both.parts.walks)
     assert (both.parts.walks.start_s, both.parts.walks.stop_s) == pytest.approx(walks, abs=0.3)
     assert str(both).startswith("the camera walks from")

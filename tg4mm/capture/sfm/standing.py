@@ -49,7 +49,10 @@ def divided(sources: Sources, surveys: Sequence[Survey], config: SfmConfig) -> D
         return None
     sweep = Clip(SWEEP, sources.clips[0].path, window=found.walks)
     stands = replace(config, start_s=found.stands.start_s, stop_s=found.stands.stop_s)
-    return Divided(replace(sources, sweep=sweep), stands, found)
+    whole = replace(
+        sources.clips[0], repeats=frozenset()
+    )  # rows of repeats count from the window's first frame
+    return Divided(replace(sources, clips=(whole,), sweep=sweep), stands, found)
 
 
 @dataclass(frozen=True)
