@@ -140,6 +140,6 @@ def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Pag
         footer=(
             f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
             f"Model SHA-256 {model_hash(m.run.path)}. "
-            "docs/benchmark.md defines displacement error, ceiling and the other scores."
+            "docs/protocol.md defines displacement error, ceiling and the other scores."
         ),
     )
