@@ -1,7 +1,5 @@
 """Where Blender 4.5, 5.2 and 5.3 differ. Features are asked for, not versions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -5,8 +5,6 @@ into a wheel, as they are; Blender unpacks it where extensions find their module
 look at the zip.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import shutil

@@ -1,7 +1,5 @@
 """Names the extension's parts share: inputs of the modifier, attributes of the points, custom properties."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import Counter

@@ -1,7 +1,5 @@
 """What an operator says where it cannot do what it is asked: one line, and CANCELLED."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Lengths for people: scene units, or millimetres where the file says how long a scene unit is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

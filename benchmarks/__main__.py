@@ -4,8 +4,6 @@ A measurement is a module with OPTIONS and `run(options)`. OPTIONS maps each arg
 without a default, or to keywords of `add_argument`; False is a flag.
 """
 
-from __future__ import annotations
-
 import tg4mm  # noqa: F401, before torch and numba: how their threads wait
 
 # isort: split

@@ -11,8 +11,6 @@ both. The goals: a frame of 50,000 Gaussians in under 20 ms in every way of show
 small sets; an import of 200,000 in under 2 s.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -5,8 +5,6 @@
 This Python's bpy makes one set, the other Python's another; printed is what lies between them.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

@@ -10,8 +10,6 @@ and prints PSNR and seconds against OUT/core_<alpha>.png, the rasteriser's pictu
 installed. In an environment without it (Blender 5.2's and 5.3's) that has to be there.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib.util

@@ -14,8 +14,6 @@ frequency of the run's strongest mode against the true one, SSIM at α = 20 of t
 training. `tg4mm evaluate` defines the first three. Motion and figures go by the scene's clock.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -8,8 +8,6 @@ likewise; with --blender, the Python of a bpy from 5.3 on, the PLY by Blender's 
 view transform Standard). --truth: NeRF-synthetic, of the same test cameras and a multiple of the largest size.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -3,8 +3,6 @@
 python -m benchmarks codec_loss [--films N] [--first SEED]: a line for each film, then rms errors and coverage.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from dataclasses import dataclass
@@ -36,7 +34,7 @@ class Film:
     amplitude: float  # pixels
 
     @staticmethod
-    def of(seed: int) -> Film:
+    def of(seed: int) -> "Film":
         rng = np.random.default_rng(seed)
         bits = float(np.exp(rng.uniform(np.log(0.08), np.log(3)))) * WIDTH * HEIGHT * FPS
         options = {"b": str(round(bits))}

@@ -1,7 +1,5 @@
 """What the benchmarks share: the machine's description, and the times of calls."""
 
-from __future__ import annotations
-
 import os
 import platform
 import statistics

@@ -6,8 +6,6 @@
 A table stands between `<!-- figures: NAME -->` and `<!-- end -->`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

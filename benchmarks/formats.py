@@ -6,8 +6,6 @@ Written, read back by another's reader (glTF by its targets, SPZ by gsply, USD b
 the first camera at every timestep of a period, against the run magnified by α. The least over timesteps counts.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Callable

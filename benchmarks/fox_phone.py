@@ -11,8 +11,6 @@ means, which themselves are off by a tenth to a fifth. `space`: displacement in 
 the capture's pictures. `pictures`: SSIM of views magnified by 20 against the exact ones.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass

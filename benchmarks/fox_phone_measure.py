@@ -10,8 +10,6 @@ with the truth, and what is a quarter of a period off. Errors within their devia
 modulus of both together it would be 39 %).
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures of an estimated vibration against a true one: phasors of Gaussians and of pixels, as plain arrays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ CAPTURES holds tripod/, handheld/, clips/ and truth/; OUT gets tripod, handheld,
 its camera at the origin looking along +y) and the same as …_half.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What is known exactly of the fox's room: its motion at any point, its cameras, and how a run's world lies in it."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass
@@ -77,7 +75,7 @@ class Truth:
     shapes: np.ndarray  # [F, M, 3] displacement amplitudes, scene units
 
     @classmethod
-    def load(cls, folder: Path) -> Truth:
+    def load(cls, folder: Path) -> "Truth":
         """Read a truth folder."""
         values = json.loads((folder / "truth.json").read_text())
         with np.load(folder / "gauss.npz") as file:

@@ -10,8 +10,6 @@ no motion of its own: the trained Gaussians are swayed by a known one and photog
 error of what is found can be given too. --smoke needs no dataset; its figures say only that everything runs.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.metadata
 import math

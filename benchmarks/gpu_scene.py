@@ -1,7 +1,5 @@
 """What `gpu.py` measures on where there is no capture of several timesteps: a scene, a known motion, its pictures."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ film, 500 frames a second, gives three regions with white noise of 0.002 mm; ham
 read 5,000 times a second by another clock.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

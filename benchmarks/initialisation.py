@@ -12,8 +12,6 @@ views; processor seconds of finding the points and of the whole stage, finding i
 hardly depend on what else the machine does).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

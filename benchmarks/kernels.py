@@ -1,7 +1,5 @@
 """Scenes of random Gaussians, and every kernel of the rasteriser as a call on its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -16,8 +16,6 @@ yardstick. Two limits follow, in cycles of one core:
   time does so for free, so the largest of the three sums is the limit.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -7,8 +7,6 @@ into WORK/run unless that is there, and rendered against the pictures of the ful
 white. A viewer without a low-pass is simulated by 4×4 samples a pixel, one that widens by 0.3 px² by `eps2d`.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import subprocess

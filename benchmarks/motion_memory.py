@@ -8,8 +8,6 @@ and repeated over time. Memory does not go by the number of iterations, so few a
 most resident memory since the last one, processor seconds. Run it with OMP_NUM_THREADS=1.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

@@ -12,8 +12,6 @@ clock of the stage, peak memory, Gaussians, and the mean PSNR of the held-out vi
 each channel that fits best.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path

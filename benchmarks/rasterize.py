@@ -13,8 +13,6 @@ Each figure is the median, the smallest time of the same runs stands in brackets
 There the processor time says more, with one thread: OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import time

@@ -4,8 +4,6 @@ A person of ellipsoids stands on a floor with crates; everything is textured, th
 Rates, lengths, bands and layouts are those of [TG4MM] section IV and [3DMM]'s real captures, the truth is exact.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

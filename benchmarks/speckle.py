@@ -6,8 +6,6 @@ python -m benchmarks speckle pyidi data/speckle           # needs pyidi, in an e
 python -m benchmarks speckle compare runs/speckle data/speckle
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable

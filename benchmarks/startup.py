@@ -6,8 +6,6 @@ The last column is the processor time from the start of Python to the first pict
 else about the time by the clock, on a shared one what that would be.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import statistics

@@ -10,8 +10,6 @@ The ways are measured in turn, one iteration of each, so that whatever else the 
 Processor time with one thread hardly depends on the load; with more, the system books short work late.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 from collections.abc import Callable

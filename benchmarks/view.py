@@ -10,8 +10,6 @@ which draws in software on the same cores, and counts the pictures that it has d
 Figures are medians, the smallest in brackets: on a shared machine they lie apart.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

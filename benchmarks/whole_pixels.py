@@ -3,8 +3,6 @@
 python -m benchmarks whole_pixels DIR --codec libx264    # keeps the film, its dataset and its run in DIR
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -6,8 +6,6 @@ scripts may not run, and nothing of this package is needed. The custom property 
 magnifies what α magnifies. Frame t is timestep t.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

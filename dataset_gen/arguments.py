@@ -1,7 +1,5 @@
 """The command line's options: names, units, defaults and presets."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any, NoReturn

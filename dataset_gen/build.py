@@ -1,7 +1,5 @@
 """From the description of a scene to Blender's objects, materials and lights."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

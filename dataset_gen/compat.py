@@ -1,7 +1,5 @@
 """Differences between Blender 4.5 and 5.2; where Cycles renders: the processor or the first kind of GPU."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

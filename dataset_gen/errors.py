@@ -1,7 +1,5 @@
 """The generator's own error, and options within their limits."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Collection
 

@@ -1,7 +1,5 @@
 """EXR pictures: linear light with premultiplied alpha, as the format has it; and whether a file is whole."""
 
-from __future__ import annotations
-
 import struct
 import tempfile
 from pathlib import Path

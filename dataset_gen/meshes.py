@@ -1,7 +1,5 @@
 """Triangle meshes in numpy: surfaces of revolution and swept sections, texture coordinates per corner."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,7 +17,7 @@ class Mesh:
     triangles: np.ndarray  # [F, 3] int32
     uv: np.ndarray  # [F, 3, 2] float64, one texture coordinate per corner
 
-    def moved(self, matrix: np.ndarray) -> Mesh:
+    def moved(self, matrix: np.ndarray) -> "Mesh":
         """Transformed by a [4, 4] matrix."""
         return Mesh(self.vertices @ matrix[:3, :3].T + matrix[:3, 3], self.triangles, self.uv)
 

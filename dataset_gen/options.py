@@ -1,7 +1,5 @@
 """What the command line asks for: from parsed options to settings."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

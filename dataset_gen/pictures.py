@@ -8,8 +8,6 @@ Noise depends on its key (seed, split, timestep, view, α …) alone: independen
 same whatever order pictures are made in. NumPy may change how it draws Poisson numbers in a new version.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 from dataclasses import asdict, dataclass
@@ -79,7 +77,7 @@ class Sensor:
             check_whole("sensor: jpeg_quality", self.jpeg_quality, 1, 100)
 
     @classmethod
-    def preset(cls, name: str) -> Sensor | None:
+    def preset(cls, name: str) -> "Sensor | None":
         """A sensor by name; None for "none", the picture as the renderer gives it."""
         if name == "none":
             return None
@@ -91,7 +89,7 @@ class Sensor:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Sensor:
+    def from_json(cls, data: dict[str, Any]) -> "Sensor":
         return cls(**data)
 
 

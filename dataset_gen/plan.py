@@ -11,8 +11,6 @@ costs encodings, not renders.
 Linked files share their bytes: replace a file, do not write into it.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass

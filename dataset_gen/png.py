@@ -1,7 +1,5 @@
 """PNG files: written from arrays without Blender, checked for completeness."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

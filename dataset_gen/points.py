@@ -1,7 +1,5 @@
 """points3d.ply: points spread evenly over the surfaces that cameras see, with the colours they see."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Sequence

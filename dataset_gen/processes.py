@@ -5,8 +5,6 @@ processes of one thread each beat one of several threads: at these sizes half of
 preparing it, which Cycles does on one core.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -9,8 +9,6 @@ A picture leaves Blender as linear light in 32-bit floats, so that one render se
 any sensor; `pictures` does the rest.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """Makes a dataset: prepare, render, finish; on this machine in one go, or part by part on many."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import time

@@ -1,7 +1,5 @@
 """A scene as a readable description: parts, surfaces, lights, world. The renderer is one view of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

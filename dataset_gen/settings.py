@@ -1,7 +1,5 @@
 """What to generate: one frozen description, checked on entry; and the engine settings that follow from it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -102,7 +100,7 @@ class Settings:
         }  # fmt: skip
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Settings:
+    def from_json(cls, data: dict[str, Any]) -> "Settings":
         return cls(
             **{name: data[name] for name in _PLAIN},
             alphas=tuple(data["alphas"]),
@@ -147,11 +145,11 @@ class Quality:
     device: str = "cpu"  # of Cycles: "cpu", "gpu" or "auto"
 
     @classmethod
-    def of(cls, settings: Settings, threads: int = 0) -> Quality:
+    def of(cls, settings: Settings, threads: int = 0) -> "Quality":
         size = settings.size
         return cls(size, size, settings.samples, settings.seed, threads, settings.engine, settings.device)
 
-    def finer(self, size: int, fineness: int) -> Quality:
+    def finer(self, size: int, fineness: int) -> "Quality":
         """Of a larger picture whose pixels are `fineness` times as many along an edge: as many light paths in all."""
         samples = max(1, round(self.samples / fineness**2))
         return replace(self, width=size, height=size, samples=samples)

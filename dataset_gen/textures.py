@@ -5,8 +5,6 @@ is v = 0. They are arrays, not shader nodes, so that one picture serves the rend
 alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

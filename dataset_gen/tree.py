@@ -1,7 +1,5 @@
 """The dataset on disk (docs/conventions.md): scene.json, poses, atomic writing, linking, what a complete file is."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

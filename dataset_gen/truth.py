@@ -1,7 +1,5 @@
 """Exact ground truth: the complex mode of every vertex, and per pixel what its centre sees."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path

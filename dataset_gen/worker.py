@@ -4,8 +4,6 @@ Every finished shot is reported by a line of its own. Wrong input ends with stat
 standard error.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

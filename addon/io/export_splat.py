@@ -1,7 +1,5 @@
 """File > Export > TG4MM Splats: what is left of an imported object, as splat files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """From chosen paths to objects: one file, several, or a numbered sequence; all of them or none."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Splat objects to and from Gaussians; which way is up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What runs beside Blender: datasets of the open scene, training; their panels, settings and preview."""
 
-from __future__ import annotations
-
 from . import commands, core_check, operators, panels, preview, settings
 
 _MODULES = (settings, preview, commands, core_check, operators, panels)

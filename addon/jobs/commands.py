@@ -1,7 +1,5 @@
 """Commands of the programs in the background, and the jobs that run them: ticked by a timer, shown, ended."""
 
-from __future__ import annotations
-
 import atexit
 import os
 from collections.abc import Callable, Mapping, Sequence

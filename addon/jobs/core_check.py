@@ -1,7 +1,5 @@
 """Whether the Python of the Core can train: the preferences' button Test, and what it says."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from typing import Any

@@ -1,7 +1,5 @@
 """From the open scene to a running generator: a copy of the file, the description, the command; and its end."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

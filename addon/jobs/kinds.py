@@ -1,7 +1,5 @@
 """Fields of each kind of vibration, and the description of the motion that the objects' settings make."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path

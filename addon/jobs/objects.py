@@ -1,7 +1,5 @@
 """The scene's objects as the generator will see them: what moves, its parts' names, its vertices at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

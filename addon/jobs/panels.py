@@ -1,7 +1,5 @@
 """The panels Generate and Train in the sidebar of the 3D view, tab TG4MM."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -4,8 +4,6 @@ Nothing is kept in Python: whether a preview is on is told by the marked data-bl
 it away and bring it back like anything else. It never gets into a saved file.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Programs in the background: started, listened to without waiting, interrupted; plain Python, no Blender."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -7,8 +7,6 @@ to rest by A⁻¹, plays, and applies A to what is drawn. Join puts meshes one a
 of its own.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import bpy

@@ -1,7 +1,5 @@
 """Materials of splats; the scene's settings for blending as trained; pictures from arrays of pixels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

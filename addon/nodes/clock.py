@@ -1,7 +1,5 @@
 """Time and frequency of a splat object: where in its recording it is; its modes' strengths, peaks and bands."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

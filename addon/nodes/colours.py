@@ -1,7 +1,5 @@
 """Colours of the file and of the two maps, in linear light: in numbers, and as groups of nodes for each point."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -1,7 +1,5 @@
 """Which way to draw suits a file in this Blender, and where Blender's own splats are coarse."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Short names for making and linking the nodes of one tree."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
@@ -230,7 +228,7 @@ class Made:
         self._blocks.append(block)
         return block
 
-    def __enter__(self) -> Made:
+    def __enter__(self) -> "Made":
         return self
 
     def __exit__(

@@ -4,8 +4,6 @@ x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)] (docs/conventio
 t = (frame − first)·speed·fps / (the scene's own rate). A mode that is not shown contributes nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Self-contained: the .blend plays without the extension, sub-frames and render farms included.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ The last four vertices are no Gaussians but references for Apply Transform (appl
 threshold draws them. Who reads a mesh's rows leaves them out by `values` or `gaussians`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 

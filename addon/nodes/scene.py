@@ -1,7 +1,5 @@
 """Splat files as Blender objects: a mesh of points, a node tree that plays it, its materials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path

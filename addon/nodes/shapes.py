@@ -4,8 +4,6 @@ Reads the attributes scale, rotation, opacity and, for arrows, displacement. A w
 nothing else names one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Only Blender itself can apply its view transforms, to a picture that it saves. T
 the transform, by a timer, since nothing may be made while a panel or a view is drawn.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from functools import partial

@@ -4,8 +4,6 @@ The modifier's own input is in scene units and shows three decimals, too few for
 field's decimals when it is made, so there is a field for each number of them, all of one value.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

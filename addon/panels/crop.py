@@ -1,7 +1,5 @@
 """Operators and the panel to crop, clean and hand on: boxes, selection, floaters, export, mesh."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -4,8 +4,6 @@ What goes is deleted from the mesh, by its rest position, so it stays away at ev
 references of Apply Transform (nodes/points.py) stay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What an import shows at once: objects framed in the 3D views, in their colours, and the panel's spectrum drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

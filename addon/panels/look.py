@@ -1,7 +1,5 @@
 """Operators that set a scene or a view up for splats: true colours, Solid view, range of the colour map, band."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

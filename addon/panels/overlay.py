@@ -1,7 +1,5 @@
 """Settings of the session, on the window manager; legends over the lower left corner of the 3D view."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -1,7 +1,5 @@
 """The sidebar of the 3D view, tab TG4MM: import, motion, band, look of the active splat object."""
 
-from __future__ import annotations
-
 import textwrap
 from typing import Any
 

@@ -5,8 +5,6 @@ right after, and the panel is drawn again. The same arguments need no second dra
 only when, what it shows does, whatever changed that (a slider, a key, a driver, undo, another object).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from typing import Any
 

@@ -4,8 +4,6 @@ Each returns [SIDE, SIDE, 4] float32 sRGB, row 0 at the top. They are drawn at t
 numpy, with words by Blender: no graphics card is needed.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence
@@ -175,11 +173,11 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     return [float(f"{i * step:.12g}") for i in range(first, last + 1)]
 
 
-def _frame(canvas: Canvas) -> None:
+def _frame(canvas: "Canvas") -> None:
     canvas.box(_LEFT, _BOTTOM, _RIGHT, _BOTTOM + 2, _FRONT, 0.7)
 
 
-def _ticks(canvas: Canvas, low: float, high: float, title: str, size: float, most: int = 5) -> None:
+def _ticks(canvas: "Canvas", low: float, high: float, title: str, size: float, most: int = 5) -> None:
     for value in ticks(low, high, most):
         part = (value - low) / (high - low)
         x = _LEFT + (_RIGHT - _LEFT) * part

@@ -1,7 +1,5 @@
 """Operators of the probe: read a point or a region, add a sphere, write CSV."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """From what a person chose in Blender to what the probe read there, kept on the splat object; its panel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache

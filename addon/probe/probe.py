@@ -4,8 +4,6 @@ It is the motion that was measured: not magnified (α = 0), at every frequency, 
 file. x(t) = Σ_k Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -12,8 +12,6 @@ lines, and how many of the vibrations are named by amplitude. With --kinds inste
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

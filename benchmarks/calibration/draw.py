@@ -1,7 +1,5 @@
 """Random films: texture, lens, noise, codec, motion and rate are drawn by a seed; what vibrates has exact truth."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field

@@ -5,8 +5,6 @@ is a Taylor series of sixth order with spectral derivatives: there is no interpo
 thousandth of itself. u: pixels to the right and down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Random small sets of our generator, by kind of capture: train and measure against the exact motion."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

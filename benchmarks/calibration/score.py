@@ -1,7 +1,5 @@
 """Lines that a program names against a film's truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -54,7 +52,7 @@ class Score:
     seconds: float = 0.0  # of processor time
 
     @classmethod
-    def of_json(cls, values: dict[str, Any]) -> Score:
+    def of_json(cls, values: dict[str, Any]) -> "Score":
         """As `dataclasses.asdict` wrote it."""
         return cls(**values)
 

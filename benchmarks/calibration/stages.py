@@ -1,7 +1,5 @@
 """What each method says of a film."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

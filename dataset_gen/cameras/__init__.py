@@ -3,8 +3,6 @@
 A camera-to-world matrix has OpenGL axes (x right, y up, looks along −z), as in NeRF-synthetic.
 """
 
-from __future__ import annotations
-
 from .camera import (
     CAMERA_ANGLE_X,
     DISTANCE,

@@ -1,7 +1,5 @@
 """One camera: pose, field of view, principal point; equal by value, so that equal pictures are shared."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +68,7 @@ class Camera:
         focal = self.focal(width)
         return project(positions, self.camera_to_world, (focal, focal, *self.principal_point(width, height)))
 
-    def numbered(self, index: int) -> Camera:
+    def numbered(self, index: int) -> "Camera":
         """The same camera under another number."""
         return replace(self, index=index)
 
@@ -91,7 +89,7 @@ class Camera:
         }  # fmt: skip
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Camera:
+    def from_json(cls, data: dict[str, Any]) -> "Camera":
         pose, (x, y) = np.array(data["camera_to_world"], np.float64), data["shift"]
         return cls(data["index"], pose, data["rotation"], data["angle_x"], (x, y))
 

@@ -1,7 +1,5 @@
 """Paths of cameras: the published spiral, a rig, clips, a sweep by hand, one never put down; what they frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -32,7 +30,7 @@ class Tremor:
     @classmethod
     def of(
         cls, seed: int | tuple[int, ...], fps: float, band_hz: tuple[float, float] = (_LOWEST, _HIGHEST)
-    ) -> Tremor:
+    ) -> "Tremor":
         """Tremor for pictures at `fps` Hz: in a band, by default up to 8 Hz, never above 0.4 of the frame rate."""
         rng = np.random.default_rng([*(seed if isinstance(seed, tuple) else (seed,)), 0x4A2D])
         highest = min(band_hz[1], _NYQUIST_SHARE * fps)

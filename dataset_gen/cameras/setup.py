@@ -1,7 +1,5 @@
 """Which cameras take the pictures: one frozen description, and the cameras of every timestep that follow."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence
@@ -74,7 +72,7 @@ class CameraSetup:
         if [camera.index for camera in self.given] != list(range(len(self.given))):
             raise GenerateError(f"given cameras are numbered {[c.index for c in self.given]}, not 0, 1, …")
 
-    def placed(self, centre: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> CameraSetup:
+    def placed(self, centre: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> "CameraSetup":
         """The same cameras around a scene that fills a sphere (scene units); `cameras` found in it, if given.
 
         Raises GenerateError if kind is "given" and there are none, or if the sphere has no size.
@@ -90,7 +88,7 @@ class CameraSetup:
             given=tuple(c.numbered(i) for i, c in enumerate(cameras)) if self.kind == "given" else (),
         )
 
-    def framing(self, points: np.ndarray, magnified: np.ndarray | None = None) -> CameraSetup:
+    def framing(self, points: np.ndarray, magnified: np.ndarray | None = None) -> "CameraSetup":
         """The same, moved back until training cameras have all `points` [P, 3] in their pictures.
 
         Test cameras, which also take the magnified pictures, have `magnified` [P, 3] too. Not the orbit, whose places
@@ -158,7 +156,7 @@ class CameraSetup:
         return {**data, "centre": list(self.centre), "given": [camera.to_json() for camera in self.given]}
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> CameraSetup:
+    def from_json(cls, data: dict[str, Any]) -> "CameraSetup":
         x, y, z = data["centre"]
         given = tuple(Camera.from_json(camera) for camera in data["given"])
         return cls(**{**data, "centre": (x, y, z), "given": given})

@@ -1,7 +1,5 @@
 """What a real camera adds to a record: shake, drifting exposure, flicker, rows in turn, a codec. All seeded."""
 
-from __future__ import annotations
-
 from .options import CODECS, Effects
 from .record import Record
 

@@ -5,8 +5,6 @@ video's frames the set's pictures. A picture without its camera's other frames c
 camera is finished as a whole or not at all.
 """
 
-from __future__ import annotations
-
 import io
 import shutil
 from collections.abc import Iterable, Iterator

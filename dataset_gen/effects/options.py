@@ -1,7 +1,5 @@
 """Which effects the training pictures of a record have."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -9,8 +9,6 @@ variances add up. So a window of √(3² − 1.5²) pixels follows one of 1.5 (f
 1.5 of plain pictures).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

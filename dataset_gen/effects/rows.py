@@ -3,8 +3,6 @@
 `time` of a picture is that of its middle row. Sixteen bands are off by a fiftieth of a readout, rms.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

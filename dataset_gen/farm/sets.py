@@ -4,8 +4,6 @@
 that renders, which need not be the one that runs Snakemake.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """Cloth and wood: damask on velvet, stripes, cord; grain in space, planks, pores."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

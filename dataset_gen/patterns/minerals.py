@@ -3,8 +3,6 @@
 Points [..., 3] lie on the unit ball. Each gives a picture [..., 3], a relief [...] and a roughness [...], all in 0..1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .solid import cells, fractal, mix, noise, ramp, spots, step, unit

@@ -3,8 +3,6 @@
 Points are [..., 3] in scene units; a pattern is [...]. Values do not depend on how the surface is unrolled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

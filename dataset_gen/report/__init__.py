@@ -4,8 +4,6 @@ Everything is read from the files of the finished folder, so a report can be mad
 `python -m dataset_gen.report FOLDER`. Needs jinja2, Pillow and scikit-image; neither Blender nor torch.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Command line: `python -m dataset_gen.report FOLDER…` writes the reports of finished datasets again."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Sections of the report on what a perfect method would score, how it was rendered, what it takes on disk."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A dataset read back from its files: description, cameras, pictures, exact motion; words and units of them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

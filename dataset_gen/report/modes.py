@@ -1,7 +1,5 @@
 """Modes one by one: which parts they move, how they look from a camera, and one point over time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -11,8 +11,6 @@ rest picture with the other seed exists (`report/reseeded/rest/…`), it gives t
 compared with.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A page of all datasets in a folder: a picture of each with a link to its report, and one row each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How far things move in the picture, per view and mode; maps of it and the contact sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

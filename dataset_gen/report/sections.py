@@ -1,7 +1,5 @@
 """Sections of the report on what is in the set: pictures, modes, motion in pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """One dataset's report, from reading the folder to the files in `report/`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The built-in scenes, by name: each module's `build()` describes one at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 

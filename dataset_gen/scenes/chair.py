@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's chair: green and gold brocade
 2.2 units high. It faces +x. Above the seat's rail everything bends backwards and forwards.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

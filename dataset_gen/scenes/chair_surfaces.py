@@ -1,7 +1,5 @@
 """Surfaces of the chair: green and gold brocade, carved honey-coloured wood, brass, cord, fringe."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import textures as t

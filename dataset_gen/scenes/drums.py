@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's drums. Designed with y to the
 drummer's right, then turned into the world by `PLACE`. Lengths in scene units.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

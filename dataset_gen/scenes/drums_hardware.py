@@ -1,7 +1,5 @@
 """Hardware of the drum kit: cymbals on their stands, mounts and legs, pedal, throne. Lengths in scene units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surfaces of the drum kit: glitter, chrome, bronze, coated heads with prints, black paint, leather, the rug."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

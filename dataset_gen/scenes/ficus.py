@@ -5,8 +5,6 @@ everywhere. Pot and soil stand still; the stems are clamped in the soil and bend
 and leaves is a part of its own, so that it can jiggle by itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

@@ -1,7 +1,5 @@
 """Surfaces of the ficus: one picture for all foliage (leaf faces in strips, bark below them), clay, soil, stones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import textures as t

@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's hotdog: the plate has a radiu
 sauce jiggle together like soft bodies held where the bun lies on the plate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surfaces of the hot dogs: baked crust and crumb, grilled casing, grainy sauces, speckled glaze with a painted rim."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

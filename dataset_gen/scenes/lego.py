@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's lego. It is designed in stud 
 its left and z up from the baseplate, then turned and scaled into the world by `PLACE`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

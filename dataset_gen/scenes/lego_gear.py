@@ -1,7 +1,5 @@
 """What the toy bulldozer works with: tracks, blade with teeth, push arms and pistons, ripper. Units: studs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

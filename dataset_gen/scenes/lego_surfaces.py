@@ -1,7 +1,5 @@
 """Surfaces of the toy bulldozer: worn plastic in its colours, lettered studs, prints, chrome, lenses."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's materials: three rows of four
 soft body, each with a phase and a direction of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any

@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's mic: it spans about ±1.1 uni
 tripod stands still (clamped below the rod), the microphone follows the rod's tip, the cable hangs between.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

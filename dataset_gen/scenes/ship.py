@@ -4,8 +4,6 @@ In the spirit and at the scale of NeRF-synthetic's ship: bow along +x, the sea's
 the origin. The hull with all that stands on it is one rigid body; the water is separate.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What stands on the decks of the scene "ship", and her dimensions. Bow along +x, starboard at y < 0."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hull of the scene "ship": skin, wales, bulwarks, decks, stern, head, gun ports."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

@@ -1,7 +1,5 @@
 """Masts, yards, furled sails, shrouds, stays and flags of the scene "ship"."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import meshes as m

@@ -1,7 +1,5 @@
 """Surfaces of the ship and her sea: planks, paint and gilding, rope, canvas, iron, and the water itself."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .. import textures as t

@@ -4,8 +4,6 @@ A brick is 1.2 high, a plate 0.4, a stud 0.21. `BrickModel` collects them by par
 lie inside another brick.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

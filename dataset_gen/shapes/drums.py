@@ -3,8 +3,6 @@
 A drum lies along its z axis with the playing head at z = 0 and the shell below it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The lines of a wooden ship: a hull from keel to sheer, upper works above it, decks, wales."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Small trees: how stems, limbs and twigs branch, places for leaves, and the leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Patches of surfaces, boxes and slabs, mirrored copies; many small copies strewn over surfaces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sheets of points, open or closed, puffed up to bodies (buns, leaves); upholstery: outlines, tufts, mouldings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

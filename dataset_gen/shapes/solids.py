@@ -4,8 +4,6 @@ Every face has its own vertices, so that it is shaded flat although all meshes a
 that shall look round shares them. Volumes are closed and their normals point outwards.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 

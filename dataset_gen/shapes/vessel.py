@@ -1,7 +1,5 @@
 """Woodwork of ships and furniture: balusters, gratings, ladders, lanterns, barrels; ropes, masts and sails."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

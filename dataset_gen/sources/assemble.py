@@ -1,7 +1,5 @@
 """From what was gathered to a stage: a fresh scene with plain meshes, the lights, the world, nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

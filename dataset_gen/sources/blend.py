@@ -1,7 +1,5 @@
 """Opens a user's .blend file as a stage: what it shows at one frame, at rest."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What a .blend file says before Blender opens it; what opening found, as one .npz for the process that plans."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

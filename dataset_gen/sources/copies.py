@@ -1,7 +1,5 @@
 """The user's materials and world as copies that can be rendered anywhere, and what was changed in them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import bpy

@@ -5,8 +5,6 @@ particles, render levels of subdivision and all view layers are as they would be
 itself decides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any

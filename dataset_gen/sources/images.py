@@ -5,8 +5,6 @@ through it, and all of these change when an object is replaced by a mesh in worl
 into vertex attributes at rest, and the materials read those instead.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field

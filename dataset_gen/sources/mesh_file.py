@@ -1,7 +1,5 @@
 """Opens a mesh file (glTF, OBJ, PLY, STL, USD, FBX) as a stage: centred, of a fixed size, softly lit."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """From gathered pieces to plain mesh objects in world space, one per part of the scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import bpy

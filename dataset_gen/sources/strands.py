@@ -1,7 +1,5 @@
 """Hair as geometry: thin four-sided tubes along strands, so that they can be moved like any mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import bpy

@@ -4,8 +4,6 @@ numpy only; no Blender. What moves and how is described in YAML (describe.py), s
 Motion (motion.py) that is exactly linear in the gain of every mode. The convention of phases: values.py.
 """
 
-from __future__ import annotations
-
 from .describe import MotionDescription, read_motion
 from .fields import Body, Field, Mode
 from .motion import Motion, State, pixel_displacement, reach, solve

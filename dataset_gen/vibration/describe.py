@@ -3,8 +3,6 @@
 Every mistake is one GenerateError line: file, mode, key, value.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
@@ -56,7 +54,7 @@ class MotionDescription:
         frequency_hz: float | None = None,
         amplitude: float | None = None,
         amplitude_px: float | None = None,
-    ) -> MotionDescription:
+    ) -> "MotionDescription":
         """The same with another frequency or amplitude of the main mode; None leaves what is described.
 
         Modes of the main one's frequency go along, their amplitudes in proportion: together they are one motion.
@@ -91,7 +89,7 @@ class MotionDescription:
         return {"modes": [_mode_data(mode) for mode in self.modes]}
 
     @classmethod
-    def from_json(cls, data: Any, source: str = "motion") -> MotionDescription:
+    def from_json(cls, data: Any, source: str = "motion") -> "MotionDescription":
         """From the data of a file. Raises GenerateError with the mode and the key."""
         try:
             _check_keys(data, ("modes",), "a motion description")

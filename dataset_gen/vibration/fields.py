@@ -5,8 +5,6 @@ scales it. Fields are frozen dataclasses; their names are the keys of the motion
 each says how the key is read (values.py).
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The motion of a scene: shapes of modes and bodies, scaled to their amplitudes; gains over time, motion states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

@@ -4,8 +4,6 @@ Membranes and plates move along their normal and are zero outside their outline.
 along the normal ends: full within half of it on either side, then falling smoothly to zero at the whole.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar

@@ -13,8 +13,6 @@ t/fps), at rest at t = 0; and g(t) = i · t/fps for a drift, which goes as s · 
 the stored mode shape m, so that every displacement is Re Σ_k m_k g_k(t), and (1 + α) times mode k if it is magnified.
 """
 
-from __future__ import annotations
-
 import reprlib
 from dataclasses import dataclass
 from typing import Annotated, Any, Protocol

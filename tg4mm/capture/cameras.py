@@ -1,7 +1,5 @@
 """Cameras: poses and intrinsics from the conventions on disk to those in memory (docs/conventions.md)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Paths that stay inside the dataset's folder: no reader opens a file elsewhere."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path, PurePosixPath, PureWindowsPath
 

@@ -3,8 +3,6 @@
 Pictures are hard links to the dataset's own, copies where links are not to be had; frames of a video are written out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reader of the dataset tree ([3DMM]'s layout): a NeRF-synthetic folder per timestep, and scene.json."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

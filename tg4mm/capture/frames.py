@@ -3,8 +3,6 @@
 They are decoded when they are asked for, in the order of the file; asked for in order, each once.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from bisect import bisect_right
@@ -125,7 +123,7 @@ class _Reader:
         self.at: int = -1  # and its number
         self._open()
 
-    def __enter__(self) -> _Reader:
+    def __enter__(self) -> "_Reader":
         self.lock.acquire()
         return self
 

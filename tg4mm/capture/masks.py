@@ -4,8 +4,6 @@ A picture's own mask is a frame's `mask_path` (nerfstudio) or masks/<name>.png (
 for the one fixed camera is a PNG or a polygon that a person gives.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 

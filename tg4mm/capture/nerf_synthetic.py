@@ -1,7 +1,5 @@
 """Reader of a single NeRF-synthetic folder, and of D-NeRF's, whose frames have times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tg4mm.capture.model import Capture

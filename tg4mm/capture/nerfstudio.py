@@ -1,7 +1,5 @@
 """Reader of a nerfstudio folder: one transforms.json, of one timestep or with a time for each frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """points3d.ply and its like, read and written: points on the surfaces with colours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

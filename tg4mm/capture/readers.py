@@ -1,7 +1,5 @@
 """Which reader a folder gets: each layout is a module with LAYOUT, recognises(root) and load(…)."""
 
-from __future__ import annotations
-
 import logging
 import math
 from contextlib import suppress

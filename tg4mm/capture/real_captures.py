@@ -7,8 +7,6 @@
 The layouts hold no frame rate: scene.json beside them says `fps`, and of handheld ones `dynamic_start` (from 1).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """scene.json: what a dataset says about itself (docs/conventions.md lists its keys)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """When pictures were taken, and what kind of capture their cameras make (docs/conventions.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

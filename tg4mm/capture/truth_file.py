@@ -1,7 +1,5 @@
 """`truth/motion.npz` of a dataset: the exact motion of every vertex. Needs numpy alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Videos through PyAV: what the container says, and the frames one by one with their exact times."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

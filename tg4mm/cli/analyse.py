@@ -1,7 +1,5 @@
 """`tg4mm analyse`: levels, averaged spectra, zones, transfer functions, modes, comparison."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Options that the commands of `tg4mm bench` share."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

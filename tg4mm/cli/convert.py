@@ -1,7 +1,5 @@
 """`tg4mm convert`: a dataset in a layout that other trainers read."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`tg4mm demo`: the whole main job, small, from nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The option --device, shared by the commands that render."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`tg4mm evaluate`: a run against the ground truth of its dataset."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

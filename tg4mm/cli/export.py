@@ -1,7 +1,5 @@
 """`tg4mm export`: a run in a format that other programs read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tg4mm generate`: the dataset generator."""
 
-from __future__ import annotations
-
 import typer
 
 from tg4mm.research.generator import run_generator

@@ -1,7 +1,5 @@
 """`tg4mm look`: what vibrates in a video, in seconds."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated

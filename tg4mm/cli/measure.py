@@ -1,7 +1,5 @@
 """`tg4mm measure`: virtual sensors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`tg4mm process`: from a video to numbers, pages and a magnified video, in one folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

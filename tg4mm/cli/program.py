@@ -1,7 +1,5 @@
 """The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`tg4mm report`: a run on one page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`tg4mm train`: Gaussians at rest, then their motion, from a dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated

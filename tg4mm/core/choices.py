@@ -1,7 +1,5 @@
 """Values of options and files that many parts know by name, each list written once. Needs Python's library alone."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Any
 
@@ -30,7 +28,7 @@ LAYOUTS = ("photographs", "recording", "recording and sweep", "recordings")
 class Kind(_OfKind, StrEnum):
     """Kinds of capture. What depends on a kind asks its entry here, never its name."""
 
-    def __new__(cls, name: str, entry: dict[str, Any] | None = None) -> Kind:
+    def __new__(cls, name: str, entry: dict[str, Any] | None = None) -> "Kind":
         self = str.__new__(cls, name)
         self._value_ = name
         vars(self).update(entry or {})

@@ -5,8 +5,6 @@ The report, the viewer and the extension for Blender all take theirs from here. 
 OKLab: B. Ottosson, "A perceptual color space for image processing" (2020).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 _LMS_FROM_LAB = np.array(

@@ -1,7 +1,5 @@
 """Numbers as text, with as many digits as are known."""
 
-from __future__ import annotations
-
 import math
 
 

@@ -10,8 +10,6 @@ An event is one line of JSON on stderr, with the key `tg4mm` first; what else is
 Needs Python's own library alone.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -9,8 +9,6 @@ Filtering over T timesteps takes the series as periodic, as the FFT does; a resp
 need not be the filter's length. Shorter than the filter, the series wraps around within it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +27,7 @@ class TemporalFilter:
     kind: str = "zero-phase"
     taps: int = 0
 
-    def checked(self) -> TemporalFilter:
+    def checked(self) -> "TemporalFilter":
         """Itself. Raises Tg4mmError for an unknown kind, and a length of the wrong parity."""
         if self.kind not in FILTERS:
             raise Tg4mmError(f"filter is {self.kind!r}, expected {', '.join(FILTERS)}")

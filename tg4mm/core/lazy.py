@@ -3,8 +3,6 @@
 What lies in them and needs no torch (pages, charts, picture files, image metrics) can then be imported without it.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """What is magnified, and by how much: frequency bands that do not overlap, each with its own α."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,12 +71,12 @@ class Magnification:
         *bands: tuple[float, float],
         method: str | None = None,
         filter: TemporalFilter | None = None,
-    ) -> Magnification:
+    ) -> "Magnification":
         """The same α in each of the bands (low, high) in Hz; of all frequencies without any."""
         gains = tuple(BandGain(low, high, alpha) for low, high in bands)
         return cls(gains, 0.0 if gains else alpha, method, filter)
 
-    def times(self, alpha: float) -> Magnification:
+    def times(self, alpha: float) -> "Magnification":
         """With `alpha` in place of every α."""
         return Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
 
@@ -99,7 +97,7 @@ class Magnification:
             return np.full(freqs.shape, True)
         return np.any([(b.low <= freqs) & (freqs <= b.high) for b in self.bands], axis=0)
 
-    def checked(self, fps: float) -> Magnification:
+    def checked(self, fps: float) -> "Magnification":
         """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
         CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
         if self.method is not None and self.method not in METHODS:

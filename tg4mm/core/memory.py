@@ -6,8 +6,6 @@ the array, also after a kill. The folder is $TMPDIR, else /var/tmp where that is
 systems.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import sys

@@ -4,8 +4,6 @@ Images are [H, W, 3] floats in 0..1, display-referred sRGB, already composited o
 LPIPS needs weights from the user and lives in `tg4mm.research.evaluate.lpips`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from skimage.metrics import structural_similarity
 

@@ -1,7 +1,5 @@
 """Phasors: those of a series over time; what many say as single figures: how far, which way, how far most of them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

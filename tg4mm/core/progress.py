@@ -1,7 +1,5 @@
 """Progress of a long job with the time left: a bar on a terminal, plain lines elsewhere, events where asked for."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 import threading
@@ -113,7 +111,7 @@ def _lines(label: str, total: int, unit: str, start: int, brief: bool, stream: T
 
 
 @contextmanager
-def _ticking(state: PlainProgress) -> Iterator[None]:
+def _ticking(state: "PlainProgress") -> Iterator[None]:
     """A thread that lets a job be shown while it reports nothing."""
     ended = threading.Event()
 

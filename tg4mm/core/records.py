@@ -3,8 +3,6 @@
 What tg4mm wrote may carry a digest of its other entries (`write_sealed`); it then is what was written, or is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Settings of a stage that say what they mean: listed by `tg4mm train --list-settings`, looked up by `--set`."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Steps that fill a folder one after another: finished ones are skipped, what depends on a changed one is made anew."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Files that are whole or absent: how they are written, and what a kill leaves. Needs Python's own library alone."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

@@ -4,8 +4,6 @@ Needs numpy alone, and PyYAML for YAML, so that the reader of splat files, the a
 What is wrong is a ValueError of one line without the file's name, which the caller puts in front.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import json

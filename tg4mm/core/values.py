@@ -16,8 +16,6 @@ A rule is one of
 Needs Python's library alone: Blender's Python reads by it too.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ temporary names; a kill loses what was not finished, and nothing else. Needs Pyt
 lock the package filelock: inside Blender's own Python, which lacks it, nothing is held.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Where tensors live: whether a device can be used, and what using it needs and costs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """The static Gaussians of a scene, in memory. Conventions: docs/conventions.md (gsplat's)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import torch
@@ -40,10 +38,10 @@ class Gaussians:
         """Degree of the spherical harmonics, 0 … 3."""
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
-    def to(self, device: str | torch.device) -> Gaussians:
+    def to(self, device: str | torch.device) -> "Gaussians":
         """The same on another device."""
         return Gaussians(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
-    def detach(self) -> Gaussians:
+    def detach(self) -> "Gaussians":
         """The same without gradients."""
         return Gaussians(**{f.name: getattr(self, f.name).detach() for f in fields(self)})

@@ -1,7 +1,5 @@
 """The calls that compile: each kernel on next to nothing, with the types that the program calls it with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ The program switches it on (`enable`); without that nothing happens. `python -m 
 kernel now. Importing this imports nothing heavy.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

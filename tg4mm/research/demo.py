@@ -1,7 +1,5 @@
 """The whole main job, small, from nothing: generate, train, render, evaluate, export, report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The dataset generator in a process of its own, which Blender takes over."""
 
-from __future__ import annotations
-
 import importlib.util
 import signal
 import subprocess

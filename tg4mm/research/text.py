@@ -1,7 +1,5 @@
 """Tables as text: Markdown whose columns line up on a terminal too, and LaTeX for the package booktabs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

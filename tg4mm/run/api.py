@@ -1,7 +1,5 @@
 """The stages as functions on objects in memory, without a run folder: they write nothing (docs/python.md)."""
 
-from __future__ import annotations
-
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, pictures_for
 from tg4mm.core.errors import RunError, Tg4mmError

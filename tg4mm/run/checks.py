@@ -8,8 +8,6 @@ Of most runs the phasors of all K modes are R < 2K real fields (`motion/fields.p
 for a Gaussian and mode. Else it holds `displacement` and `rotation` [K, N, 3] complex64.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A run's config.json: what training was asked for, and whether a second request is the same one."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """metrics.json read back: of the form that `evaluate_run` writes, or refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -13,8 +13,6 @@ Every file is written under a temporary name and renamed. The safetensors files 
 {format, kind, version, config, digest}; complex tensors are stored as two real ones (`name#re`, `name#im`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +61,7 @@ class Run:
     config: dict[str, Any]  # as config.json: format, version, dataset, preset, settings, versions
 
     @classmethod
-    def create(cls, path: Path | str, dataset: Path | str, preset: str, settings: Mapping[str, Any]) -> Run:
+    def create(cls, path: Path | str, dataset: Path | str, preset: str, settings: Mapping[str, Any]) -> "Run":
         """Make the folder, or resume it if it was made for the same dataset, preset and settings.
 
         Raises RunError if the folder holds something else, or was made with other settings (names the first).
@@ -81,7 +79,7 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, path: Path | str) -> Run:
+    def open(cls, path: Path | str) -> "Run":
         """Open an existing run folder. Raises RunError if it is none, or its config.json is not readable."""
         path = Path(path)
         if not path.is_dir():

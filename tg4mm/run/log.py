@@ -1,7 +1,5 @@
 """Figures of a run's stages, across resumes: what adds up, what keeps the most, what is replaced."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

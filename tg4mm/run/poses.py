@@ -1,7 +1,5 @@
 """The magnified Gaussians of a run over time, whatever the method: what is rendered, scored and exported."""
 
-from __future__ import annotations
-
 from tg4mm.core.choices import METHODS
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.magnification import Magnification

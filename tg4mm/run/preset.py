@@ -6,8 +6,6 @@
     mine = "my_package:MINE"
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """A splat file where a run is rendered: its Gaussians and modes, and nothing of a training."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +22,7 @@ class SplatRun(Run):
     _said: tuple[tuple[float, ...], float] = ((), 30.0)  # frequencies and fps, Hz
 
     @classmethod
-    def open(cls, path: Path | str, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> SplatRun:
+    def open(cls, path: Path | str, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> "SplatRun":
         """Read a splat file; `freqs_hz` and `fps` as in `read_splat`. Raises SplatFileError if it is none."""
         run = cls(Path(path), {"preset": "modal", "settings": {}, "dataset": None})
         run._said = (tuple(freqs_hz), fps)

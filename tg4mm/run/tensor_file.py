@@ -1,7 +1,5 @@
 """Named tensors with a JSON header in one safetensors file, whole or not at all; digests of a file and of a model."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping
@@ -146,7 +144,7 @@ def model_hash(run_path: Path) -> str:
     return digest.hexdigest()
 
 
-def _update(digest: hashlib._Hash, path: Path) -> None:
+def _update(digest: "hashlib._Hash", path: Path) -> None:
     try:
         with safe_open(path, framework="numpy") as file:
             header = {k: v for k, v in (file.metadata() or {}).items() if k not in _NOT_OF_THE_MODEL}

@@ -1,7 +1,5 @@
 """Training from a dataset to a run folder: settings, then the stages of the preset, space before motion."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What the model says about the motion, as maps seen from a camera and as single figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a video to numbers, a page and a magnified video, in one folder."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field

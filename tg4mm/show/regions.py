@@ -1,7 +1,5 @@
 """What the look at a flat capture's regions found, drawn: the composite spectrum, and where what is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of motion over time: space-time slices, difference maps, and the spectrum of a motion."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

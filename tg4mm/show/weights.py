@@ -1,7 +1,5 @@
 """Blending weights: how much of the pixels each Gaussian makes, by the rasteriser's own gradient."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

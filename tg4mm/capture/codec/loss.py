@@ -11,8 +11,6 @@ Nothing is fitted. Where the file names no encoder that is here, what the pictur
 whose pixels hardly ever repeat and whose noise is as fresh in each frame lost nothing; of any other a mark says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

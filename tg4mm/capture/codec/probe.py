@@ -1,7 +1,5 @@
 """What a video file tells of its encoder, and its brightness frame by frame as it is stored."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from fractions import Fraction

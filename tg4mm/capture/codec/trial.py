@@ -1,7 +1,5 @@
 """A known motion through the encoder that made a video, and what is left of it."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

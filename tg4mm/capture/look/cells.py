@@ -6,8 +6,6 @@ less than ∇M itself (Bowden & Turkington 1984). Terms up to third order in u f
 products; what the motion itself took from the mean picture (its second and third moments) is taken off them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +30,7 @@ class Grid:
     size: int  # pixels
 
     @classmethod
-    def of(cls, width: int, height: int, size: int) -> Grid:
+    def of(cls, width: int, height: int, size: int) -> "Grid":
         return cls(height // size, width // size, size)
 
     def __len__(self) -> int:

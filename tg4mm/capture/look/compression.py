@@ -1,7 +1,5 @@
 """What a video's compression took from the vibrations that a look found: in their ±, or said."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A look at a recording: one pass over its pictures, then lines over the background, twice."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path

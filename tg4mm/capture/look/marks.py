@@ -1,7 +1,5 @@
 """Which lines may be made of a stronger one: by the codec, or as its multiples."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What moves or changes by itself, said: where, when, and how often."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

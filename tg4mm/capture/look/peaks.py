@@ -3,8 +3,6 @@
 All of the record is searched first, then windows of a quarter and a twelfth of it, for what dies out early.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -9,8 +9,6 @@ lack; where P pictures lack detail beside I pictures, .4 of that share may be go
 calibrated on random films (`benchmarks/calibration`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cells and squares of cells with one motion each, and what is left of it while lines are taken off."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

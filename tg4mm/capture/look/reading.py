@@ -4,8 +4,6 @@ The first pictures' mean is what all are compared with. Where something passes, 
 camera was knocked for good, each resting place has a mean of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -54,7 +52,7 @@ class CellSeries:
     first: np.ndarray  # [H, W] uint8: the first picture
     row_means: np.ndarray  # [F, H] grey levels
 
-    def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> CellSeries:
+    def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> "CellSeries":
         """Those pictures alone, with these times."""
         return replace(
             self,

@@ -1,7 +1,5 @@
 """What a look found as plain values, for a run's log, and back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """A recording as a look takes it: the frames of a video, or a folder of numbered pictures; repeated frames left out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction

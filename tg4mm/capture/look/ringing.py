@@ -1,7 +1,5 @@
 """One vibration in one series: steady, ringing down from the first picture on, or begun by a hit during the record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ phases are ahead by 2π f T h. So are those of parts that move one after another
 lamps on the mains, which flicker at F = 100 or 120 Hz, a row's brightness at the alias of F is ahead by 2π F T h.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """What the cells' series say before any line is sought: what moves by itself, what passes, light, the background."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

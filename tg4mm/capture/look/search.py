@@ -5,8 +5,6 @@ discoveries pay for them. So the strongest place and frequency is tested by itse
 frequencies), must explain its own neighbourhood in frequency, and must be seen beside its strongest cell too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spectra of many series at once, their noise floors, and the lines of a single series."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage, optimize, stats
 

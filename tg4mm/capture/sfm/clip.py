@@ -1,7 +1,5 @@
 """A camera's pictures in order: the frames of a video or the files of a folder, each with its time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -48,7 +46,7 @@ class Clip:
     repeats: frozenset[int] = frozenset()  # frames of a video's window that are left out
     window: Window | None = None  # which part of a video the clip is, where another clip is of it, too
 
-    def without(self, rows: Iterable[int]) -> Clip:
+    def without(self, rows: Iterable[int]) -> "Clip":
         """The clip less some of its pictures, by their rows."""
         out = frozenset(rows)
         if self.pictures:

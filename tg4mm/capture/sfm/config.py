@@ -1,7 +1,5 @@
 """What `tg4mm sfm` was asked for, checked, and kept in the folder it works in, where only the same request goes on."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Poses and pictures written as a dataset that the capture readers read (docs/conventions.md)."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from functools import partial

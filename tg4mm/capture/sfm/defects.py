@@ -3,8 +3,6 @@
 Each is named with its time, and with the --from and --until that leave it out.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ One picture says the ray. On a plane, inverse depth is an affine function of the
 around the pixel are fitted by one, robustly, and the ray's depth is read off it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

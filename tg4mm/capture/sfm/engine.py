@@ -1,7 +1,5 @@
 """What pycolmap is asked to do, in steps that can be stopped, resumed and repeated."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Sequence

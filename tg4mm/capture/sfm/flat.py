@@ -1,7 +1,5 @@
 """A dataset of one fixed camera and nothing else: the scene is the plane that its picture lies on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ Light that flickers changes a still picture from frame to frame and comes back t
 is not frozen; and a run of it is told only in a recording in which more than the light changes otherwise.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from fractions import Fraction

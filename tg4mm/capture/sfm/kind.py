@@ -1,7 +1,5 @@
 """Which kind of capture a folder holds, why it is taken for one, and which options such a one has no use for."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Unknown cameras: COLMAP's incremental mapper, and what came of it."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import os

@@ -4,8 +4,6 @@ Matching thousands of features of two pictures takes a fifth of a second, so tha
 take a quarter of an hour. Most pairs show little of the same; a few hundred features of each, the largest, tell which.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path

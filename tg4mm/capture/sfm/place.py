@@ -1,7 +1,5 @@
 """Cameras that structure from motion placed, as the dataset's cameras in a world of the usual kind."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

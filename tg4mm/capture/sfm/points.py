@@ -1,7 +1,5 @@
 """Points found by structure from motion, those of them that can be trusted, and a world for them and the cameras."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +20,7 @@ class SfmPoints(SurfacePoints):
         """M, the number of points."""
         return len(self.xyz)
 
-    def kept(self, keep: np.ndarray) -> SfmPoints:
+    def kept(self, keep: np.ndarray) -> "SfmPoints":
         """Those where `keep` [M] is true."""
         return SfmPoints(self.xyz[keep], self.rgb[keep], self.errors_px[keep], self.n_views[keep])
 

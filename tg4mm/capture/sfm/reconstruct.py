@@ -7,8 +7,6 @@ OUT/sfm/images/, masks/, database.db, sparse/0/   COLMAP's own files, the last t
 OUT/…                  the dataset; scene.json, written last, says that it is complete
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from dataclasses import asdict, dataclass, replace

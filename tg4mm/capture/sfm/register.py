@@ -4,8 +4,6 @@ A frame's features are matched with those of the nearest frames of the model; th
 give the pose (perspective-n-point in RANSAC, then least squares over the inliers), the lens being known.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Metres per scene unit, from what was measured on the spot: two cameras' distance, or a length on the thing itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What lies on disk: photographs, one recording, or several, perhaps with a sweep; and the command that takes it."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import dataclass
 from pathlib import Path

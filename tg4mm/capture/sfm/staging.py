@@ -1,7 +1,5 @@
 """The pictures that poses are found from, laid out as COLMAP reads them, and its database of them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ Pictures an eighth of a second apart are compared. Where they stay put the camer
 a hand moves them by pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -33,7 +31,7 @@ class Divided:
 
     sources: Sources
     config: SfmConfig  # whose window is the part that stands
-    parts: Standing
+    parts: "Standing"
 
     def __str__(self) -> str:
         return str(self.parts)

@@ -5,8 +5,6 @@ and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what
 it is not, as with a bridge before the sky, the blocks tell too: a camera that is knocked takes nearly all along.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 sfm/survey/<clip>.json and .png, so that a look is taken once.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Points for known cameras, the initialisation of [TG4MM] Table IV: SIFT, guided matches, COLMAP's triangulator."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory

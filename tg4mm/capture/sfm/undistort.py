@@ -4,8 +4,6 @@ COLMAP chooses the pinhole. The pictures are resampled here, since COLMAP's own 
 size for several cameras, and works out the same map again for every frame; a test compares the two.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +38,7 @@ class Lens:
         """Whether pictures stay as they are."""
         return self.source is None and self.turns % 4 == 0
 
-    def checked(self, path: Path, size: tuple[int, int]) -> Lens:
+    def checked(self, path: Path, size: tuple[int, int]) -> "Lens":
         """Itself. Raises CaptureError for a picture of another size (width, height) than the camera's."""
         if self.taken_of is not None and size != self.taken_of:
             raise CaptureError(
@@ -113,7 +111,7 @@ class _Pinhole:
     size: tuple[int, int]  # width and height
     scale: float = 1.0
 
-    def cut(self, width: int, height: int, may_scale: bool) -> _Pinhole:
+    def cut(self, width: int, height: int, may_scale: bool) -> "_Pinhole":
         """The middle of the picture; scaled first, if it may be, to cover that size."""
         scale = max(width / self.size[0], height / self.size[1]) if may_scale else 1.0
         K = self.K.copy()

@@ -8,8 +8,6 @@ that of generalised least squares; the answer is the mean over f, each by its ev
 m is told at f and how it differs with f (Rasmussen & Williams 2006, sections 2.7 and 5.2).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ test; beginning in the record where that does. So what rings down is one line, n
 other. Two that are nearer than 1 / duration need a test of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

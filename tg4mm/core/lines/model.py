@@ -6,8 +6,6 @@ Frequencies and decays are nonlinear, phasors, a constant and a slow trend linea
 The noise that lines stand in: its level over frequency, and what it does to a least-squares fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Noise is what the fit leaves around each line, no less than what the caller know
 deviations are the sandwich's, (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ (White 1980), with Σ by the residual's smoothed periodogram.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -136,7 +134,7 @@ class Record:
     @staticmethod
     def of(
         values: np.ndarray, times_s: np.ndarray, noise: np.ndarray | float, ends: tuple[float, float] | None
-    ) -> Record | None:
+    ) -> "Record | None":
         y = np.asarray(values, np.float64).reshape(len(values), -1)
         t = np.asarray(times_s, np.float64)
         if t.shape != y.shape[:1]:
@@ -149,7 +147,7 @@ class Record:
         least = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
         return Record(t, y, np.eye(y.shape[1]), least, ends).whitened(())
 
-    def whitened(self, shapes: Sequence[Shape]) -> Record:
+    def whitened(self, shapes: Sequence[Shape]) -> "Record":
         """With the noise that these lines leave in new units: a strong line hides it before it is found."""
         forth = _whitening(solved(shapes, self.t, self.y)[1] @ self.back, self.t, self.known)
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))

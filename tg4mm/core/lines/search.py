@@ -14,8 +14,6 @@ Each line is also tested for having another phasor in those pictures, by the noi
 weaker line that looks like it in the other pictures is its sideband, and what the others do not show is none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +40,7 @@ class Candidate:
     statistic: float
     power: float = 0.0
 
-    def or_better(self, other: Candidate, least: float) -> Candidate:
+    def or_better(self, other: "Candidate", least: float) -> "Candidate":
         """The one with more power, if its statistic is at least `least`; else the one that stands out more."""
         if (self.statistic >= least) != (other.statistic >= least):
             return max(self, other, key=lambda c: c.statistic)
@@ -92,7 +90,7 @@ class _Look:
         lines: Sequence[Shape],
         ends: tuple[float, float],
         least: float,
-    ) -> _Look:
+    ) -> "_Look":
         step = float(np.median(np.diff(t)))
         duration = float(np.ptp(t)) + step
         hz = np.arange(ends[0], ends[1], 1 / (_OVERSAMPLED * duration))

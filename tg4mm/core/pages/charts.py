@@ -1,7 +1,5 @@
 """Charts by matplotlib as inline SVG whose colours are the page's CSS variables, so that they follow light and dark."""
 
-from __future__ import annotations
-
 import io
 import re
 import zlib

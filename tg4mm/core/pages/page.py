@@ -3,8 +3,6 @@
 Every string is escaped by the template (jinja2 with autoescape); what is already markup says so by its type.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

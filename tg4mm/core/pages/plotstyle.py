@@ -1,7 +1,5 @@
 """How matplotlib's plots look, here and on pages. Needs nothing that is not Python's own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes

@@ -1,7 +1,5 @@
 """Colour bars as inline SVG, whose text follows light and dark; round numbers for axes and tables."""
 
-from __future__ import annotations
-
 import math
 import zlib
 

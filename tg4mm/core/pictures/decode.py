@@ -1,7 +1,5 @@
 """One PNG, JPEG or EXR → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB, with or without alpha."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """EXR images: linear light with premultiplied alpha → RGBA, straight alpha, display-referred sRGB, 16 bits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Picture files: written whole or not at all, and told apart from truncated ones without decoding them."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct

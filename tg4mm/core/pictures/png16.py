@@ -1,7 +1,5 @@
 """16-bit PNG decoded by numpy, since Pillow keeps only the high byte (PNG specification, §§ 9 and 11)."""
 
-from __future__ import annotations
-
 import functools
 import struct
 import threading

@@ -1,7 +1,5 @@
 """A glTF document, .glb or .gltf: its JSON, and the arrays of numbers that it names."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import struct

@@ -1,7 +1,5 @@
 """A scene in other axes: turned, mirrored, scaled, moved; and with Y up, as glTF and SPZ have it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What readers of splat files share; from what a file stores to a SplatFile, without what cannot be drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

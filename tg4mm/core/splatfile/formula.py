@@ -1,7 +1,5 @@
 """Where the Gaussians are at a time and a magnification: the numpy reference of x(t, α)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Of a .glb that tg4mm wrote the motion comes back too: modes from morph targets (
 Gaussians turn as they move, which the format does not hold.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

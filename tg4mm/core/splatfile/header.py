@@ -1,7 +1,5 @@
 """The header of a PLY, everything checked before any data is read; and its rows, a block at a time."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """A splat file in memory: Gaussians with activated values, phasors of modes; its properties and header line."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 
@@ -50,7 +48,7 @@ class SplatFile:
         opacities: np.ndarray,
         sh: np.ndarray,
         unit_scale_m: float | None = None,
-    ) -> SplatFile:
+    ) -> "SplatFile":
         """A scene in which nothing moves."""
         none = np.zeros((0, len(means), 3), np.complex64)
         return cls(means, quats, scales, opacities, sh, np.zeros(0), none, none, unit_scale_m=unit_scale_m)

@@ -1,7 +1,5 @@
 """A PLY of Gaussians: ours, with motion, and those of other programs (docs/conventions.md, "Splat file")."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ Position and linear scale as float32, colour and opacity, rotation wxyz as bytes
 was made of.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

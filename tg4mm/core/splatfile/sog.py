@@ -3,8 +3,6 @@
 Versions 1 and 2. Axes are those of the PLY that it was made of.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

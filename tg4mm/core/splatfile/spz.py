@@ -4,8 +4,6 @@ The layout is that of the reference library (github.com/nianticlabs/spz): x righ
 extension names other axes. What is read is turned to Z up.
 """
 
-from __future__ import annotations
-
 import gzip
 import itertools
 import math

@@ -3,8 +3,6 @@
 Layout: PlayCanvas's splat-transform. Axes are those of the PLY that it was made of.
 """
 
-from __future__ import annotations
-
 from typing import BinaryIO
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writing a splat file."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ For embeddings (`paper`) it is the series of every channel since timestep 0; for
 rotation series, which gives a modal motion again.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

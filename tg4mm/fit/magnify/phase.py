@@ -17,8 +17,6 @@ it stands for a shift ([PVM] §3.3). Eight orientations, radial windows that fal
 the settings of its authors' program.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """Gaussians at time t with their motion magnified by α: what is rendered, measured and exported."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -5,8 +5,6 @@ Gaussian: gloss and shadows change in places. A component whose reliability is l
 or no appearance, and is dropped, after one iteration if it shows by then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -132,14 +130,14 @@ class AppearanceProblem:
     buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @staticmethod
-    def of(views: Sequence[AppearanceView], weights: np.ndarray | None, graph: Graph) -> AppearanceProblem:
+    def of(views: Sequence[AppearanceView], weights: np.ndarray | None, graph: Graph) -> "AppearanceProblem":
         laplacian = _laplacian(graph)
         seen = _rows(views, weights)
         scale = max(float(seen[:, 0].mean()), 1e-12)
         d = seen + scale * (SMOOTHNESS_WEIGHT * laplacian.diagonal()[:, None] + RIDGE_WEIGHT)
         return AppearanceProblem(views, weights, laplacian, scale, np.sqrt(d, dtype=np.float32)[..., None])
 
-    def of_views(self, rows: np.ndarray) -> AppearanceProblem:
+    def of_views(self, rows: np.ndarray) -> "AppearanceProblem":
         """The problem that only some of the views pose."""
         weights = None if self.weights is None else self.weights[rows]
         views, share = [self.views[i] for i in rows], len(rows) / len(self.views)
@@ -225,7 +223,7 @@ class AppearanceFit:
     knn: np.ndarray  # [N, count], the nearest Gaussians of each
 
     @staticmethod
-    def of(motion: Problem, cameras: Sequence[PosedView], folds: Sequence[Fold]) -> AppearanceFit:
+    def of(motion: Problem, cameras: Sequence[PosedView], folds: Sequence[Fold]) -> "AppearanceFit":
         """Beside a motion problem; folds: two of the cameras."""
         tilts = motion.gaussians.sh_degree > 0
         own = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)

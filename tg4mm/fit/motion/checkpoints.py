@@ -4,8 +4,6 @@ A step has a name and a function that gives named arrays. `no_checkpoint` keeps 
 (`tg4mm/run/stages/motion.py`) keeps them in the run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Protocol

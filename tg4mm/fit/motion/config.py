@@ -1,7 +1,5 @@
 """Settings of the motion stage, preset `modal`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError

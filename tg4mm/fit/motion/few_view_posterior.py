@@ -14,8 +14,6 @@ What is seen less is found after more iterations. The draws are solved for to a 
 stopped early they would say that what hardly changes the pictures is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

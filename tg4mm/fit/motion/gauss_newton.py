@@ -10,8 +10,6 @@ help either, the iterations are over.
 The Jacobians are taken at few states for all timesteps, the knots.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -141,7 +139,7 @@ class GaussNewtonState:
         return arrays_of(self.gaussians) | {"fold_fields": self.fold_fields, "figures": np.array(figures)}
 
     @staticmethod
-    def restored(arrays: Arrays) -> GaussNewtonState:
+    def restored(arrays: Arrays) -> "GaussNewtonState":
         """From what `arrays` gave."""
         weight, changes, total, is_over = (float(f) for f in arrays["figures"])
         errors = Errors(changes, total)

@@ -12,8 +12,6 @@ the model (edges, shading) are alike in both folds and draw towards weights that
 weight that is within 0.8 % of the best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ The second pass solves for the difference that this makes: A δ = b − A x − 
 iterations of one fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

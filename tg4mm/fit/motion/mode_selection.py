@@ -5,8 +5,6 @@ all, since together they are the motion at every timestep and their median tells
 (a splat file, a band that is asked for) leaves the empty ones out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Appearance that changes with the motion (gloss, shadows, reflections) goes with it in the same modes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -36,7 +34,7 @@ class AppearanceModes:
         """[R] float32: c_r for gains [F] complex, magnification included."""
         return np.asarray((np.asarray(gains) @ self.series).real, np.float32)
 
-    def selected(self, keep: np.ndarray) -> AppearanceModes:
+    def selected(self, keep: np.ndarray) -> "AppearanceModes":
         """Only the modes `keep` [F] bool."""
         return replace(self, series=self.series[keep])
 
@@ -103,7 +101,7 @@ class ModalMotion:
         """[K] bool. By default all but 0 Hz, the offset from the rest pose to the motion's own zero."""
         return self.freqs_hz > 0 if self.magnified is None else self.magnified
 
-    def selected(self, keep: np.ndarray) -> ModalMotion:
+    def selected(self, keep: np.ndarray) -> "ModalMotion":
         """Only the modes `keep` [K] bool."""
         return replace(
             self,

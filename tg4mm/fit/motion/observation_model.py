@@ -5,8 +5,6 @@ fields is Aᵀ W. Of a rolling shutter each row of a picture is read a little af
 another moment, so its changes are multiplied with the functions of time at that moment. Nothing else needs to know.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +33,7 @@ class ObservationModel:
     @staticmethod
     def of(
         frames: PosedFrames, nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None = None
-    ) -> ObservationModel:
+    ) -> "ObservationModel":
         """With the active columns of the `nuisance` about the mean picture [H, W, 3] projected out."""
         projection = Projection.of(nuisance, mean, weights) if nuisance.active.any() else None
         return ObservationModel(frames, nuisance.view, projection, weights)

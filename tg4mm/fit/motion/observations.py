@@ -1,7 +1,5 @@
 """What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model")."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext

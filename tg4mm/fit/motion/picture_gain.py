@@ -8,8 +8,6 @@ leaves out, and larger where m is too small (P is the instrument of an errors-in
 Error Models, 1987, §1.4).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

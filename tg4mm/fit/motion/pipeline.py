@@ -1,7 +1,5 @@
 """The motion of a scene's Gaussians from observations: every step of the method, in order (docs/method.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ Gaussians. With the motion found, every state's own picture can be compared with
 number and order stay, so that the motion stays theirs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

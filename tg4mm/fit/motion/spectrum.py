@@ -7,8 +7,6 @@ one more at a time at the highest peak of the residual's periodogram, as in matc
 Where bins do as well (whole periods, or nothing tonal) there are none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -100,7 +98,9 @@ def modes_of(
     return cycles[keep] * fps / n_timesteps, series[keep]
 
 
-def _with_band(sinusoids: Sinusoids, series: np.ndarray, fps: float, band: tuple[float, float]) -> Sinusoids:
+def _with_band(
+    sinusoids: "Sinusoids", series: np.ndarray, fps: float, band: tuple[float, float]
+) -> "Sinusoids":
     """With the tone of series [R, T] in the band (Hz), where no bin and no sinusoid lies in it."""
     n_timesteps = series.shape[1]
     hz = np.append(sinusoids.cycles, np.arange(1, n_timesteps // 2 + 1)) * fps / n_timesteps
@@ -116,7 +116,7 @@ def _products(values: np.ndarray) -> np.ndarray:
     return np.asarray(flat @ flat.T)
 
 
-def _with_bins(basis: np.ndarray, sinusoids: Sinusoids) -> tuple[np.ndarray, np.ndarray]:
+def _with_bins(basis: np.ndarray, sinusoids: "Sinusoids") -> tuple[np.ndarray, np.ndarray]:
     """Cycles per capture [K], ascending, and phasors [K, R] of functions of time [R, T]."""
     n_timesteps = basis.shape[1]
     spectrum: dict[float, np.ndarray] = {}
@@ -134,7 +134,7 @@ def _with_bins(basis: np.ndarray, sinusoids: Sinusoids) -> tuple[np.ndarray, np.
     return cycles, np.stack([spectrum[c] for c in cycles])
 
 
-def _sinusoid_phasors(sinusoids: Sinusoids, weights: np.ndarray) -> dict[float, np.ndarray]:
+def _sinusoid_phasors(sinusoids: "Sinusoids", weights: np.ndarray) -> dict[float, np.ndarray]:
     """Phasors [R] by cycles per capture, from the weights [P, R] of the regressors."""
     n, first = len(sinusoids.cycles), 1 + sinusoids.trend
     out = {0.0: weights[0].astype(complex)}  # a cos + b sin = Re[(a − i b) exp(i …)]

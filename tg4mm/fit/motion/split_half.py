@@ -9,8 +9,6 @@ Six cameras or more are halved by camera. Fewer are halved by pixels, in squares
 what a video codec leaves (macroblocks of 16 pixels) are independent. A moving camera's frames are halved by time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.fit.motion.solver.operator import Fold

@@ -10,8 +10,6 @@ capture itself in each iteration, and not from what the iteration before found, 
 more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +106,7 @@ class Errors:
     changes: float  # each picture less its mean over time, which holds what stands still
     total: float
 
-    def is_no_larger(self, other: Errors) -> bool:
+    def is_no_larger(self, other: "Errors") -> bool:
         """Whether neither sum is larger."""
         return self.changes <= other.changes and self.total <= other.total
 
@@ -125,7 +123,7 @@ class StateObservations:
     @staticmethod
     def of(
         observations: Observations, states: States, targets: TargetImages, used: np.ndarray
-    ) -> StateObservations:
+    ) -> "StateObservations":
         """`used` [R]: which of the target images belong to the functions of time of `states`."""
         pictures = state_pictures(observations, states)
         changes_within = mapped_zeros((len(pictures), len(used), *pictures.shape[2:]))

@@ -7,8 +7,6 @@ displacement field for each of R shared functions of time and C_v, the mixing ma
 look in Ψ_v. Which functions: `temporal/`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

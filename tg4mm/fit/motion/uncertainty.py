@@ -8,8 +8,6 @@ at a joint, an edge or a contact what is one side's and what the other's is most
 calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 `rasterization` is imported when it is first asked for: tg4mm/fit/precompile.py needs no torch.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from tg4mm.core.lazy import lazily

@@ -1,7 +1,5 @@
 """`rasterization`: gsplat's call, dispatched by device. CUDA goes to gsplat, CPU to our kernels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Memory that is used again: arrays by name which grow and are not returned to the system between calls."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import DTypeLike
 

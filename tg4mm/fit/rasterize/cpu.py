@@ -1,7 +1,5 @@
 """The CPU path as a torch autograd function around the numba kernels, for any number of cameras."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

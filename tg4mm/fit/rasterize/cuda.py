@@ -3,8 +3,6 @@
 gsplat takes our arguments as they are. What its kernels do otherwise than ours: docs/conventions.md, "Devices".
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from typing import Any

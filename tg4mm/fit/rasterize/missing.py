@@ -4,8 +4,6 @@
 nothing heavy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 _answers: list[Callable[[str], bool]] = []

@@ -3,8 +3,6 @@
 Same definitions as the CPU kernels and gsplat; meant for float64 and a few dozen Gaussians.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

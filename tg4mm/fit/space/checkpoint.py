@@ -5,8 +5,6 @@ reach them. Damage is found where the file is read; the digest of the pictures t
 the interrupted run.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping

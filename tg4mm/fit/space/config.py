@@ -1,7 +1,5 @@
 """Settings of the space stage."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from tg4mm.core.errors import Tg4mmError

@@ -5,8 +5,6 @@ picture's error since the last time (`view.py`), which finds thin structures who
 have faded or grown past the scene are removed and their places given to new ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -4,8 +4,6 @@
 controls nothing is allocated but what the tile lists grow by.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

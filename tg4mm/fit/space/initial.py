@@ -1,7 +1,5 @@
 """Where the first Gaussians stand: points3d.ply, SfM, the masks' visual hull, or the cameras' common space."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass

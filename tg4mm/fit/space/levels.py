@@ -6,8 +6,6 @@ an iteration need not see every pixel where Gaussians cover many: some one for e
 as all do.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """How the space stage compares pictures: its loss, and the gains of pictures that were exposed differently."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

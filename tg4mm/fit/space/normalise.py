@@ -3,8 +3,6 @@
 Rates, thresholds and the near plane then mean the same in every scene, and float32 loses nothing to an offset.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +27,7 @@ class SceneUnit:
     unit: float  # scene units
 
     @classmethod
-    def of(cls, views: RestViews, points: SurfacePoints | None) -> SceneUnit:
+    def of(cls, views: RestViews, points: SurfacePoints | None) -> "SceneUnit":
         """By the cameras; where they are at one place, by the points."""
         xyz = None if points is None else points.xyz
         centre, distance = middle_distance(views.viewmats, views.Ks, views.size, xyz)

@@ -1,7 +1,5 @@
 """The free parameters of static Gaussians and their Adam optimiser, which survives adding and removing rows."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 

@@ -7,8 +7,6 @@ ones below shine through: with opaque ones the picture is as good, but its slope
 a shift of a whole picture 7 % were missing), and gaps open where they move apart.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

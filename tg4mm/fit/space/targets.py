@@ -4,8 +4,6 @@ Averaging over the images of a camera that stays put takes out noise and leaves 
 motion stage measures; a camera used once is its own mean. A capture of one timestep is the special case.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The space stage: static Gaussians fitted to the rest views, with checkpoints and progress."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The share of Gaussian i is Σ over pixels of blending weight × error: the gradi
 zero on every Gaussian) by that channel. The CPU kernels blend four channels anyway, so it costs nothing there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The folder of a benchmark: what it is for stands in it, and one made for something else is refused."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

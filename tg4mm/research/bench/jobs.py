@@ -1,7 +1,5 @@
 """One job: a method on a dataset. Fit, render the test pictures at every α, score them; never anything twice."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Sequence
@@ -115,7 +113,7 @@ def _line(
 
 def _at(
     method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: Plan, vqa: Sequence[Checkout],
-    kept: _Kept, collect: bool,
+    kept: "_Kept", collect: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     if collect:
         recipe, old = _found(method, row, data, place, alpha, plan)

@@ -1,7 +1,5 @@
 """Means over scenes, for sets of one size, amplitude and kind of capture, or of one kind of capture alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

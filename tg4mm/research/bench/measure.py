@@ -1,7 +1,5 @@
 """One run of a benchmark: train, score by every method asked for, keep the figures; never anything twice."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import shutil

@@ -5,8 +5,6 @@ motion of the Gaussians (the ceiling) is compared with the ground truth's own ch
 Gaussian gets what happens in the pixels that it makes. No estimate takes part, so the choice favours no method.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture, load_images

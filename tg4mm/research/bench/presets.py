@@ -4,8 +4,6 @@ A step is one `tg4mm` command; done again it finds its work done. `run_preset` r
 machine; the `Snakefile` beside this module runs the same ones on many.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What a benchmark runs: trainings and how each is magnified, what holds for all, and settings sorted by preset."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

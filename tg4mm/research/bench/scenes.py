@@ -1,7 +1,5 @@
 """The benchmark's main tables: every method on every dataset, resumable job by job."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

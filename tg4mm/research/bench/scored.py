@@ -5,8 +5,6 @@ authors' `test_video.py`; FAST-VQA: the authors' `vqa.py`. Both print the score 
 line.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import subprocess
@@ -222,7 +220,7 @@ class Checkout:
     def program(self) -> Path:
         return self.folder / PROGRAMS[self.metric][0]
 
-    def checked(self) -> Checkout:
+    def checked(self) -> "Checkout":
         """Itself. Raises BenchError where the program is not there."""
         if not self.program.is_file():
             raise BenchError(f"{OPTIONS[self.metric]} {self.folder}: holds no {self.program.name}")

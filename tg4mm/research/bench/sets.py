@@ -1,7 +1,5 @@
 """A dataset as the benchmark sees it: its name, its size, its motion in pixels, and the band that holds it."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Evaluation: image metrics, displacement error, what nothing and what the exact motion would score."""
 
-from __future__ import annotations
-
 from tg4mm.core.errors import Tg4mmError
 
 

@@ -1,7 +1,5 @@
 """How far an estimated motion is from the true one: displacement error, direction, leak."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ trunk `features.<i>.weight|bias` or `net.slice<j>.<i>.weight|bias`, i in 0, 3, 6
 `lin<k>.model.1.weight`, k in 0..4.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Evaluation of a trained run against ground truth, beside the two rows that give its figures meaning."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time
@@ -147,7 +145,7 @@ def _filter_name(run: Run, magnified: Magnification) -> str | None:
 
 
 def _score_alpha(
-    root: Path, alpha: int, subject: Subject, scorer: Scorer, resume: Resume, absent: dict[str, str]
+    root: Path, alpha: int, subject: Subject, scorer: Scorer, resume: "Resume", absent: dict[str, str]
 ) -> dict[str, Any] | None:
     capture = capture_with_truth(root, alpha, absent)
     if capture is None:

@@ -1,7 +1,5 @@
 """Rendering and scoring of a split's images, each distinct (motion state, camera, ground truth) only once."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """What is evaluated: the Gaussians of a run, their estimated motion, and the exact one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

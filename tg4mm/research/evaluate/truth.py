@@ -1,7 +1,5 @@
 """The exact motion of a scene at arbitrary points: that of the nearest point on its truth's triangle meshes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +50,7 @@ def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
     )
 
 
-def _follow(obj: TruthObject, surface: SurfaceSamples, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _follow(obj: TruthObject, surface: "SurfaceSamples", points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(displacement, rotation) phasors [K, n, 3] of the points of an object's surface nearest to `points`."""
     k = min(_N_CANDIDATES, len(surface.points))
     _, candidates = surface.tree.query(points, k=k, workers=-1)

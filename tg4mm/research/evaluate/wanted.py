@@ -1,7 +1,5 @@
 """What an evaluation is asked for, checked before anything is loaded; its figures as a table."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 What each departure brings is measured in docs/paper.md.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError

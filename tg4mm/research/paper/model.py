@@ -6,8 +6,6 @@ Files in the run folder, beside those every run has:
     RUN/planes_0001.safetensors …   motion planes of one timestep at the active cells, [C, A] (a channel in a row)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

@@ -3,8 +3,6 @@
 What is trained here is that triplane alone; space planes, decoder and base attributes stay as phase 1 left them.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterable
@@ -42,7 +40,7 @@ class _Stage:
         config: PaperConfig,
         began: float,
         device: str,
-        first: AtRest | None = None,
+        first: "AtRest | None" = None,
     ) -> None:
         self.first = first
         self.run, self.model, self.config, self.device = run, model, config, device

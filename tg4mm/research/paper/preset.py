@@ -7,8 +7,6 @@ second request for the same finds it there. <digest>.json holds a checksum of ea
 not what was written is made anew. The latest four are kept.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 import zlib

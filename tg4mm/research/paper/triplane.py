@@ -4,8 +4,6 @@ The decoder is [TG4MM] Eq. (8): residuals are added before activation: to the lo
 opacity, the quaternion before it is normalised, position and SH as they are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from tg4mm.fit.gaussians import Gaussians
 
 class _Sample(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, values: Tensor, cells: Cells) -> Tensor:
+    def forward(ctx: Any, values: Tensor, cells: "Cells") -> Tensor:
         out = torch.empty(cells.index.shape[1], 3 * values.shape[1])
         gather(values.detach().contiguous().numpy(), cells.index, cells.weight, out.numpy())
         ctx.cells, ctx.channels = cells, values.shape[1]
@@ -38,7 +36,7 @@ class _Sample(torch.autograd.Function):
         return v_values, None
 
 
-def sample(values: Tensor, cells: Cells) -> Tensor:
+def sample(values: Tensor, cells: "Cells") -> Tensor:
     """Embedding [N, 3 C] of the points from values [A, C] float32 of the active cells; concatenated xy, xz, yz.
 
     CPU tensors go to numba kernels, others through torch (whose sums of gradients run by atomics on CUDA).
@@ -51,7 +49,7 @@ def sample(values: Tensor, cells: Cells) -> Tensor:
     return sample_torch(values, cells)
 
 
-def sample_torch(values: Tensor, cells: Cells) -> Tensor:
+def sample_torch(values: Tensor, cells: "Cells") -> Tensor:
     """The same by torch's own operations, on any device and in any precision."""
     index, weight = _on(cells, values.device)
     parts = (values[index] * weight.to(values.dtype)[..., None]).sum(2)  # [3, N, C]
@@ -59,7 +57,7 @@ def sample_torch(values: Tensor, cells: Cells) -> Tensor:
 
 
 @lru_cache(maxsize=2)
-def _on(cells: Cells, device: torch.device) -> tuple[Tensor, Tensor]:
+def _on(cells: "Cells", device: torch.device) -> tuple[Tensor, Tensor]:
     """Index and weight, brought to a device once."""
     return torch.from_numpy(cells.index.astype(np.int64)).to(device), torch.from_numpy(cells.weight).to(
         device

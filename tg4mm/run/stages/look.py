@@ -1,7 +1,5 @@
 """A flat capture looked at region by region before its motion is fitted; what was found is in the run's log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

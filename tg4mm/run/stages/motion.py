@@ -3,8 +3,6 @@
 RUN/checkpoint_motion.safetensors holds the finished steps of an unfinished fit (`checkpoints.py`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import time

@@ -1,7 +1,5 @@
 """The space stage of a run: rest views in, Gaussians and figures out, and going on after a kill."""
 
-from __future__ import annotations
-
 import time
 
 from tg4mm.capture import SurfacePoints

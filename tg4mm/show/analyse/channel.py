@@ -1,7 +1,5 @@
 """Channels: one value over even times with its unit and noise, from a measurement's folder or from a CSV file."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """Two records of one machine: which line changed its frequency, amplitude or damping, by the difference over its ±."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Modal parameters by libraries: SSI-cov and FDD (pyOMA-2) from responses, LSCF (sdypy-EMA) from transfer functions."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

@@ -1,7 +1,5 @@
 """Plots of an analysis: spectrum with confidence and waterfall of channels, orbits, transfers, stabilisation."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator

@@ -11,8 +11,6 @@ same is done: by what its θ² differs from û's in the mean, θ² is corrected,
 added what the errors that grow with the motion are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

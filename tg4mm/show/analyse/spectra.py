@@ -1,7 +1,5 @@
 """Averaged spectra: power spectral density by Welch's method with its confidence interval, and the waterfall."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

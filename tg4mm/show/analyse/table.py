@@ -1,7 +1,5 @@
 """What `tg4mm analyse` prints."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.show.analyse.quantities import Value

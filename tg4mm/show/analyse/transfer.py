@@ -5,8 +5,6 @@ well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation 
 does to τ (sandwich estimate).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

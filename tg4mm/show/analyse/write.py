@@ -1,7 +1,5 @@
 """An analysis: what is asked of a record, computed, and written as JSON, CSV and plots into one folder."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Sequence

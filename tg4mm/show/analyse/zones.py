@@ -4,8 +4,6 @@ The limits are those of classes I to IV (ISO 10816-1, annex B, which ISO 20816-1
 II medium ones to 75 kW, or 300 kW on a foundation of their own; III large ones on a rigid, IV on a soft foundation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

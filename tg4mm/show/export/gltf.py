@@ -4,8 +4,6 @@ x(t) = x + Σ_k cos(ω_k t) Re[(1 + α_k) m_k] − sin(ω_k t) Im[(1 + α_k) m_k
 weights stay within ±1, since programs clamp larger ones.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

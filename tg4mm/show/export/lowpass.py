@@ -7,8 +7,6 @@ sampled it finest: the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, Eq.
 for the wider Gaussians; lowered as that filter does, by the ratio of the volumes, they would fade (docs/blender.md).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.capture import Capture

@@ -1,7 +1,5 @@
 """USD: a ParticleField3DGaussianSplat (OpenUSD 26.03 and later) whose values are sampled at every timestep."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The picture of a look: regions on the first picture, and the composite spectrum beside them."""
 
-from __future__ import annotations
-
 import io
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page of a look: one HTML file that needs no network."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

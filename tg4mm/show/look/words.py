@@ -1,7 +1,5 @@
 """What a look at a recording found, in words: the table on the terminal and its parts for the page and the JSON."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from dataclasses import asdict, dataclass

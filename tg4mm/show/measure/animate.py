@@ -3,8 +3,6 @@
 What stands under its floor does not move in them and is drawn grey: nothing is magnified that was not measured.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A measurement as named arrays with units: HDF5, MAT, and SEP005 dictionaries in Python."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

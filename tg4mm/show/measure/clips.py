@@ -11,8 +11,6 @@ found of the phases, in all Gaussians together, counts as a measurement of θ_c 
 off: its error is taken for Cauchy-distributed. Deviations follow from the fit, and are larger by what it leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Clusters of Gaussians that move alike: by their motion in the run's modes, then by neighbourhood."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

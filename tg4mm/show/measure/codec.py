@@ -1,7 +1,5 @@
 """What the video's compression took from the peaks of sensors, where one fixed camera filmed them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ away, what is left of it is up to three times the image. Encoders whose frames h
 places too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -10,8 +10,6 @@ of that is fitted to the logarithm of Welch's spectrum: the oscillator's autocor
 the window's. Given where the peak is at least half as wide as the window's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ the motion does so in proportion to its derivative. Motion that is in no line an
 not in the deviations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

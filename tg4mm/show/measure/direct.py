@@ -5,8 +5,6 @@ motions, J E, weighted, and with the nuisance columns Q. That is a hundredth of 
 Gaussians (`residuals.py`), with the same result; other sensors read the pictures again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

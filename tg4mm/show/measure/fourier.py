@@ -1,7 +1,5 @@
 """Sinusoids and Hann's window: the spectrum of samples at given times, and the level that their noise has in it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 CHANCE = 0.01  # that noise alone passes the floor anywhere

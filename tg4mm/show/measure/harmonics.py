@@ -1,7 +1,5 @@
 """Peaks that may be harmonics: where pictures do not change in proportion to motion, f makes peaks at 2f and 3f too."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ slopes and light, is what the motion lacks [Lucas & Kanade 1981; Baker & Matthew
 pictures, which stay in proportion for longer. Flat captures alone; a small motion keeps its linear answer to the bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

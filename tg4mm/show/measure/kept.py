@@ -1,7 +1,5 @@
 """What the pass through the pictures found, kept in the run's folder: RUN/residuals.safetensors."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,7 +33,7 @@ class KeptPass:
     notes: list[str] = field(default_factory=list)
 
     @staticmethod
-    def of(run: Run, may_save: bool) -> KeptPass:
+    def of(run: Run, may_save: bool) -> "KeptPass":
         return KeptPass(run, model_hash(run.path), may_save)
 
     @property

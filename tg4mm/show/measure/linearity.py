@@ -5,8 +5,6 @@ pixels and stay in proportion, fine speckle does not by half a pixel. So the mea
 compared with the frame: what is left, through the gradients of the moved picture, is what the answer lacks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which Gaussians a sensor's region holds, and as which rigid body it is measured."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count

@@ -3,8 +3,6 @@
 measured. A synchronous capture's motion has as many independent fields as temporal components, mostly one to five, in
 whatever number of frequencies it is stored."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,7 +24,7 @@ class ModalFields:
     freqs_hz: np.ndarray  # [K]
 
     @staticmethod
-    def of(motion: ModalMotion | None, n_gaussians: int) -> ModalFields:
+    def of(motion: ModalMotion | None, n_gaussians: int) -> "ModalFields":
         """Of a run's motion; no field where it has none."""
         if motion is None or not len(motion.freqs_hz):
             return ModalFields(np.zeros((0, n_gaussians, DOF), np.float32), np.zeros((0, 0)), np.zeros(0))

@@ -9,8 +9,6 @@ before a moving camera is one question for the whole region: that error stays wh
 is as large as the motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ motion stage's own step. What is left of a frame is I_f − Î_f − J_f M x(τ_
 part of a sensor's answer, which the scene at rest still gets wrong with the viewpoint, is taken out as polynomials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

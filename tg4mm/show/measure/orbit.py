@@ -1,7 +1,5 @@
 """The ellipse that a sensor runs through at one frequency."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plots by matplotlib, one page a sensor as SVG and PNG: waveform, spectrum with floor and peaks, orbit."""
 
-from __future__ import annotations
-
 import io
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run, or a fit without one, made ready to be measured: one pass through its pictures, of which sensors need none."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Sensors on the regions of a flat capture that vibrate, as the look at it found them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.capture.look import Found

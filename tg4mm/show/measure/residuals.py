@@ -6,8 +6,6 @@ A sensor's motion is a sum of these over its region and a few products with the 
 pictures again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

@@ -19,8 +19,6 @@ change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
     F_kl  =  E_k·JᵀW (motion_l·∇e)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -75,7 +73,7 @@ class Equations:
     false: np.ndarray  # [K, K] F, of both halves together; 0 of a moving camera, which has no mean picture
     delay_s: float = 0.0  # after the frames' times: when the rows that tell of the body are read
 
-    def along(self, axes: np.ndarray) -> Equations:
+    def along(self, axes: np.ndarray) -> "Equations":
         """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))

@@ -5,8 +5,6 @@ region are brought to the region's mean time by interpolation of these numbers, 
 few rows is not interpolated at all.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What a measurement is made of: the run or fit, its views and clocks, and what was read of its pictures."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What one sensor measured: its displacement over time on every clock, and its peaks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -71,7 +69,7 @@ class SensorResult:
         """Of the sensor."""
         return self.sensor.name
 
-    def with_(self, **changes: Any) -> SensorResult:
+    def with_(self, **changes: Any) -> "SensorResult":
         """`dataclasses.replace` of what the spectrum does not depend on: it is not worked out again."""
         out = replace(self, **changes)
         if "spectrum" in self.__dict__:

@@ -1,7 +1,5 @@
 """Virtual sensors: a name and a region of the scene, as an option `NAME=box:…` or in a small YAML file."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

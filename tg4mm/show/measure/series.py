@@ -6,8 +6,6 @@ model), so that number is found from the result, for each axis: what the halves'
 they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ a picture shows, each in steps of a 127th of its own largest size over time, hal
 some 1e-4 of the noise's variance, and less to a sum over a region, in which rounding errors average out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class Sides:
     steps: np.ndarray  # [2, n, 6] float32: what a step of `values` is worth
 
     @staticmethod
-    def of(sides: np.ndarray) -> Sides:
+    def of(sides: np.ndarray) -> "Sides":
         """From [2, F, N, 6]."""
         largest = np.zeros((len(sides), *sides.shape[2:]), np.float32)
         for half, own in enumerate(sides):
@@ -68,7 +66,7 @@ class Sides:
         return {f"rows_{name}": self.rows, f"values_{name}": self.values, f"steps_{name}": self.steps}
 
     @staticmethod
-    def restored(arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int) -> Sides:
+    def restored(arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int) -> "Sides":
         """From what `arrays` gave of so many frames and Gaussians. Raises ValueError for anything else."""
         rows = arrays.get(f"rows_{name}", np.zeros(0))
         of_rows = (HALVES, len(np.atleast_1d(rows)), DOF)

@@ -9,8 +9,6 @@ frequency when the lines are taken out. What lies under the floor is not told fr
 Peaks are the record's lines (`core.lines`): steady, ringing down, growing, or beginning in the record, each tested.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

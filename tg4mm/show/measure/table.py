@@ -1,7 +1,5 @@
 """What `tg4mm measure` prints: a line for every peak of every sensor, and what cannot be told."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.capture.codec import Loss, reported_deviation

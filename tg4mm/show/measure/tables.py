@@ -1,7 +1,5 @@
 """A measurement as tables, one value of one axis a row, units in the heads: CSV files, or the sheets of one XLSX."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Sequence

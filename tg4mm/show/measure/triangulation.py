@@ -4,8 +4,6 @@ Clip c shows  exp(iθ_c) W p + unit noise  of a sensor's phasor p [3] (`clips.py
 every θ_c but that of the clip that shows most. Known phases count as measurements with Cauchy-distributed errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ single camera does not observe counts as 0, and the identification line says so.
 known, else scene units.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

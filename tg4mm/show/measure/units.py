@@ -1,7 +1,5 @@
 """Lengths as they are printed: millimetres where the scale is known, else scene units; pixels of a flat capture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from tg4mm.show.measure.measurement import Measurement

@@ -1,7 +1,5 @@
 """Everything a measurement leaves in its folder: measure.json, files for other programs, plots, animated pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Cameras to render from: those of a capture, an orbit around what it looks at, or a transforms JSON file."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One picture of Gaussians: colours, or any per-Gaussian quantity blended the way colours are."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

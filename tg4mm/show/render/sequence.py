@@ -1,7 +1,5 @@
 """A run rendered over time from given cameras; complete pictures stay, foreign ones are refused."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -42,7 +40,7 @@ class RenderRequest:
     slow: float = 1.0  # 2 = videos at half speed
     low_pass_px2: float = 0.3  # drawn wider by, square pixels; less where a file's scales hold some of it
 
-    def checked(self) -> RenderRequest:
+    def checked(self) -> "RenderRequest":
         """Itself. Raises RunError for an alpha or a speed that is out of range."""
         for alpha in (self.magnified.everywhere, *(b.alpha for b in self.magnified.bands)):
             if not math.isfinite(alpha):

@@ -1,7 +1,5 @@
 """H.264 video that browsers play: yuv420p, even sizes, BT.709, repeated so that it lasts some seconds."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """The section on how true the result is: scores beside their two anchors, difference maps, displacement."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

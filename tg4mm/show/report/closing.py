@@ -1,7 +1,5 @@
 """The last sections: settings, what it cost, and the commands to repeat it."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import sys

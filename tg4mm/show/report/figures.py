@@ -1,7 +1,5 @@
 """Pictures from numbers: contact sheet, marked line, space-time slices, maps of amounts and of phases."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The section on a flat capture's regions: the composite spectrum, and where what vibrates or moves by itself."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from tg4mm.capture.look import LookLine

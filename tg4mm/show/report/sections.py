@@ -1,7 +1,5 @@
 """The sections on the capture and on how things move."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

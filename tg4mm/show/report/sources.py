@@ -1,7 +1,5 @@
 """What a report is made of: the model, its scores, and what one camera sees as videos."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

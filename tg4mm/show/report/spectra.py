@@ -1,7 +1,5 @@
 """Charts of the motion: the model's spectrum, and every sensor's waveform and spectrum with its noise floor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The head of a report, what was found as a table, and what cannot be told, from the run's `Result`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The videos side by side: input, ours, and the ground truth where there is one, in step and with one slider."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path

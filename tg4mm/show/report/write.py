@@ -1,7 +1,5 @@
 """The report of a run: gathering what it shows, and the page."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What to do with a result: a band around each frequency, a magnification that shows the motion, a command line."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A vibration's line: frequency, damping and phasors from the run's motion over time; how sure each mode is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

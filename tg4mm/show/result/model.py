@@ -1,7 +1,5 @@
 """What a run found, as numbers and as a dozen lines of text."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,7 +18,7 @@ class Length:
     deviation: float | None = None
     is_bound: bool = False  # more moves than the deviation says (compression, the fit): shown as > value
 
-    def times(self, factor: float) -> Length:
+    def times(self, factor: float) -> "Length":
         """In another unit."""
         deviation = None if self.deviation is None else self.deviation * factor
         return Length(self.value * factor, deviation, self.is_bound)

@@ -6,8 +6,6 @@ turn by θ is drawn as a displacement that grows with the distance from its axis
 Both are told by the same number, what the displacement changes by from one Gaussian to the next, per distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +41,7 @@ class Reach:
 def reach_of(
     gaussians: Gaussians,
     motion: ModalMotion,
-    seen: Seen,
+    seen: "Seen",
     noise_px: float | None,
     gains: np.ndarray,
     is_decoded: bool = False,

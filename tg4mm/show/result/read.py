@@ -1,7 +1,5 @@
 """A run's files read as its `Result`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -53,7 +51,7 @@ def result_of(run: Run, band: Band | None = None) -> Result:
     return reading_of(run).result(band)
 
 
-def reading_of(run: Run) -> Reading:
+def reading_of(run: Run) -> "Reading":
     """The files of a run. Raises RunError for one that is not finished, or whose dataset has other times now."""
     motion = run.load_motion()
     capture = load_capture(run.dataset) if run.dataset.is_dir() else None

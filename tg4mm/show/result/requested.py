@@ -1,7 +1,5 @@
 """What is asked to be magnified, against what a run holds: `--band auto`, bands without motion, α that goes too far."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tg4mm view` put together: server, panel, and the loop that draws for every open page."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -111,7 +109,7 @@ class App:
             self._failure = error
             self._stopping.set()
 
-    def _round(self, meter: _Meter) -> None:
+    def _round(self, meter: "_Meter") -> None:
         """One picture for every page that needs one, then wait for the next moment or the next change."""
         begun = time.monotonic()
         self._session.changed.clear()

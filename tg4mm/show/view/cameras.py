@@ -3,8 +3,6 @@
 The browser's camera has square pixels, its principal point in the middle, and a field of view from top to bottom.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

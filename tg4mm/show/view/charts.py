@@ -3,8 +3,6 @@
 The panel's width is what they are drawn for, so that their text is as large as the panel's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

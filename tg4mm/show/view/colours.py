@@ -1,7 +1,5 @@
 """Bands and colours of the viewer: from slider and peaks to words, and from the motion to a colour of each Gaussian."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """viser's web server, for this machine alone: bound to 127.0.0.1, no other site's pages, no way out."""
 
-from __future__ import annotations
-
 import logging
 import re
 import socket

@@ -1,7 +1,5 @@
 """One picture of the scene: magnified, at a moment, coloured, from a camera. Drawn by tg4mm's own rasteriser."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

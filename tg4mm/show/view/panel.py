@@ -3,8 +3,6 @@
 Controls that are also moved from here are `Any`: viser's `value` can be set, which mypy does not see.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The panel's answer to a clicked pixel, and the mark in the scene."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -102,7 +100,7 @@ class PixelPanel:
         radius = _MARK * distance * 2 * np.tan(canvas.fov / 2)
         self._server.scene.add_icosphere("/pixel", radius=radius, color=ACCENT_RGB, position=tuple(point))
 
-    def _words(self, found: Waveform, point: np.ndarray) -> str:
+    def _words(self, found: "Waveform", point: np.ndarray) -> str:
         scene, per = self._session.scene, self._session.scene.per_unit
         unit = scene.unit
         deviation = None if found.deviation is None else found.deviation * per
@@ -122,7 +120,7 @@ class PixelPanel:
         return block(_headline(found, unit, per), wave, chart, where)
 
 
-def _headline(found: Waveform, unit: str, per: float) -> str:
+def _headline(found: "Waveform", unit: str, per: float) -> str:
     if found.peak is None:
         return f"Nothing stands out of the noise, along {found.along}"
     hz, amplitude = number(found.peak[0]), number(found.peak[1] * per)

@@ -1,7 +1,5 @@
 """Snapshots and clips: what a page shows, to disk."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

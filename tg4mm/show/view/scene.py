@@ -1,7 +1,5 @@
 """What a run has to show: Gaussians, motion, deviations, cameras of the capture, and units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ While something changes, pictures are as fine as keeps up with the frame rate; o
 page's full size.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable
@@ -81,7 +79,7 @@ class Pace:
         share = math.sqrt(self.pixels / (width * height))
         return _scaled(width, height, min(1.0, max(share, _COARSEST)))
 
-    def after(self, seconds: float, drawn: int) -> Pace:
+    def after(self, seconds: float, drawn: int) -> "Pace":
         """The pace after a picture of `drawn` pixels took `seconds`; small misses change nothing."""
         aim = 0.85 / RATE
         if 0.6 * aim < seconds <= aim:

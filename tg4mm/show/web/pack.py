@@ -6,8 +6,6 @@ A block is a zlib stream of two tables, one after the other (docs/web.md):
 each with its bytes taken apart, all first bytes, then all second ones …: like bytes beside each other compress better.
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import asdict, dataclass
 
@@ -55,7 +53,7 @@ class Packed:
     light_sizes: np.ndarray  # [R] largest coefficient of each change of light
 
 
-def pack(gaussians: Gaussians, motion: MotionFields, light: AppearanceModes | None = None) -> Packed:
+def pack(gaussians: Gaussians, motion: "MotionFields", light: AppearanceModes | None = None) -> Packed:
     """The block of a scene.
 
     Positions and opacities are kept as float32. float16 keeps 11 bits: scales to 0.4 % (e⁻⁸ … e⁸), quaternions to

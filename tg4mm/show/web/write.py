@@ -1,7 +1,5 @@
 """A run as one HTML file: template, style, program, scene and numbers put together."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

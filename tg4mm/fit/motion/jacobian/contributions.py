@@ -1,7 +1,5 @@
 """The rendering Jacobian of one view as a list of pixel–Gaussian contributions on a torch device."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

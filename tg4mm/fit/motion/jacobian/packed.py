@@ -7,8 +7,6 @@ summed by one thread in a fixed order, so that results do not depend on the numb
 # mypy: disable-error-code="call-arg, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
-from __future__ import annotations
-
 import numpy as np
 from numba import float32, int64, prange
 

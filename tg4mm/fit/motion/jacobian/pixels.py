@@ -1,7 +1,5 @@
 """What a motion does in the pictures to first order: how far things move in pixels, its optical flow, depth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ Projection's backward pass, once for each column, over chunks of Gaussians that 
 
 # mypy: disable-error-code="no-untyped-call"
 
-from __future__ import annotations
-
 import numpy as np
 from numba import float32, prange
 

@@ -4,8 +4,6 @@ Per Gaussian an 8 × 6 block takes displacement and rotation to its splat (mean,
 kernels take splats to pixels. It is the exact derivative of the rendered picture; no finite differences.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -114,7 +112,7 @@ class ViewJacobian:
         )  # fmt: skip
         self._gather(v_pairs, v_motions)
 
-    def stored(self) -> ViewJacobian:
+    def stored(self) -> "ViewJacobian":
         """The same with its arrays in a temporary file (`mapped_zeros`): `release` lets go of what a call has read."""
         bins = copy(self.bins)
         for name in _OF_BINS:

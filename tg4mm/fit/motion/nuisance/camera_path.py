@@ -12,8 +12,6 @@ frequency as much as the scene, that share alone is left. A line that the path h
 rigid motion that the fields lack, or hold too much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -85,7 +83,7 @@ class CameraPath:
     @staticmethod
     def of(
         times_s: np.ndarray, viewmats: np.ndarray, left: np.ndarray, means: np.ndarray, seen: np.ndarray
-    ) -> CameraPath:
+    ) -> "CameraPath":
         """Of poses [F, 4, 4] and the coefficients [F, 6] of the pose columns in what each frame's residual is."""
         viewmats = viewmats.astype(np.float64)
         centre = np.average(means, axis=0, weights=seen)

@@ -5,8 +5,6 @@ exposure is always taken out, and a shake is looked for. Of a cut-out object no 
 exposure is taken out where it shows, and a shake is looked for only where several synchronous cameras can disagree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

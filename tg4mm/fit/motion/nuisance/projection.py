@@ -10,8 +10,6 @@ In the normal operator the projection is a correction of low rank: Jᵀ W J − 
 each column, and Jᵀ W J is what it was.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,7 +38,7 @@ class Nuisance:
     means: np.ndarray  # [N, 3] float32, of the Gaussians at rest
     active: np.ndarray  # [12] bool
 
-    def with_active(self, active: np.ndarray) -> Nuisance:
+    def with_active(self, active: np.ndarray) -> "Nuisance":
         return replace(self, active=active)
 
     @cached_property
@@ -155,7 +153,7 @@ class Projection:
         weights: np.ndarray | None,
         is_stored: bool = False,
         keeps: bool = True,
-    ) -> Projection:
+    ) -> "Projection":
         """weights [H, W] or None for 1; mean [H, W, 3]. Where it `is_stored`, L lies in a temporary file."""
         columns = nuisance.columns(mean)
         weighted = columns if weights is None else columns * weights[..., None]

@@ -5,8 +5,6 @@ A camera that turns about its own centre by R moves its picture by the homograph
 shift; `projection.py` takes out what is left to first order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -9,8 +9,6 @@ A scene that moves as a whole looks the same to one camera. Several that film at
 rigid motion of the scene, six numbers for each timestep, must look right in all of them (`own_rotations`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -38,7 +36,7 @@ class BlockShifts:
     energy: np.ndarray  # [B, B] of the changes
 
     @staticmethod
-    def of(picture: np.ndarray, n_frames: int) -> BlockShifts:
+    def of(picture: np.ndarray, n_frames: int) -> "BlockShifts":
         """picture [H, W, 3]: at rest."""
         down, right = np.gradient(picture, axis=(0, 1))
         slopes = -np.stack([right, down]).astype(np.float32)

@@ -6,8 +6,6 @@ motion is free, bending is cheap, jumps are dear. It is the same for x, y and z,
 acts on its columns: u, then the change of u over the mean spacing along x, y and z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -5,8 +5,6 @@ nearly so, in least squares. For a ball that is half the curl; a flake or a need
 lies in, also where that shears.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tg4mm.fit.rasterize.kernels.compiled import kernel

@@ -5,8 +5,6 @@ prior nothing there, and 0 elsewhere, which costs much at its border. Damped Jac
 it, and the columns of the smoothed prolongation P span the coarse space.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

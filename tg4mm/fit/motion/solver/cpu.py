@@ -1,7 +1,5 @@
 """The motion problem on the CPU: numba kernels for the Jacobian and the prior, numpy for the rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -99,7 +97,7 @@ class CpuOperator:
             total += float(np.vdot(residual.astype(np.float64), weighted))
         return total
 
-    def with_graph(self, graph: Graph) -> CpuOperator:
+    def with_graph(self, graph: Graph) -> "CpuOperator":
         """`Operator.with_graph`."""
         return replace(self, graph=graph)
 

@@ -12,8 +12,6 @@ numbers, so the operator stays symmetric, and 5e-4 on single entries is far belo
 contribution takes 16 bytes then.
 """
 
-from __future__ import annotations
-
 import copy
 import warnings
 from collections.abc import Iterable, Sequence
@@ -59,7 +57,7 @@ class _Transposable:
     back: Tensor
 
     @staticmethod
-    def of(matrix: csr_matrix, device: str) -> _Transposable:
+    def of(matrix: csr_matrix, device: str) -> "_Transposable":
         return _Transposable(_sparse(matrix, device), _sparse(matrix.T.tocsr(), device))
 
 
@@ -173,7 +171,7 @@ class DeviceOperator:
                     total -= float((self.adjoint_columns[k] @ motion.flatten()).double().square().sum())
         return total
 
-    def with_graph(self, graph: Graph) -> DeviceOperator:
+    def with_graph(self, graph: Graph) -> "DeviceOperator":
         """`Operator.with_graph`."""
         other = copy.copy(self)
         try:

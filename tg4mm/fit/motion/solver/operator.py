@@ -11,8 +11,6 @@ contrast or number of the images. The unknowns are θ [R, P, 3] with x = B θ (`
 gradients need few iterations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -77,5 +75,5 @@ class Operator(System, Protocol):
     def misfit(self, fields: np.ndarray, pictures: Iterable[np.ndarray]) -> float:
         """The weighted squares that fields [R, N, 6] leave of target images."""
 
-    def with_graph(self, graph: Graph) -> Operator:
+    def with_graph(self, graph: Graph) -> "Operator":
         """The problem with other edge weights, in the same unknowns."""

@@ -1,7 +1,5 @@
 """Conjugate gradients for one coupled system or several independent ones at once, on numpy arrays or torch tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ and takes hundreds, since each iteration couples a Gaussian to its neighbours on
 their inverse as a change of variables x = B θ, which needs no change to conjugate gradients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -60,7 +58,7 @@ class DiagonalEstimate:
     coarse: np.ndarray  # [4G, 4G] float64
 
     @staticmethod
-    def of(aggregates: Aggregates, probes: np.ndarray) -> DiagonalEstimate:
+    def of(aggregates: Aggregates, probes: np.ndarray) -> "DiagonalEstimate":
         """From `probe` [probes, N, 6].
 
         Neighbours share pixels, so JᵀWJ has entries off the diagonal, and on most coarse fields it is two to three

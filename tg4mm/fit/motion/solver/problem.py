@@ -1,7 +1,5 @@
 """The motion problem of one scene and its views, from which operators for folds are made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -40,14 +38,16 @@ class Problem:
     _kept: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)  # made once
 
     @staticmethod
-    def of(views: Sequence[ViewJacobian], gaussians: Gaussians, config: MotionConfig, device: str) -> Problem:
+    def of(
+        views: Sequence[ViewJacobian], gaussians: Gaussians, config: MotionConfig, device: str
+    ) -> "Problem":
         """With the graph of the Gaussians' neighbours."""
         means = gaussians.means.numpy()
         axes = rotation_matrices(gaussians.quats).numpy()
         graph = build_graph(means, axes, gaussians.scales.numpy())
         return Problem(views, gaussians, graph, aggregate(graph, means), config, device)
 
-    def changed(self, **fields: Any) -> Problem:
+    def changed(self, **fields: Any) -> "Problem":
         """With other fields. What was made with the old ones is let go, but for the views on a device."""
         kept = {k: v for k, v in self._kept.items() if k == "device_views" and "views" not in fields}
         return replace(self, **fields, _kept=kept)

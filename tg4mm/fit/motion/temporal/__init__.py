@@ -1,7 +1,5 @@
 """Temporal models: which functions of time the motion of a capture is fitted by, and how each view sees them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +63,7 @@ class TemporalModel(ABC):
         """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
 
     @abstractmethod
-    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> TemporalModel:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "TemporalModel":
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
     @property
@@ -81,7 +79,7 @@ class TemporalModel(ABC):
         return None
 
     @abstractmethod
-    def settled(self, folds: np.ndarray) -> tuple[TemporalModel, np.ndarray]:
+    def settled(self, folds: np.ndarray) -> "tuple[TemporalModel, np.ndarray]":
         """The motion in fields [P, R, N, 6] of the folds, and the model with its functions of time alone.
 
         Functions that are no motion are let go, and what the cameras leave open is settled.

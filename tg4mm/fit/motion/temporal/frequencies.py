@@ -5,8 +5,6 @@ over regions and clocks. A peak that stands out of the other frequencies is a fr
 series and taken out, and the next is looked for in the residual. All frequencies found are then refined together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -35,7 +33,7 @@ class Frequencies:
     hz: np.ndarray  # [K]
     deviation_hz: np.ndarray  # [K] standard deviation by noise (Cramér-Rao)
 
-    def selected(self, keep: np.ndarray) -> Frequencies:
+    def selected(self, keep: np.ndarray) -> "Frequencies":
         """Some of the frequencies [K] bool."""
         return Frequencies(self.hz[keep], self.deviation_hz[keep])
 
@@ -49,7 +47,7 @@ class _Record:
     noise: np.ndarray  # [S] variance of each series' noise
 
     @staticmethod
-    def of(y: np.ndarray, times_s: np.ndarray, lowest_hz: float, grid: np.ndarray) -> _Record:
+    def of(y: np.ndarray, times_s: np.ndarray, lowest_hz: float, grid: np.ndarray) -> "_Record":
         """The noise by the median over frequencies (of an exponential distribution)."""
         y = residual(y, polynomials(times_s, max(int(2 * lowest_hz * np.ptp(times_s) / 2), 1)))
         return _Record(y, times_s, np.median(_power(y, times_s, grid), axis=0) / np.log(2))
@@ -58,13 +56,13 @@ class _Record:
         """[F, S]: the residual of sinusoids of these frequencies [K]."""
         return residual(self.y, sinusoids(self.times_s, hz).T) if len(hz) else self.y
 
-    def strongest(self) -> _Record:
+    def strongest(self) -> "_Record":
         """The series with the most power, each over its own noise."""
         told = self.noise > 0
         y = self.y[:, told] / np.sqrt(self.noise[told])
         return replace(self, y=y[:, np.argsort((y**2).sum(0))[::-1][:_STRONG]])
 
-    def without_third(self, k: int) -> _Record:
+    def without_third(self, k: int) -> "_Record":
         """All but the k-th third of the frames."""
         kept = np.delete(np.arange(len(self.y)), np.array_split(np.arange(len(self.y)), _THIRDS)[k])
         return replace(self, y=self.y[kept], times_s=self.times_s[kept])

@@ -11,8 +11,6 @@ The first camera's clock is the common one. Cameras of a rig have one offset of 
 which is told from the phases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -63,7 +61,7 @@ class IndependentClocks(Steady):
         config: MotionConfig,
         device: str,
         checkpoint: Checkpoint,
-    ) -> IndependentClocks:
+    ) -> "IndependentClocks":
         """Frequencies from region shifts, sinusoids of these, and phases from region shifts."""
         seen = look_at(gaussians, observations, config, device, checkpoint)
         observations = seen.observations
@@ -88,7 +86,7 @@ class IndependentClocks(Steady):
         """The mean over cameras."""
         return round(float(np.mean([len(f.rows) for f in self.observations.frames])))
 
-    def with_phases(self, phases: np.ndarray) -> IndependentClocks:
+    def with_phases(self, phases: np.ndarray) -> "IndependentClocks":
         """C_v holds phases [C, K]."""
         mixing = [m @ rotations(p) for m, p in zip(self.unphased, phases, strict=False)]
         return replace(self, phases=phases, problem=self.problem.changed(mixing=mixing))
@@ -98,7 +96,7 @@ class IndependentClocks(Steady):
         mixing = [m[:2, :2] for m in self.problem.mixing or ()]
         return self.targets.images[:, :2], self.problem.changed(mixing=mixing), self.folds
 
-    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> IndependentClocks:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "IndependentClocks":
         """Every camera's phases, in alternation with the fields."""
         model = self
         few = max(self.config.iterations // _OF_ITERATIONS, 2)
@@ -127,7 +125,7 @@ class IndependentClocks(Steady):
                 out[v, k] = np.arctan2(imaginary, real)
         return out - out[:1]
 
-    def settled(self, folds: np.ndarray) -> tuple[IndependentClocks, np.ndarray]:
+    def settled(self, folds: np.ndarray) -> "tuple[IndependentClocks, np.ndarray]":
         """And the phases of the frequencies that are kept, in figures; of a rig its offsets, in a note."""
         model, kept = super().settled(folds)
         phases = self.phases[:, np.isin(self.hz, model.hz)]

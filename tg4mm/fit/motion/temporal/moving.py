@@ -10,8 +10,6 @@ Motion that looks like the camera's own, of the whole picture as one, cannot be 
 explain the frames, the one is taken in which most of the scene stands still.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -83,7 +81,7 @@ class MovingCamera(Steady):
         config: MotionConfig,
         device: str,
         checkpoint: Checkpoint,
-    ) -> MovingCamera:
+    ) -> "MovingCamera":
         """The scene and poses refined on all frames, the residuals of these, and frequencies in them."""
         gaussians, frames, refined = _refine_scene_and_poses(
             gaussians, observations, config, device, checkpoint
@@ -126,7 +124,7 @@ class MovingCamera(Steady):
         thinned = [replace(fold, views=fold.views[::_THINNED]) for fold in self.folds]
         return self.targets.images, self.problem, thinned
 
-    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> MovingCamera:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "MovingCamera":
         return self
 
     def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
@@ -160,7 +158,7 @@ class MovingCamera(Steady):
         largest = np.quantile(amplitudes[:, self.path.seen > 0], _LARGEST, axis=1, keepdims=True)
         return np.asarray(amplitudes > _MOVES * largest)
 
-    def settled(self, folds: np.ndarray) -> tuple[MovingCamera, np.ndarray]:
+    def settled(self, folds: np.ndarray) -> "tuple[MovingCamera, np.ndarray]":
         """The frequencies on which two folds agree, and of which the camera's path tells what stands still."""
         model, folds = super().settled(folds)
         readings = model._readings(folds.mean(0))

@@ -9,8 +9,6 @@ through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the r
 the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
@@ -54,7 +52,7 @@ class RegionSeries:
         return {"sides": self.sides, "normals": self.normals, "axes": self.axes}
 
     @staticmethod
-    def restored(times_s: np.ndarray, arrays: Arrays) -> RegionSeries:
+    def restored(times_s: np.ndarray, arrays: Arrays) -> "RegionSeries":
         """From what `arrays` gave."""
         return RegionSeries(times_s, arrays["sides"], arrays["normals"], arrays["axes"])
 

@@ -4,8 +4,6 @@ The components are those of all changes of all cameras together. C_v is the iden
 for one by one.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,7 +46,7 @@ class Synchronous(TemporalModel):
         config: MotionConfig,
         device: str,
         checkpoint: Checkpoint,
-    ) -> Synchronous:
+    ) -> "Synchronous":
         """What the cameras saw, less what is no motion of the scene, in few components."""
         seen = look_at(gaussians, observations, config, device, checkpoint)
         targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
@@ -66,7 +64,7 @@ class Synchronous(TemporalModel):
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         return self.targets.images[:, :1], self.problem, self.folds
 
-    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> Synchronous:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "Synchronous":
         """The components that are not noise."""
         energy, signal = self.targets.energy, hyper.signal
         if self.config.band and not len(signal):
@@ -78,7 +76,7 @@ class Synchronous(TemporalModel):
         }
         return replace(self, fitted=signal, figures=self.figures | figures)
 
-    def settled(self, folds: np.ndarray) -> tuple[Synchronous, np.ndarray]:
+    def settled(self, folds: np.ndarray) -> "tuple[Synchronous, np.ndarray]":
         return self, folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:

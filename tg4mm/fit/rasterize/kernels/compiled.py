@@ -6,8 +6,6 @@ these two folders: after a change there it would go on serving machine code of t
 A process that finds kernels missing from the cache says so, once, to the log `tg4mm`, which the program shows.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 from collections.abc import Callable

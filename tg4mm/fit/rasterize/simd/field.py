@@ -3,8 +3,6 @@
 The fourth lane of a row holds anything.
 """
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

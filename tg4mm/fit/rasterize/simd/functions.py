@@ -1,7 +1,5 @@
 """Functions of vectors: exp2, and math's sqrt, log, ceil and floor."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sums across the lanes of vectors by a fixed tree, and loads and stores of parts of vectors."""
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

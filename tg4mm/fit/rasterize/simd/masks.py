@@ -3,8 +3,6 @@
 Sixteen words of 32 bits are a vector of `vector.py` that is not read as float32.
 """
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

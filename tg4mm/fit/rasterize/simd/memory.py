@@ -5,8 +5,6 @@ for numba's reference counting, two calls for each, with all vector registers sa
 integers. Nothing is checked.
 """
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

@@ -1,7 +1,5 @@
 """Transposes: sixteen rows of a table to columns, a lane a row, and back (array of structures, structure of arrays)."""
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils

@@ -7,8 +7,6 @@ The types are LLVM's <16 x float> (`vector`: one register with AVX-512, two with
 there are but sixteen registers, narrower ones, and the state of sixteen pixels does not fit into them.
 """
 
-from __future__ import annotations
-
 import operator
 
 from llvmlite import ir

@@ -1,7 +1,5 @@
 """The ablations, declared: what varies, with which settings or filters or data, and which columns tell about it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

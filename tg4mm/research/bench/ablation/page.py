@@ -1,7 +1,5 @@
 """An ablation's results.json read back, and its table, page and picture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

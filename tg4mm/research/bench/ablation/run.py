@@ -1,7 +1,5 @@
 """Runs one ablation: trains what its rows ask for, resumable row by row, and writes table, page, picture and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Datasets like a given one: with fewer cameras or timesteps, with noise, of another amplitude, filmed otherwise."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import zlib

@@ -1,7 +1,5 @@
 """What a method of the benchmark is, and those that train a run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

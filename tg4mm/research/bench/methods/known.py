@@ -1,7 +1,5 @@
 """The methods by name, as `--methods` and `bench job` take them; pictures that another program has rendered."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ along, size and opacity do not change, and the time planes have a cell for each 
 modal motion of all frequency bins, so that the band is magnified as by any other method.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -150,7 +148,7 @@ def track(
     )
 
 
-def _fitted(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> tuple[HexPlane, Any]:
+def _fitted(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> "tuple[HexPlane, Any]":
     """The field, and how its output [N, 6] (scene units, radians) at timestep t is got."""
     n = len(views)
     device = g.means.device

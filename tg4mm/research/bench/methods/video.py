@@ -4,8 +4,6 @@ These methods see the very pictures that they are scored on, unmagnified, which 
 would get who films from the test view itself. They have no other views to offer.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

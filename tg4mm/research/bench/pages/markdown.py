@@ -1,7 +1,5 @@
 """The benchmark's tables as Markdown: results, where they come from, goals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

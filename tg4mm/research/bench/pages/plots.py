@@ -1,7 +1,5 @@
 """The benchmark's plots, drawn by matplotlib: scores over magnification, size against speed, ablations."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

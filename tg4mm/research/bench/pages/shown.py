@@ -1,7 +1,5 @@
 """Pictures of the benchmark's pages: methods side by side, over time, as differences and space-time slices."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The benchmark's tables as data, from results.json; written as Markdown, LaTeX or HTML elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a benchmark writes: results.json, results.md, plots, tables for LaTeX, and at the end one HTML page."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
