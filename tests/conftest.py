@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
+def pytest_sessionstart(session):
     """Kernels are compiled once, before there are workers, each of which would compile them."""
     starts_workers = session.config.getoption("numprocesses", 0) and not hasattr(
         session.config, "workerinput"
@@ -32,6 +32,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 @pytest.fixture(scope="session")
-def repo_root() -> Path:
+def repo_root():
     """The repository's folder."""
     return ROOT

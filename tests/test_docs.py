@@ -17,13 +17,13 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 _HISTORY = {"ablations.md", "results.md"}  # say what was run then
 
 
-def commands(text: str) -> list[str]:
+def commands(text):
     """Lines of code blocks that call tg4mm, without their comments."""
     lines = re.findall(r"^(?: {4}|\$ )(tg4mm (?!generate).+)$", text, re.MULTILINE)
     return [line.split(" # ")[0].strip() for line in lines]
 
 
-def unknown_options(command: str, helps: dict[str, str]) -> list[str]:
+def unknown_options(command, helps):
     """Options of `command` that its --help does not list; its own name where there is no such command."""
     words = shlex.split(command)
     is_part = words[1] == "bench" and not words[2].startswith("--")
@@ -40,7 +40,7 @@ def unknown_options(command: str, helps: dict[str, str]) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in _HISTORY], ids=lambda p: p.name)
-def test_commands_on_the_pages_exist(page: Path) -> None:
+def test_commands_on_the_pages_exist(page):
     helps: dict[str, str] = {}
     wrong = {}
     for command in commands(page.read_text(encoding="utf-8")):
@@ -51,7 +51,7 @@ def test_commands_on_the_pages_exist(page: Path) -> None:
     assert not wrong
 
 
-def test_an_option_that_is_not_there_is_seen() -> None:
+def test_an_option_that_is_not_there_is_seen():
     assert unknown_options("tg4mm train data --out run --iterations 5", {}) == ["--iterations"]
     assert unknown_options("tg4mm teach data", {}) == ["teach"]
     assert unknown_options("tg4mm train data --out run --device cuda", {}) == []
@@ -60,7 +60,7 @@ def test_an_option_that_is_not_there_is_seen() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_lead_to_files(page):
     generated = {"commands.md", "settings.md", "api.md", "security.md", "changelog.md"}
     links = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text(encoding="utf-8"))
     missing = [one for one in links if not (page.parent / one).exists() and Path(one).name not in generated]
@@ -68,7 +68,7 @@ def test_links_lead_to_files(page: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_site_builds_strictly(tmp_path: Path) -> None:
+def test_the_site_builds_strictly(tmp_path):
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
     command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(

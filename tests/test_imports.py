@@ -3,27 +3,26 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 BLOCKED = "import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
 
 
-def run_without(blocked: list[str], code: str, root: Path) -> subprocess.CompletedProcess[str]:
+def run_without(blocked, code, root):
     """Run code in a fresh Python in which importing any of `blocked` raises ImportError."""
     program = BLOCKED.format(blocked=blocked) + code
     return subprocess.run([sys.executable, "-c", program], cwd=root, capture_output=True, text=True)
 
 
-def modules(root: Path, package: str) -> list[str]:
+def modules(root, package):
     """The dotted names of all modules of a package, `__main__` apart."""
     files = sorted((root / package).rglob("*.py"))
     names = [".".join(f.relative_to(root).with_suffix("").parts) for f in files if f.name != "__main__.py"]
     return [name.removesuffix(".__init__") for name in names]
 
 
-def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> None:
+def test_every_module_of_the_core_imports_without_blender(repo_root):
     names = modules(repo_root, "tg4mm")
     assert {"tg4mm", "tg4mm.run.folder", "tg4mm.cli.program"} <= set(names)
     code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
@@ -31,7 +30,7 @@ def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> No
     assert done.returncode == 0, done.stderr
 
 
-def test_every_benchmark_imports(repo_root: Path) -> None:
+def test_every_benchmark_imports(repo_root):
     names = modules(repo_root, "benchmarks")
     assert {"benchmarks.captures", "benchmarks.fox_phone_measure", "benchmarks.speckle"} <= set(names)
     code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
@@ -40,13 +39,13 @@ def test_every_benchmark_imports(repo_root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["dataset_gen.report.write", "dataset_gen.report.overview"])
-def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root: Path, name: str) -> None:
+def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root, name):
     done = run_without(["torch", "bpy", "numba", "flip_evaluator"], f"import {name}", repo_root)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", ["tg4mm", "tg4mm.capture", "tg4mm.cli", "tg4mm.core.splatfile"])
-def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> None:
+def test_what_needs_no_torch_imports_without_it(repo_root, name):
     done = run_without(["torch", "bpy", "numba", "scipy"], f"import {name}", repo_root)
     assert done.returncode == 0, done.stderr
 
@@ -62,13 +61,13 @@ ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "dataset
 DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
 
 
-def room_of(module: str) -> str:
+def room_of(module):
     """The room a dotted name lies in: `core` of `tg4mm.core.files`, `dataset_gen` of all that is in it."""
     top, *rest = module.split(".")
     return rest[0] if top in ("tg4mm", "addon") and rest else top
 
 
-def imported(name: str, source: str) -> list[tuple[int, str]]:
+def imported(name, source):
     """(line, room) of every import from our packages in a file, those inside functions and of types, too."""
     found = []
     for node in ast.walk(ast.parse(source)):
@@ -87,7 +86,7 @@ def imported(name: str, source: str) -> list[tuple[int, str]]:
     return found
 
 
-def climbs(name: str, source: str) -> list[str]:
+def climbs(name, source):
     """The imports of a file that its floor does not allow."""
     own = room_of(name.removesuffix(".py").replace("/", "."))
     allowed = (ADDON_MAY_IMPORT if name.startswith("addon/") else MAY_IMPORT)[own] | {own}
@@ -96,7 +95,7 @@ def climbs(name: str, source: str) -> list[str]:
     ]
 
 
-def test_every_import_goes_down_a_floor(repo_root: Path) -> None:
+def test_every_import_goes_down_a_floor(repo_root):
     """docs/architecture.md; imports inside functions count."""
     files = sorted(f for top in ("tg4mm", "dataset_gen", "addon") for f in (repo_root / top).rglob("*.py"))
     names = {f.relative_to(repo_root).as_posix(): f for f in files}
@@ -117,5 +116,5 @@ def test_every_import_goes_down_a_floor(repo_root: Path) -> None:
         ("addon/io/loading.py", "from .. import probe"),
     ],
 )
-def test_an_import_that_goes_up_is_found(name: str, source: str) -> None:
+def test_an_import_that_goes_up_is_found(name, source):
     assert len(climbs(name, source)) == 1

@@ -2,7 +2,6 @@
 
 import json
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,7 @@ pytest.importorskip("matplotlib", reason="needs the extra core")
 HZ = 3.0
 
 
-def execute(
-    notebook: Path, parameters: dict[str, Any], folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> dict[str, Any]:
+def execute(notebook, parameters, folder, monkeypatch):
     """Run its code in `folder`; the names that it leaves. Its figures are left open."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("MPLBACKEND", "Agg")
@@ -34,7 +31,7 @@ def execute(
 
 
 @pytest.fixture
-def figures() -> Any:
+def figures():
     """Closes every figure at the end."""
     import matplotlib.pyplot as plt
 
@@ -43,16 +40,14 @@ def figures() -> Any:
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("notebooks") / "tiny"
     make_synthetic_dataset(path, freqs=(HZ,), n_timesteps=20, alphas=(20,))
     return path
 
 
 @pytest.mark.slow
-def test_first_run(
-    repo_root: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any
-) -> None:
+def test_first_run(repo_root, data, tmp_path, monkeypatch, figures):
     small = {"dataset": str(data), "space_iterations": 300}
     names = execute(repo_root / "examples" / "first_run.ipynb", small, tmp_path, monkeypatch)
     assert names["sensor"].spectrum.peaks[0].frequency_hz == pytest.approx(HZ, abs=0.05)
@@ -61,7 +56,7 @@ def test_first_run(
 
 
 @pytest.mark.slow
-def test_own_video(repo_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any) -> None:
+def test_own_video(repo_root, tmp_path, monkeypatch, figures):
     pytest.importorskip("av", reason="needs the extra sfm")
     from tests.capture.sfm.videos import write_video
 
@@ -97,9 +92,7 @@ def test_own_video(repo_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_compare_a_method(
-    repo_root: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any
-) -> None:
+def test_compare_a_method(repo_root, data, tmp_path, monkeypatch, figures):
     small = {"dataset": str(data), "space_iterations": 300, "alpha": 20}
     names = execute(repo_root / "examples" / "compare_a_method.ipynb", small, tmp_path, monkeypatch)
     scores = names["scores"]

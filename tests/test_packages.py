@@ -22,7 +22,7 @@ print(len(splat), len(capture), tg4mm.load_images(capture).rgb(0).shape)
 """
 
 
-def run(*command: object, cwd: Path) -> str:
+def run(*command, cwd):
     """Its output; no path of this repository in the environment."""
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONSAFEPATH")}
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, cwd=cwd, env=environment)
@@ -30,7 +30,7 @@ def run(*command: object, cwd: Path) -> str:
     return done.stdout
 
 
-def interpreter(version: str) -> str:
+def interpreter(version):
     """A Python of that version. Skips the test where there is none."""
     places = [Path(sys.executable)] if sys.version_info[:2] == tuple(map(int, version.split("."))) else []
     places += [*PYENV.glob(f"{version}.*/bin/python"), Path(f"/usr/bin/python{version}")]
@@ -41,7 +41,7 @@ def interpreter(version: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def built(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def built(repo_root, tmp_path_factory):
     """The source distribution of a clean copy of the repository, and the wheel that is built from it."""
     work = tmp_path_factory.mktemp("build")
     run("git", "clone", "--quiet", "--no-hardlinks", repo_root, work / "copy", cwd=work)
@@ -59,7 +59,7 @@ def built(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def data(tmp_path_factory):
     """A splat file and a dataset."""
     from tests.addon.conftest import some_splat
     from tests.helpers.synthetic import make_synthetic_dataset
@@ -71,7 +71,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "a.ply", folder / "tiny"
 
 
-def test_both_hold_every_module_and_file_of_the_packages(repo_root: Path, built: tuple[Path, Path]) -> None:
+def test_both_hold_every_module_and_file_of_the_packages(repo_root, built):
     source, wheel = built
     tracked = run("git", "ls-files", "tg4mm", "dataset_gen", cwd=repo_root).split()
     left_out = ("tg4mm/show/web/player/",)  # its sources; what is built of it lies in dist/
@@ -85,9 +85,7 @@ def test_both_hold_every_module_and_file_of_the_packages(repo_root: Path, built:
 
 
 @pytest.fixture(scope="module", params=PYTHONS)
-def installed(
-    request: pytest.FixtureRequest, built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, Path]:
+def installed(request, built, tmp_path_factory):
     """A version of Python, and the programs of an environment of it that has the wheel without any extra."""
     work = tmp_path_factory.mktemp(f"python{request.param}")
     run(interpreter(request.param), "-m", "venv", work / "env", cwd=work)
@@ -96,9 +94,7 @@ def installed(
     return request.param, folder
 
 
-def test_the_wheel_alone_reads_and_says_what_it_lacks(
-    installed: tuple[str, Path], data: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_the_wheel_alone_reads_and_says_what_it_lacks(installed, data, tmp_path):
     """Files, the command line, and one line for what needs torch or Blender."""
     version, folder = installed
     assert run(folder / "python", "-c", LOOK, *data, cwd=tmp_path).split()[:2] == ["23", "48"]
@@ -117,9 +113,7 @@ def test_the_wheel_alone_reads_and_says_what_it_lacks(
         assert done.stderr.count("\n") == 1
 
 
-def test_what_the_core_needs_is_to_be_had(
-    installed: tuple[str, Path], built: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_what_the_core_needs_is_to_be_had(installed, built, tmp_path):
     """Resolved, not downloaded: torch for one of them may be gigabytes."""
     pip = (installed[1] / "python", "-m", "pip")
     found = run(
@@ -129,9 +123,7 @@ def test_what_the_core_needs_is_to_be_had(
         assert f" {name}-" in found
 
 
-def test_the_core_trains_in_a_clean_environment(
-    built: tuple[Path, Path], data: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_the_core_trains_in_a_clean_environment(built, data, tmp_path):
     """With the torch of this environment's version, where pip can have it without CUDA; nothing else of this one."""
     torch = pytest.importorskip("torch").__version__
     if "+cpu" not in torch:

@@ -1,8 +1,6 @@
 """All that runs with --device cuda, on a pretended GPU: everything on one device, and no transfer in an iteration."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +8,12 @@ import torch
 
 from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.adam import assert_same_steps, oblong, watch_paper, watch_space
-from tests.helpers.pretend import NAME, Gpu, pretended_gpu, register
+from tests.helpers.pretend import NAME, pretended_gpu, register
 from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.synthetic import make_synthetic_dataset, moving_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.fit.space import train as stage
@@ -45,7 +42,7 @@ register()  # while tests are collected: before any backward pass
 
 
 @pytest.fixture
-def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
+def gpu(monkeypatch):
     for module in (stage, paper_space, paper_motion):
         for name in ("SHOW_EVERY_S", "CHECKPOINT_EVERY_S"):  # what is shown or saved is fetched
             monkeypatch.setattr(module, name, 1e9)
@@ -54,29 +51,27 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+def made(tmp_path_factory):
     """A dataset that moves, and a run with its exact Gaussians and motion."""
     root = tmp_path_factory.mktemp("pretended")
     run = moving_run(root, n_views=6, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
     return root / "data", run
 
 
-def counted(gpu: Gpu) -> dict[str, int]:
+def counted(gpu):
     found = dict(gpu.counts)
     gpu.counts.clear()
     return found
 
 
-def trained_space(data: Path, path: Path, iterations: int, device: str) -> Gaussians:
+def trained_space(data, path, iterations, device):
     capture = load_capture(data)
     views = rest_views(capture, load_images(capture))
     config = replace(SHORT, iterations=iterations)
     return train_space(Run.create(path, data, "modal", {}), views, capture.points, config, device)
 
 
-def test_the_space_stage(
-    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_space_stage(made, tmp_path, gpu, monkeypatch):
     watched = watch_space(monkeypatch)
     trained_space(made[0], tmp_path / "there", 12, NAME)
     of_twelve = counted(gpu)
@@ -89,7 +84,7 @@ def test_the_space_stage(
 
 
 @pytest.mark.slow
-def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+def test_the_motion_stage(made, tmp_path, gpu):
     data, source = made
     capture = load_capture(data)
     images, found, crossed = load_images(capture), [], []
@@ -111,7 +106,7 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
 
 
 @pytest.mark.slow
-def test_motion_of_more_than_a_pixel(tmp_path: Path, gpu: Gpu) -> None:
+def test_motion_of_more_than_a_pixel(tmp_path, gpu):
     """One Gauss-Newton iteration: refining the scene at rest forks from the last digits."""
     gaussians, _ = make_synthetic_dataset(
         tmp_path / "data", n_views=6, n_timesteps=5, size=32, freqs=(6.0,), amplitude=0.2, alphas=(), n_test=0
@@ -128,7 +123,7 @@ def test_motion_of_more_than_a_pixel(tmp_path: Path, gpu: Gpu) -> None:
     assert_close("displacement", found[1], found[0], 1e-2)
 
 
-def test_pictures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+def test_pictures(made, tmp_path, gpu):
     data, run = made
     cameras = capture_cameras(load_capture(data, split="test"))
     request = RenderRequest(Magnification.of(5))
@@ -144,15 +139,13 @@ def test_pictures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
         assert np.abs(a - b).max() <= 1
 
 
-def scattered(gaussians: Gaussians) -> Gaussians:
+def scattered(gaussians):
     """A little off their places: of two at the same depth, rounding would decide which is in front."""
     noise = torch.randn(gaussians.means.shape, generator=torch.Generator().manual_seed(2))
     return replace(gaussians, means=gaussians.means + 0.01 * noise)
 
 
-def test_the_preset_paper(
-    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_preset_paper(made, tmp_path, gpu, monkeypatch):
     data, source = made
     capture = load_capture(data)
     images, counts, base = load_images(capture), [], scattered(oblong(source.load_space()))
@@ -179,7 +172,7 @@ def test_the_preset_paper(
     assert counts[2] == counts[0]
 
 
-def test_the_method_tracking(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+def test_the_method_tracking(made, tmp_path, gpu):
     data, source = made
     capture = load_capture(data)
     images, base, found = load_images(capture), scattered(oblong(source.load_space())), []

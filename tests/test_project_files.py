@@ -6,8 +6,6 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -16,11 +14,11 @@ from tg4mm import __version__
 
 
 @pytest.fixture(scope="module")
-def project(repo_root: Path) -> dict[str, Any]:
+def project(repo_root):
     return tomllib.loads((repo_root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-def test_the_citation_is_of_this_version(repo_root: Path, project: dict[str, Any]) -> None:
+def test_the_citation_is_of_this_version(repo_root, project):
     citation = yaml.safe_load((repo_root / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == project["version"] == __version__
     assert citation["license"] == project["license"]
@@ -35,21 +33,21 @@ SCHEMAS = {
 }
 
 
-def checked(schema: str, *files: Path) -> subprocess.CompletedProcess[str]:
+def checked(schema, *files):
     pytest.importorskip("check_jsonschema", reason="needs the extra dev")
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema, *map(str, files)]
     return subprocess.run(command, capture_output=True, text=True)
 
 
 @pytest.mark.parametrize(("pattern", "schema"), SCHEMAS.items())
-def test_files_are_of_their_schema(repo_root: Path, pattern: str, schema: str) -> None:
+def test_files_are_of_their_schema(repo_root, pattern, schema):
     files = sorted(repo_root.glob(pattern))
     assert files
     done = checked(schema, *files)
     assert done.returncode == 0, done.stdout
 
 
-def test_a_release_gives_the_readme_whole_addresses(repo_root: Path, tmp_path: Path) -> None:
+def test_a_release_gives_the_readme_whole_addresses(repo_root, tmp_path):
     """On the package index a relative link leads nowhere, and a relative picture is not shown."""
     for name in ("README.md", "pyproject.toml"):
         shutil.copyfile(repo_root / name, tmp_path / name)

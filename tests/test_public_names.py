@@ -23,26 +23,26 @@ NAMES = re.findall(
 )
 
 
-def python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def python(code, *arguments):
     root = Path(tg4mm.__file__).parent.parent
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=root)
 
 
-def test_the_public_names() -> None:
+def test_the_public_names():
     assert tg4mm.__all__ == NAMES
     assert set(NAMES) <= set(dir(tg4mm))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_is_there_and_says_what_it_is(name: str) -> None:
+def test_each_is_there_and_says_what_it_is(name):
     value = getattr(tg4mm, name)
     assert inspect.getdoc(value)
     # a dataclass without a docstring would be given its signature
-    assert not inspect.getdoc(value).startswith(f"{name}(")  # type: ignore[union-attr]
+    assert not inspect.getdoc(value).startswith(f"{name}(")
 
 
-def test_type_checkers_see_the_same_names_in_the_same_modules() -> None:
+def test_type_checkers_see_the_same_names_in_the_same_modules():
     """A package that was written `from tg4mm.x import y as y` for them, and `"y": "x"` for Python."""
     tree = ast.parse(Path(tg4mm.__file__).read_text(encoding="utf-8"))
     (block,) = (n for n in tree.body if isinstance(n, ast.If))
@@ -56,7 +56,7 @@ def test_type_checkers_see_the_same_names_in_the_same_modules() -> None:
     assert (Path(tg4mm.__file__).parent / "py.typed").is_file()
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
+def test_importing_the_package_imports_nothing_heavy():
     code = "import sys; before = set(sys.modules); import tg4mm; print(len(tg4mm.__all__), *set(sys.modules) - before)"
     done = python(code)
     assert done.returncode == 0, done.stderr
@@ -65,7 +65,7 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     assert len(new) < 40
 
 
-def test_without_torch_there_is_still_what_needs_none() -> None:
+def test_without_torch_there_is_still_what_needs_none():
     """As in Blender's Python."""
     code = (
         "import sys\nfor name in ('torch', 'numba', 'scipy', 'bpy'): sys.modules[name] = None\n"
@@ -77,7 +77,7 @@ def test_without_torch_there_is_still_what_needs_none() -> None:
     assert "ModuleNotFoundError: import of torch halted" in done.stderr
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'tg4mm' has no attribute 'fit_sapce'"):
         tg4mm.fit_sapce  # noqa: B018
     assert tg4mm.render is importlib.import_module("tg4mm.show.render.image").render

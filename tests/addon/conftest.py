@@ -1,9 +1,6 @@
 """The extension, registered in pip's Blender, and a small splat file that moves."""
 
 import importlib
-from collections.abc import Iterator
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,7 +9,7 @@ from tg4mm.core.splatfile import SplatFile, write_splat
 
 
 @pytest.fixture
-def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+def extension(monkeypatch):
     """addon/, registered in an empty scene. Imports draw ellipsoids (but see test_defaults.py)."""
     bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
     module = importlib.import_module("addon")
@@ -24,12 +21,12 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
-def some_splat(n: int = 23, freqs_hz: tuple[float, ...] = (3.0, 5.0, 7.5), degree: int = 1) -> SplatFile:
+def some_splat(n=23, freqs_hz=(3.0, 5.0, 7.5), degree=1):
     """Random Gaussians that move and turn at several frequencies, fps 24."""
     rng = np.random.default_rng(4)
     m = len(freqs_hz)
 
-    def phasors(size: float) -> np.ndarray:
+    def phasors(size):
         return (size * (rng.normal(size=(m, n, 3)) + 1j * rng.normal(size=(m, n, 3)))).astype(np.complex64)
 
     quats = rng.normal(size=(n, 4))
@@ -48,7 +45,7 @@ def some_splat(n: int = 23, freqs_hz: tuple[float, ...] = (3.0, 5.0, 7.5), degre
 
 
 @pytest.fixture
-def splat_path(tmp_path: Path) -> Path:
+def splat_path(tmp_path):
     """`some_splat`, written."""
     write_splat(tmp_path / "bell.ply", some_splat())
     return tmp_path / "bell.ply"

@@ -1,15 +1,12 @@
 """Crop, clean and hand on: what is left is what it was, in Blender and in the files that are written."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.core.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
+from tg4mm.core.splatfile import positions_at, read_splat, rotations_at, write_splat
 from tg4mm.core.splatfile.axes import transformed
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
@@ -17,7 +14,7 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import drawn_whole, import_files, import_splat, matrices, places, setter  # noqa: E402
 
 
-def kept(splat: SplatFile, keep: np.ndarray) -> SplatFile:
+def kept(splat, keep):
     """Those of the Gaussians."""
     first = {name: getattr(splat, name)[keep] for name in ("means", "quats", "scales", "opacities", "sh")}
     deviation = None if splat.deviation is None else splat.deviation[:, keep]
@@ -25,12 +22,12 @@ def kept(splat: SplatFile, keep: np.ndarray) -> SplatFile:
     return replace(splat, **first, **second, deviation=deviation)
 
 
-def covariances(splat: SplatFile, t: float = 0.0, alpha: float = -1.0) -> np.ndarray:
+def covariances(splat, t=0.0, alpha=-1.0):
     axes = matrices(rotations_at(splat, t, alpha)) * splat.scales[:, None, :].astype(float)
     return axes @ axes.transpose(0, 2, 1)
 
 
-def assert_alike(found: SplatFile, wanted: SplatFile, metres: bool = True) -> None:
+def assert_alike(found, wanted, metres=True):
     for name in ("means", "sh", "displacement", "rotation", "opacities"):
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=2e-5, err_msg=name)
     np.testing.assert_allclose(covariances(found), covariances(wanted), atol=1e-6)
@@ -40,12 +37,12 @@ def assert_alike(found: SplatFile, wanted: SplatFile, metres: bool = True) -> No
         assert found.unit_scale_m == pytest.approx(wanted.unit_scale_m)
 
 
-def exported(path: Path, **options: Any) -> SplatFile:
+def exported(path, **options):
     assert bpy.ops.export_scene.tg4mm_splat(filepath=str(path), **options) == {"FINISHED"}
     return read_splat(path)
 
 
-def box(low: tuple[float, ...], high: tuple[float, ...]) -> Any:
+def box(low, high):
     """A cube mesh with these corners, selected beside the active object."""
     active = bpy.context.object
     middle, half = (np.array(low) + high) / 2, (np.array(high) - low) / 2
@@ -56,7 +53,7 @@ def box(low: tuple[float, ...], high: tuple[float, ...]) -> Any:
 
 
 @pytest.fixture(params=[0, 1, 3])
-def told(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def told(request, tmp_path):
     """A file that says everything a splat file can; SH degree 0, 1 and 3."""
     splat = some_splat(degree=request.param)
     write_splat(
@@ -73,7 +70,7 @@ def told(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return tmp_path / "told.ply"
 
 
-def test_what_is_exported_is_what_was_imported(extension: ModuleType, told: Path, tmp_path: Path) -> None:
+def test_what_is_exported_is_what_was_imported(extension, told, tmp_path):
     import_splat(told)
     found, wanted = exported(tmp_path / "out.ply"), read_splat(told)
     assert_alike(found, wanted)
@@ -82,9 +79,7 @@ def test_what_is_exported_is_what_was_imported(extension: ModuleType, told: Path
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_a_box_crops_and_what_is_left_moves_as_before(
-    extension: ModuleType, splat_path: Path, tmp_path: Path, keep: bool
-) -> None:
+def test_a_box_crops_and_what_is_left_moves_as_before(extension, splat_path, tmp_path, keep):
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     obj.location, obj.rotation_euler = (1.0, 2.0, 3.0), (0.1, 0.2, 0.3)
     bpy.context.view_layer.update()
@@ -108,9 +103,7 @@ def test_a_box_crops_and_what_is_left_moves_as_before(
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_the_selection_crops_from_edit_mode(
-    extension: ModuleType, splat_path: Path, tmp_path: Path, keep: bool
-) -> None:
+def test_the_selection_crops_from_edit_mode(extension, splat_path, tmp_path, keep):
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     chosen = splat.means[:, 0] > 0
     flags = np.zeros(len(obj.data.vertices), bool)
@@ -123,7 +116,7 @@ def test_the_selection_crops_from_edit_mode(
     assert_alike(exported(tmp_path / "out.ply"), kept(splat, chosen == keep), metres=False)
 
 
-def floaters() -> tuple[SplatFile, dict[str, np.ndarray]]:
+def floaters():
     """Gaussians of which some are faint, some large, some far, some very far."""
     splat = replace(some_splat(200), opacities=np.full(200, 0.9, np.float32))
     splat = replace(splat, scales=np.full((200, 3), 0.05, np.float32))
@@ -137,7 +130,7 @@ def floaters() -> tuple[SplatFile, dict[str, np.ndarray]]:
 
 
 @pytest.mark.parametrize("by", ["OPACITY", "SIZE", "DISTANCE", "OUT"])
-def test_floaters_go_and_nothing_else(extension: ModuleType, tmp_path: Path, by: str) -> None:
+def test_floaters_go_and_nothing_else(extension, tmp_path, by):
     splat, masks = floaters()
     write_splat(tmp_path / "a.ply", splat)
     import_splat(tmp_path / "a.ply")
@@ -157,9 +150,7 @@ def test_floaters_go_and_nothing_else(extension: ModuleType, tmp_path: Path, by:
         (np.diag([1.0, 2.0, 0.5]), None),
     ],
 )
-def test_export_is_in_world_axes_and_units(
-    extension: ModuleType, told: Path, tmp_path: Path, linear: np.ndarray, metres: float | None
-) -> None:
+def test_export_is_in_world_axes_and_units(extension, told, tmp_path, linear, metres):
     obj, splat = import_splat(told), read_splat(told)
     obj.scale, obj.rotation_euler, obj.location = np.diag(linear).tolist(), (0.3, -0.2, 1.0), (1, 2, 3)
     bpy.context.view_layer.update()
@@ -176,9 +167,7 @@ def test_export_is_in_world_axes_and_units(
 
 
 @pytest.mark.parametrize("joined", [False, True])
-def test_export_after_apply_transform_is_of_the_same_scene(
-    extension: ModuleType, told: Path, tmp_path: Path, joined: bool
-) -> None:
+def test_export_after_apply_transform_is_of_the_same_scene(extension, told, tmp_path, joined):
     other = import_splat(told) if joined else None
     obj, splat = import_splat(told), read_splat(told)
     obj.scale, obj.rotation_euler, obj.location = (-2.0, 2.0, 2.0), (0.3, -0.2, 1.0), (1, 2, 3)
@@ -202,9 +191,7 @@ def test_export_after_apply_transform_is_of_the_same_scene(
 
 
 @pytest.mark.parametrize("axes", ["MINUS_Y", "PLUS_Y"])
-def test_axes_of_the_import_are_those_of_the_export(
-    extension: ModuleType, splat_path: Path, tmp_path: Path, axes: str
-) -> None:
+def test_axes_of_the_import_are_those_of_the_export(extension, splat_path, tmp_path, axes):
     import_splat(splat_path, axes=axes)
     bpy.context.view_layer.update()
     splat = read_splat(splat_path)
@@ -214,7 +201,7 @@ def test_axes_of_the_import_are_those_of_the_export(
     np.testing.assert_allclose(blenders.means[:, 2], splat.means @ up, atol=1e-5)
 
 
-def test_this_frame_and_rest_hold_no_motion(extension: ModuleType, splat_path: Path, tmp_path: Path) -> None:
+def test_this_frame_and_rest_hold_no_motion(extension, splat_path, tmp_path):
     obj, splat, names = import_splat(splat_path), read_splat(splat_path), extension.names
     put = setter(extension, obj)
     for name, value in ((names.ALPHA, 10.0), (names.LOW, 4.0), (names.HIGH, 6.0)):
@@ -233,9 +220,7 @@ def test_this_frame_and_rest_hold_no_motion(extension: ModuleType, splat_path: P
     np.testing.assert_allclose(rest.means, splat.means, atol=1e-6)
 
 
-def test_a_sequence_has_a_file_for_each_frame_and_comes_back(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_a_sequence_has_a_file_for_each_frame_and_comes_back(extension, splat_path, tmp_path):
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     scene, folder = bpy.context.scene, tmp_path / "many"
     folder.mkdir()
@@ -260,7 +245,7 @@ def test_a_sequence_has_a_file_for_each_frame_and_comes_back(
     assert sequence == bpy.context.object
 
 
-def test_a_mesh_of_what_is_drawn(extension: ModuleType, splat_path: Path) -> None:
+def test_a_mesh_of_what_is_drawn(extension, splat_path):
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     drawn_whole(extension, obj)
     bpy.context.scene.frame_set(5)
@@ -276,15 +261,13 @@ def test_a_mesh_of_what_is_drawn(extension: ModuleType, splat_path: Path) -> Non
     )
 
 
-def refused(call: Any, message: str) -> None:
+def refused(call, message):
     with pytest.raises(RuntimeError, match=message) as caught:
         call()
     assert len(set(filter(None, str(caught.value).splitlines()))) == 1
 
 
-def test_bad_input_is_one_line_and_changes_nothing(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_bad_input_is_one_line_and_changes_nothing(extension, splat_path, tmp_path):
     obj = import_splat(splat_path)
     before = len(obj.data.vertices)
     refused(lambda: bpy.ops.tg4mm.crop(by="BOX"), "No box is there: add one")

@@ -4,8 +4,6 @@ import json
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,20 +18,18 @@ from tests.addon.playing import drawn_whole, import_splat, places, setter  # noq
 
 
 @pytest.fixture
-def cube(extension: ModuleType) -> Any:
+def cube(extension):
     """The cube of Blender's startup scene."""
     bpy.ops.mesh.primitive_cube_add(size=2)
     bpy.context.object.name = "Cube"
     return bpy.context.object
 
 
-def shown(told: list[str], cube: Any) -> bool:
+def shown(told, cube):
     return not (cube.hide_get() and cube.hide_render and any("Cube was in the way" in line for line in told))
 
 
-def test_the_untouched_startup_cube_is_hidden_and_said(
-    extension: ModuleType, splat_path: Path, cube: Any
-) -> None:
+def test_the_untouched_startup_cube_is_hidden_and_said(extension, splat_path, cube):
     obj = import_splat(splat_path)
     assert (cube.hide_get(), cube.hide_render) == (True, True)
     cube.hide_set(False)
@@ -41,9 +37,7 @@ def test_the_untouched_startup_cube_is_hidden_and_said(
 
 
 @pytest.mark.parametrize("touched", ["moved", "edited", "bevelled", "apart"])
-def test_a_cube_that_is_someones_own_stays(
-    extension: ModuleType, splat_path: Path, cube: Any, touched: str
-) -> None:
+def test_a_cube_that_is_someones_own_stays(extension, splat_path, cube, touched):
     if touched == "moved":
         cube.location.x = 0.5
     elif touched == "edited":
@@ -58,7 +52,7 @@ def test_a_cube_that_is_someones_own_stays(
 UPS = {"Z": (0.0, 0.0, 1.0), "MINUS_Y": (0.0, -1.0, 0.0), "PLUS_Y": (0.0, 1.0, 0.0)}
 
 
-def colmap_camera(up: tuple[float, float, float]) -> np.ndarray:
+def colmap_camera(up):
     """[3, 3] camera-to-world of a level camera, y down, in a world with this up."""
     ahead = np.array([1.0, 0.0, 0.0])
     return np.stack([np.cross(ahead, up), -np.array(up), ahead], axis=1)
@@ -66,7 +60,7 @@ def colmap_camera(up: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("kind", ["cameras.json", "transforms.json"])
-def test_up_is_told_by_the_cameras(extension: ModuleType, splat_path: Path, up: str, kind: str) -> None:
+def test_up_is_told_by_the_cameras(extension, splat_path, up, kind):
     turn = colmap_camera(UPS[up])
     if kind == "cameras.json":
         cameras: Any = [{"rotation": turn.tolist(), "position": [0, 0, 0]}] * 3
@@ -80,9 +74,7 @@ def test_up_is_told_by_the_cameras(extension: ModuleType, splat_path: Path, up: 
     np.testing.assert_allclose(np.array(obj.matrix_world)[:3, :3] @ UPS[up], [0, 0, 1], atol=1e-6)
 
 
-def test_metres_of_the_file_and_of_blender_are_compared(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_metres_of_the_file_and_of_blender_are_compared(extension, splat_path, tmp_path):
     write_splat(tmp_path / "small.ply", replace(read_splat(splat_path), unit_scale_m=0.1))
     scene, differ = bpy.context.scene, extension.panels.analysis.units_differ
     assert differ(import_splat(splat_path), scene) == ""  # the file does not say
@@ -102,9 +94,7 @@ def test_metres_of_the_file_and_of_blender_are_compared(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_no_finite_number_plays_as_0_and_is_marked(
-    extension: ModuleType, splat_path: Path, value: float
-) -> None:
+def test_no_finite_number_plays_as_0_and_is_marked(extension, splat_path, value):
     obj, splat, names = import_splat(splat_path), read_splat(splat_path), extension.names
     modifier, put = drawn_whole(extension, obj), setter(extension, obj)
     put(names.ALPHA, value)
@@ -120,9 +110,7 @@ def test_no_finite_number_plays_as_0_and_is_marked(
 
 
 @pytest.mark.parametrize("n_timesteps", [2**20, 2**31, 10**15])
-def test_fifty_modes_of_a_recording_without_end(
-    extension: ModuleType, tmp_path: Path, n_timesteps: int
-) -> None:
+def test_fifty_modes_of_a_recording_without_end(extension, tmp_path, n_timesteps):
     splat = replace(some_splat(9, tuple(np.linspace(0.2, 11.8, 50))), n_timesteps=n_timesteps)
     write_splat(tmp_path / "long.ply", splat)
     start = time.process_time()
@@ -140,7 +128,7 @@ def test_fifty_modes_of_a_recording_without_end(
     assert time.process_time() - start < 10
 
 
-def one_line(call: Any, message: str) -> None:
+def one_line(call, message):
     with pytest.raises(RuntimeError, match=message) as caught:
         call()
     lines = set(filter(None, str(caught.value).splitlines()))
@@ -148,9 +136,7 @@ def one_line(call: Any, message: str) -> None:
     assert "Errno" not in lines.pop()
 
 
-def test_folders_and_disks_that_cannot_be_used_are_one_line(
-    extension: ModuleType, splat_path: Path, cube: Any
-) -> None:
+def test_folders_and_disks_that_cannot_be_used_are_one_line(extension, splat_path, cube):
     one_line(
         lambda: bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path.parent)), "cannot be read: Is a dir"
     )

@@ -1,9 +1,6 @@
 """What an import looks like at once, without a setting; the exact look and back; legends like the object."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +14,7 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import evaluated, import_splat, read, setter, shown_colours  # noqa: E402  # noqa: E402
 
 
-def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
-    extension: ModuleType, splat_path: Path
-) -> None:
+def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(extension, splat_path):
     """All splats of a scene have one way to blend, and the view transform is that which it needs."""
     scene, names, compat = bpy.context.scene, extension.names, extension.compat
     first = import_splat(splat_path)
@@ -37,9 +32,7 @@ def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
     assert [compat.get_input(modifier, names.BLEND) for modifier in modifiers] == [False, False]
 
 
-def test_legend_is_of_the_palette_where_splats_blend_as_trained(
-    extension: ModuleType, splat_path: Path
-) -> None:
+def test_legend_is_of_the_palette_where_splats_blend_as_trained(extension, splat_path):
     obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.analysis
     setter(extension, obj)(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
     unit = extension.preferences.unit_for(bpy.context, obj)
@@ -54,7 +47,7 @@ def test_legend_is_of_the_palette_where_splats_blend_as_trained(
 
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])
-def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, transform: str) -> None:
+def test_legend_goes_through_the_scenes_view_transform(extension, transform):
     scene, seen = bpy.context.scene, extension.panels.analysis
     scene.view_settings.view_transform = transform
     linear = extension.nodes.colours.amplitude_map()
@@ -80,9 +73,7 @@ def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, tr
         (0.0, "stopped"),
     ],
 )
-def test_the_panel_says_real_seconds(
-    extension: ModuleType, splat_path: Path, speed: float, words: str
-) -> None:
+def test_the_panel_says_real_seconds(extension, splat_path, speed, words):
     obj = import_splat(splat_path)
     setter(extension, obj)(extension.names.SPEED, speed)
     scene = bpy.context.scene
@@ -96,22 +87,22 @@ needs_native = pytest.mark.skipif(not NATIVE, reason="this Blender has no splats
 
 
 @pytest.fixture
-def automatic(extension: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def automatic(extension, monkeypatch):
     """The extension as it is for who set nothing."""
     monkeypatch.setattr(extension.preferences.TG4MM_defaults, "draw_as", extension.nodes.drawing.AUTOMATIC)
     return extension
 
 
-def drawn(extension: ModuleType, obj: Any, name: str | None = None) -> Any:
+def drawn(extension, obj, name=None):
     modifier = extension.nodes.scene.splat_modifier(obj)
     return extension.compat.get_input(modifier, name or extension.names.DRAW)
 
 
-def test_an_import_is_drawn_as_suits_it(automatic: ModuleType, splat_path: Path) -> None:
+def test_an_import_is_drawn_as_suits_it(automatic, splat_path):
     assert drawn(automatic, import_splat(splat_path)) == ("Native" if NATIVE else "Splats")
 
 
-def test_more_gaussians_are_drawn_more_simply(extension: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_gaussians_are_drawn_more_simply(extension, monkeypatch):
     best = extension.nodes.drawing.best
     monkeypatch.setattr(extension.compat, "native_splats", lambda: False)
     ways = [best(count, 1) for count in (1_000, 50_000, 1_000_000)]
@@ -124,7 +115,7 @@ def test_more_gaussians_are_drawn_more_simply(extension: ModuleType, monkeypatch
     assert best(1_000_000, 15) == order[-1] == "Native"
 
 
-def test_the_exact_look_and_back(automatic: ModuleType, splat_path: Path) -> None:
+def test_the_exact_look_and_back(automatic, splat_path):
     scene, names = bpy.context.scene, automatic.names
     obj = import_splat(splat_path)
     way = (names.DRAW, names.VIEW_COLOUR, names.BLEND)
@@ -139,7 +130,7 @@ def test_the_exact_look_and_back(automatic: ModuleType, splat_path: Path) -> Non
     assert scene.view_settings.view_transform == "Standard"
 
 
-def test_what_the_scene_needs_is_set_said_and_undone(automatic: ModuleType, splat_path: Path) -> None:
+def test_what_the_scene_needs_is_set_said_and_undone(automatic, splat_path):
     scene, blending = bpy.context.scene, automatic.nodes.blending
     scene.view_settings.view_transform, scene.view_settings.exposure = "AgX", 1.5
     scene.cycles.transparent_max_bounces, scene.cycles.samples = 8, 4
@@ -163,7 +154,7 @@ def test_what_the_scene_needs_is_set_said_and_undone(automatic: ModuleType, spla
 
 
 @needs_native
-def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Path) -> None:
+def test_native_shows_amplitude_and_phase(extension, splat_path):
     """As the other ways to draw show them: 0.5 + C0·base is the colour's sRGB."""
     obj, names = import_splat(splat_path), extension.names
     put, n = setter(extension, obj), len(read_splat(splat_path))
@@ -186,7 +177,7 @@ def test_native_shows_amplitude_and_phase(extension: ModuleType, splat_path: Pat
     assert "radiance:sh_0" in geometry.pointcloud.attributes
 
 
-def test_what_is_far_out_is_counted(extension: ModuleType, tmp_path: Path) -> None:
+def test_what_is_far_out_is_counted(extension, tmp_path):
     """Where it makes 22 bits of the extent coarser than a tenth of a pixel of 2,048."""
     splat = some_splat(200)
     opacities = np.ones(200, np.float32)

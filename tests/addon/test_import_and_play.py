@@ -1,8 +1,6 @@
 """The extension in Blender, headless: what is played equals the splat file's own formula."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,9 +25,7 @@ from tests.addon.playing import (  # noqa: E402
 
 
 @pytest.mark.parametrize("alpha", [-1.0, 0.0, 20.0])
-def test_instances_are_where_the_formula_puts_them(
-    extension: ModuleType, splat_path: Path, alpha: float
-) -> None:
+def test_instances_are_where_the_formula_puts_them(extension, splat_path, alpha):
     obj, splat = import_splat(splat_path), read_splat(splat_path)
     extension.compat.set_input(drawn_whole(extension, obj), extension.names.ALPHA, alpha)
     for frame in (1, 2, 30.25, 250.5):
@@ -40,9 +36,7 @@ def test_instances_are_where_the_formula_puts_them(
 
 
 @pytest.mark.parametrize("band", [(4.0, 6.0), (5.0, 7.5), (0.0, 3.0), (8.0, 9.0)])
-def test_only_modes_inside_the_band_are_magnified(
-    extension: ModuleType, splat_path: Path, band: tuple[float, float]
-) -> None:
+def test_only_modes_inside_the_band_are_magnified(extension, splat_path, band):
     obj = import_splat(splat_path)
     modifier = drawn_whole(extension, obj)
     names = (extension.names.ALPHA, extension.names.LOW, extension.names.HIGH)
@@ -52,7 +46,7 @@ def test_only_modes_inside_the_band_are_magnified(
     np.testing.assert_allclose(transforms(obj, 9.5)[:, :3, 3], expected, atol=1e-3)
 
 
-def test_first_frame_and_speed_set_the_time(extension: ModuleType, splat_path: Path) -> None:
+def test_first_frame_and_speed_set_the_time(extension, splat_path):
     obj = import_splat(splat_path)
     modifier = drawn_whole(extension, obj)
     extension.compat.set_input(modifier, extension.names.FIRST, 11.0)
@@ -62,9 +56,7 @@ def test_first_frame_and_speed_set_the_time(extension: ModuleType, splat_path: P
 
 
 @pytest.mark.parametrize(("fps", "base"), [(60, 1.0), (24, 1.001), (5, 1.0)])
-def test_motion_takes_as_long_as_it_took_at_any_frame_rate(
-    extension: ModuleType, splat_path: Path, fps: int, base: float
-) -> None:
+def test_motion_takes_as_long_as_it_took_at_any_frame_rate(extension, splat_path, fps, base):
     obj = import_splat(splat_path)
     drawn_whole(extension, obj)
     setter(extension, obj)(extension.names.FIRST, 3.0)
@@ -77,9 +69,7 @@ def test_motion_takes_as_long_as_it_took_at_any_frame_rate(
         assert now == pytest.approx(seconds * splat.fps, abs=1e-4)
 
 
-def test_a_second_import_changes_neither_the_clock_nor_the_first(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_a_second_import_changes_neither_the_clock_nor_the_first(extension, splat_path, tmp_path):
     first = import_splat(splat_path)
     drawn_whole(extension, first)
     slower = replace(read_splat(splat_path), fps=10.0)
@@ -92,9 +82,7 @@ def test_a_second_import_changes_neither_the_clock_nor_the_first(
     np.testing.assert_allclose(places(second, 13), positions_at(slower, 0.5 * 10.0), atol=1e-4)
 
 
-def test_modes_in_which_nothing_moves_are_left_out(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_modes_in_which_nothing_moves_are_left_out(extension, splat_path, tmp_path):
     splat = read_splat(splat_path)
     size = np.array([1e-9, 1.0, 0.0], np.float32)[:, None, None]
     still = replace(splat, displacement=size * splat.displacement, rotation=size * splat.rotation)
@@ -106,7 +94,7 @@ def test_modes_in_which_nothing_moves_are_left_out(
     np.testing.assert_allclose(places(obj, 9.5), positions_at(still, 8.5), atol=1e-4)
 
 
-def test_magnification_can_be_driven(extension: ModuleType, splat_path: Path) -> None:
+def test_magnification_can_be_driven(extension, splat_path):
     obj = import_splat(splat_path)
     modifier = drawn_whole(extension, obj)
     empty = bpy.data.objects.new("lever", None)
@@ -122,7 +110,7 @@ def test_magnification_can_be_driven(extension: ModuleType, splat_path: Path) ->
         np.testing.assert_allclose(places(obj, 9), positions_at(splat, 8, alpha), atol=1e-3)
 
 
-def test_hidden_modes_contribute_nothing(extension: ModuleType, splat_path: Path) -> None:
+def test_hidden_modes_contribute_nothing(extension, splat_path):
     obj = import_splat(splat_path)
     drawn_whole(extension, obj)
     put = setter(extension, obj)
@@ -140,7 +128,7 @@ def test_hidden_modes_contribute_nothing(extension: ModuleType, splat_path: Path
         np.testing.assert_allclose(places(obj, 7.5), expected, atol=1e-3)
 
 
-def test_picture_shows_the_colours_of_the_file(extension: ModuleType, tmp_path: Path) -> None:
+def test_picture_shows_the_colours_of_the_file(extension, tmp_path):
     """Two large Gaussians under the view transform Standard: the pixels are 0.5 + C0·sh, display-referred."""
     rgb = np.array([[0.9, 0.25, 0.1], [0.2, 0.6, 0.75]])
     sh = ((rgb - 0.5) / 0.28209479)[:, None].astype(np.float32)
@@ -155,7 +143,7 @@ def test_picture_shows_the_colours_of_the_file(extension: ModuleType, tmp_path: 
     np.testing.assert_allclose(picture[4, [4, 12]], rgb, atol=0.006)
 
 
-def test_timeline_is_taken_from_the_file_unless_declined(extension: ModuleType, splat_path: Path) -> None:
+def test_timeline_is_taken_from_the_file_unless_declined(extension, splat_path):
     scene = bpy.context.scene
     scene.render.fps, scene.frame_end = 60, 100
     import_splat(splat_path, timeline=False)
@@ -166,7 +154,7 @@ def test_timeline_is_taken_from_the_file_unless_declined(extension: ModuleType, 
     assert (scene.frame_start, scene.frame_end) == (1, 48)
 
 
-def test_import_is_undone_and_redone(extension: ModuleType, splat_path: Path) -> None:
+def test_import_is_undone_and_redone(extension, splat_path):
     bpy.ops.ed.undo_push(message="before")
     before = blocks()
     bpy.ops.import_scene.tg4mm_splat("EXEC_DEFAULT", True, filepath=str(splat_path))
@@ -178,7 +166,7 @@ def test_import_is_undone_and_redone(extension: ModuleType, splat_path: Path) ->
     assert np.isfinite(places(bpy.data.objects["bell"], 5)).all()
 
 
-def test_many_modes_are_one_group_used_many_times(extension: ModuleType, tmp_path: Path) -> None:
+def test_many_modes_are_one_group_used_many_times(extension, tmp_path):
     """Blender's time for a change of a tree grows with the tree: 64 modes in one tree took a minute to import."""
     freqs = tuple(0.18 * k for k in range(1, 65))
     splat = some_splat(9, freqs)

@@ -8,8 +8,6 @@ import sys
 import zipfile
 from pathlib import Path
 from textwrap import indent
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -98,7 +96,7 @@ print("RESULT", json.dumps(found))
 """
 
 
-def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, Any]:
+def in_blender(script, resources, *arguments):
     """Run a script in a Blender of its own, whose user folder is `resources`; what it printed as RESULT."""
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": ""}
     # A fault in pip's Blender can hang the interpreter's exit, so scripts leave without it. What this environment has
@@ -120,7 +118,7 @@ def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, An
 
 
 @pytest.fixture(scope="session")
-def make_extension(repo_root: Path) -> ModuleType:
+def make_extension(repo_root):
     """addon/make_extension.py, imported without the package around it."""
     spec = importlib.util.spec_from_file_location("make_extension", repo_root / "addon" / "make_extension.py")
     assert spec is not None
@@ -131,19 +129,19 @@ def make_extension(repo_root: Path) -> ModuleType:
 
 
 @pytest.fixture(scope="session")
-def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def staged(make_extension, tmp_path_factory):
     """The folder that becomes the zip."""
     return make_extension.stage(tmp_path_factory.mktemp("stage") / "tg4mm")
 
 
 @pytest.fixture(scope="module")
-def zip_path(make_extension: ModuleType, staged: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def zip_path(make_extension, staged, tmp_path_factory):
     return make_extension.build(staged, tmp_path_factory.mktemp("dist"))
 
 
 def test_zip_holds_the_addon_and_a_wheel_of_the_repositorys_own_files(
-    make_extension: ModuleType, repo_root: Path, zip_path: Path, tmp_path: Path
-) -> None:
+    make_extension, repo_root, zip_path, tmp_path
+):
     with zipfile.ZipFile(zip_path) as archive:
         wheel = f"wheels/tg4mm_core-{__version__}-py3-none-any.whl"
         ours = {
@@ -164,7 +162,7 @@ def test_zip_holds_the_addon_and_a_wheel_of_the_repositorys_own_files(
     assert not {"tg4mm/core/pages", "dataset_gen/farm", "tg4mm/fit"} & held
 
 
-def validated(zip_path: Path) -> subprocess.CompletedProcess[str]:
+def validated(zip_path):
     """Blender's own validator, which lies in pip's Blender and runs without it."""
     spec = importlib.util.find_spec("bpy")
     assert spec is not None
@@ -174,9 +172,7 @@ def validated(zip_path: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def test_blender_takes_the_zip_and_refuses_a_broken_one(
-    make_extension: ModuleType, zip_path: Path, tmp_path: Path
-) -> None:
+def test_blender_takes_the_zip_and_refuses_a_broken_one(make_extension, zip_path, tmp_path):
     done = validated(zip_path)
     assert done.returncode == 0, done.stdout + done.stderr
     broken = make_extension.stage(tmp_path / "broken")
@@ -185,9 +181,7 @@ def test_blender_takes_the_zip_and_refuses_a_broken_one(
     assert validated(make_extension.build(broken, tmp_path / "dist")).returncode != 0
 
 
-def test_the_zip_needs_python_alone_and_is_the_same_each_time(
-    repo_root: Path, zip_path: Path, tmp_path: Path
-) -> None:
+def test_the_zip_needs_python_alone_and_is_the_same_each_time(repo_root, zip_path, tmp_path):
     code = (
         "import sys, pathlib\nsys.path.insert(0, 'addon')\n"
         "import make_extension as m\nout = pathlib.Path(sys.argv[1])\n"
@@ -199,9 +193,7 @@ def test_the_zip_needs_python_alone_and_is_the_same_each_time(
     assert Path(done.stdout.strip()).read_bytes() == zip_path.read_bytes()
 
 
-def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(
-    zip_path: Path, splat_path: Path, tmp_path: Path
-) -> None:
+def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(zip_path, splat_path, tmp_path):
     blend = tmp_path / "bell.blend"
     installed = in_blender(INSTALL, tmp_path / "resources", zip_path, splat_path, blend)
     assert installed["heavy"] == []
@@ -217,9 +209,7 @@ def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(
     np.testing.assert_allclose(np.array(without["places"]), np.array(installed["places"]), atol=1e-6)
 
 
-def test_preferences_are_there_once_installed_and_are_followed(
-    zip_path: Path, splat_path: Path, tmp_path: Path
-) -> None:
+def test_preferences_are_there_once_installed_and_are_followed(zip_path, splat_path, tmp_path):
     write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
     found = in_blender(PREFERENCES, tmp_path / "resources", zip_path, splat_path, tmp_path / "still.ply")
     assert found["own"] == "TG4MM_preferences"

@@ -6,9 +6,6 @@ values, Cycles blends linear light, so a mixture of two colours is lighter there
 
 import math
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ ALPHA, FRAME = 4.0, 4
 DIVISIONS = 4  # the stripes of the ball
 
 
-def striped_ball(n: int = 1500) -> SplatFile:
+def striped_ball(n=1500):
     """A ball of two colours that sways and turns, its Gaussians flat on its surface and half see-through."""
     golden = math.pi * (3 - math.sqrt(5))
     i = np.arange(n)
@@ -58,7 +55,7 @@ def striped_ball(n: int = 1500) -> SplatFile:
     )
 
 
-def rasterized(splat: SplatFile, camera: Any) -> np.ndarray:
+def rasterized(splat, camera):
     """[SIZE, SIZE, 4] straight RGBA of the core at the frame and α of the test."""
     from tg4mm.fit.rasterize import rasterization
 
@@ -73,16 +70,14 @@ def rasterized(splat: SplatFile, camera: Any) -> np.ndarray:
     return torch.cat([rgb / alpha.clamp_min(1e-6), alpha], -1)[0].clamp(0, 1).numpy()
 
 
-def overlap(a: np.ndarray, b: np.ndarray) -> float:
+def overlap(a, b):
     """Intersection over union of two silhouettes, alpha above one half."""
     a, b = a[..., 3] > 0.5, b[..., 3] > 0.5
     return (a & b).sum() / (a | b).sum()
 
 
 @pytest.mark.parametrize(("draw", "iou", "difference"), [("Splats", 0.96, 0.05), ("Ellipsoids", 0.93, 0.05)])
-def test_picture_agrees_with_the_core(
-    extension: ModuleType, tmp_path: Path, draw: str, iou: float, difference: float
-) -> None:
+def test_picture_agrees_with_the_core(extension, tmp_path, draw, iou, difference):
     splat = striped_ball()
     write_splat(tmp_path / "ball.ply", splat)
     obj = import_splat(tmp_path / "ball.ply")

@@ -6,13 +6,12 @@ mic_64.png is what the core draws of it.
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 import mathutils  # noqa: E402
@@ -27,11 +26,11 @@ PLACE = (-1.135, -2.957, 2.494)  # of a test camera
 AGREEMENT = 33.0  # dB
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
+def psnr(a, b):
     return float(-10 * np.log10(np.square(a - b).mean()))
 
 
-def smoothing(splat: SplatFile) -> np.ndarray:
+def smoothing(splat):
     """[N] variances of the exporter's filter, for a ring of the training cameras."""
     from tg4mm.capture import Capture
     from tg4mm.show.export.lowpass import smoothing_variance
@@ -60,7 +59,7 @@ def smoothing(splat: SplatFile) -> np.ndarray:
     return variance
 
 
-def exported(splat: SplatFile) -> SplatFile:
+def exported(splat):
     """The trained Gaussians as `tg4mm export` writes them: as wide as training drew them."""
     from tg4mm.show.export.lowpass import widened
 
@@ -68,14 +67,14 @@ def exported(splat: SplatFile) -> SplatFile:
     return replace(splat, scales=scales, low_pass_px2=0.3)
 
 
-def viewmat(place: np.ndarray) -> np.ndarray:
+def viewmat(place):
     """[4, 4] world-to-camera, OpenCV axes, of a camera that looks at the origin."""
     turn = (-mathutils.Vector(place)).to_track_quat("-Z", "Y").to_matrix().to_4x4()
     pose = np.array(mathutils.Matrix.Translation(place) @ turn)
     return np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(pose)
 
 
-def trained(splat: SplatFile) -> np.ndarray:
+def trained(splat):
     """[SIZE, SIZE, 3] the core's picture as `tg4mm render` draws it from close up, over white."""
     torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
     pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install '.[core]'")
@@ -94,12 +93,12 @@ def trained(splat: SplatFile) -> np.ndarray:
     return rgb[0].clamp(0, 1).numpy()
 
 
-def stored() -> np.ndarray:
+def stored():
     """The same from a file, for environments without torch."""
     return np.asarray(Image.open(HERE / "mic_64.png").convert("RGB"), dtype=float) / 255
 
 
-def in_blender(extension: ModuleType, path: Path, splat: SplatFile, as_trained: bool = False) -> np.ndarray:
+def in_blender(extension, path, splat, as_trained=False):
     """[SIZE, SIZE, 3] Cycles' picture of the file's splats, over white."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     write_splat(path, splat)
@@ -115,12 +114,12 @@ def in_blender(extension: ModuleType, path: Path, splat: SplatFile, as_trained: 
     return rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
 
 
-def test_the_stored_picture_is_the_cores(extension: ModuleType) -> None:
+def test_the_stored_picture_is_the_cores(extension):
     assert psnr(trained(read_splat(HERE / "mic_64.ply")), stored()) > 50
 
 
 @pytest.mark.slow
-def test_an_exported_file_shows_in_blender_what_was_trained(extension: ModuleType, tmp_path: Path) -> None:
+def test_an_exported_file_shows_in_blender_what_was_trained(extension, tmp_path):
     """And without the low-pass in its scales it does not."""
     splat = read_splat(HERE / "mic_64.ply")
     wanted = stored()

@@ -1,7 +1,5 @@
 """The calibration's films are what they say, its scores count rightly, and three films go through it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,15 +11,15 @@ from benchmarks.calibration.score import Named, score, smallest_found, table
 TRUTH = Truth(320, 180, 30, 300, 3.0, "libx264", 1.0)
 
 
-def truth(*vibrations: TrueVibration) -> Truth:
+def truth(*vibrations):
     return Truth(**{**TRUTH.__dict__, "vibrations": list(vibrations)})
 
 
-def steady(hz: float, size: float) -> TrueVibration:
+def steady(hz, size):
     return TrueVibration(hz, (size, 0.0), (100, 50, 200, 100), False, 0.0)
 
 
-def test_a_layer_moved_by_a_whole_pixel_in_steps_is_the_layer_shifted() -> None:
+def test_a_layer_moved_by_a_whole_pixel_in_steps_is_the_layer_shifted():
     """Six tenths and back: the Taylor series is exact to a thousandth of the texture's contrast."""
     cloth = texture(48, 48, np.random.default_rng(0), 0.3, 0.4, (1.5, 4.0))
     still = Layer(cloth, None, [], 0.6)
@@ -32,7 +30,7 @@ def test_a_layer_moved_by_a_whole_pixel_in_steps_is_the_layer_shifted() -> None:
     assert np.abs(moved - fine_right)[inside].max() < 2e-3 * still.rest[0][inside].std()
 
 
-def test_a_line_within_its_deviation_counts_and_another_is_false() -> None:
+def test_a_line_within_its_deviation_counts_and_another_is_false():
     found = score(
         truth(steady(5.0, 0.2), steady(9.0, 0.05)),
         [Named(5.0022, 0.001, 0.212, 0.01, centre_px=(150, 75)), Named(12.0, 0.01, 0.1, 0.01)],
@@ -47,7 +45,7 @@ def test_a_line_within_its_deviation_counts_and_another_is_false() -> None:
     assert "| amplitudes | 0% | 100% | 1.2 | 1 |" in table([found])
 
 
-def test_a_marked_line_is_no_false_one_and_another_place_gives_no_amplitude() -> None:
+def test_a_marked_line_is_no_false_one_and_another_place_gives_no_amplitude():
     named = [Named(12.0, 0.01, 0.1, 0.01, marked=True), Named(5.0, 0.01, 0.3, 0.01, centre_px=(20, 20))]
     found = score(truth(steady(5.0, 0.2)), named, 1.0)
     assert (found.false, found.marked) == ([], 1)
@@ -55,7 +53,7 @@ def test_a_marked_line_is_no_false_one_and_another_place_gives_no_amplitude() ->
     assert found.frequencies == [0.0]
 
 
-def test_recall_by_amplitude_finds_where_nine_of_ten_are_named() -> None:
+def test_recall_by_amplitude_finds_where_nine_of_ten_are_named():
     rng = np.random.default_rng(0)
     sizes = np.exp(rng.uniform(np.log(0.01), np.log(0.5), 4000))
     chance = 1 / (1 + np.exp(-3 * (np.log(sizes) - np.log(0.05))))
@@ -65,7 +63,7 @@ def test_recall_by_amplitude_finds_where_nine_of_ten_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_three_films_from_nothing_to_scores(tmp_path: Path) -> None:
+def test_three_films_from_nothing_to_scores(tmp_path):
     """Seeds of films with a clear vibration or none: what is named is there, within four of its ±."""
     scores = [scored(seed, tmp_path, ("look",), "")["look"] for seed in (0, 2, 3)]
     assert all(not s.false for s in scores)

@@ -1,7 +1,6 @@
 """benchmarks/fox_phone.py: figures that know a right answer from a wrong one, on a small truth of our own."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,41 +24,41 @@ SIZE = 64
 K = np.array([[80.0, 0, 32], [0, 80.0, 32], [0, 0, 1]])
 
 
-def rotation(rng: np.random.Generator) -> np.ndarray:
+def rotation(rng):
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return q * np.sign(np.linalg.det(q))
 
 
-def poses(rng: np.random.Generator, count: int) -> np.ndarray:
+def poses(rng, count):
     """[count, 4, 4] camera-to-world, some 2 units before the plane z = 0, looking at it."""
     c2w = np.tile(np.eye(4), (count, 1, 1))
     c2w[:, :3, 3] = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)), -2 + rng.uniform(-0.1, 0.1, count)])
     return c2w
 
 
-def carried(c2w: np.ndarray, world: Similarity) -> np.ndarray:
+def carried(c2w, world):
     """Camera-to-world of the truth's world in the run's."""
     return np.stack([np.linalg.inv(world.viewmat_of(pose)) for pose in c2w])
 
 
 @pytest.fixture
-def world() -> Similarity:
+def world():
     rng = np.random.default_rng(3)
     return Similarity(1.7, rotation(rng), rng.normal(size=3))
 
 
-def phasors(rng: np.random.Generator, *shape: int) -> np.ndarray:
+def phasors(rng, *shape):
     return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
 
-def moving_patch() -> tuple[np.ndarray, np.ndarray]:
+def moving_patch():
     """A true field [20, 20, 2] of which a quarter moves, and its weights."""
     true = np.zeros((20, 20, 2), complex)
     true[:10, :10] = [0.3, 0.4j]
     return true, np.ones((20, 20))
 
 
-def test_wrong_answers_are_told_apart() -> None:
+def test_wrong_answers_are_told_apart():
     true, weights = moving_patch()
     small = comparison(0.9 * true, true, weights)
     assert small["error"] == pytest.approx(0.1)
@@ -77,7 +76,7 @@ def test_wrong_answers_are_told_apart() -> None:
     assert nothing["direction_deg"] == 90
 
 
-def test_similarity_is_found_from_poses(world: Similarity) -> None:
+def test_similarity_is_found_from_poses(world):
     rng = np.random.default_rng(1)
     true = poses(rng, 6)
     true[:, :3, :3] = [rotation(rng) for _ in true]
@@ -92,7 +91,7 @@ def test_similarity_is_found_from_poses(world: Similarity) -> None:
 # A whole run.
 
 
-def write_truth(folder: Path) -> Truth:
+def write_truth(folder):
     """A plate of 24 × 24 points whose middle moves up at the one frequency, whose left edge out at the other."""
     rng = np.random.default_rng(5)
     side = np.linspace(-0.7, 0.7, 24)
@@ -116,7 +115,7 @@ def write_truth(folder: Path) -> Truth:
     return Truth.load(folder)
 
 
-def write_tripod(folder: Path, truth: Truth, world: Similarity) -> None:
+def write_tripod(folder, truth, world):
     """A tripod's dataset in the run's world: photographs 0, 1, 3 and one fixed camera, all white."""
     white = Image.fromarray(np.full((SIZE, SIZE, 3), 255, np.uint8))
     values = truth.values
@@ -137,7 +136,7 @@ def write_tripod(folder: Path, truth: Truth, world: Similarity) -> None:
     write_json(folder / "scene.json", {"format_version": 1, "kind": "tripod", "fps": FPS, "n_timesteps": T})
 
 
-def write_run(folder: Path, dataset: Path, truth: Truth, world: Similarity, gain: complex) -> Run:
+def write_run(folder, dataset, truth, world, gain):
     """Gaussians at the truth's means in the run's world, moving `gain` times as they should at the first frequency."""
     run = Run.create(folder, dataset, "modal", {})
     n = len(truth.means)
@@ -153,7 +152,7 @@ def write_run(folder: Path, dataset: Path, truth: Truth, world: Similarity, gain
     return run
 
 
-def test_an_exact_run_in_a_world_of_its_own_scores_no_error(tmp_path: Path, world: Similarity) -> None:
+def test_an_exact_run_in_a_world_of_its_own_scores_no_error(tmp_path, world):
     truth = write_truth(tmp_path / "truth")
     write_tripod(tmp_path / "set", truth, world)
     run = write_run(tmp_path / "run", tmp_path / "set", truth, world, 1.0)
@@ -171,9 +170,7 @@ def test_an_exact_run_in_a_world_of_its_own_scores_no_error(tmp_path: Path, worl
     assert figures["clip_phases"][0]["errors_deg"] == pytest.approx({"cam_00": 0, "cam_01": 0}, abs=1e-6)
 
 
-def test_a_wrong_run_is_scored_as_wrong_as_it_is(
-    tmp_path: Path, world: Similarity, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_run_is_scored_as_wrong_as_it_is(tmp_path, world, capsys):
     truth = write_truth(tmp_path / "truth")
     write_tripod(tmp_path / "set", truth, world)
     write_run(tmp_path / "run", tmp_path / "set", truth, world, 0.8 * np.exp(0.5j))
@@ -191,6 +188,6 @@ def test_a_wrong_run_is_scored_as_wrong_as_it_is(
     assert "3.4 Hz: found" in capsys.readouterr().out
 
 
-def test_a_run_that_is_none_ends_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_that_is_none_ends_in_one_line(tmp_path, capsys):
     assert main(["fox_phone", str(tmp_path / "nowhere"), "--truth", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1

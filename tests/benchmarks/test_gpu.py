@@ -1,18 +1,14 @@
 """benchmarks/gpu.py: one line without a GPU, and the whole of it, small, on the CPU."""
 
 import json
-from pathlib import Path
 
-import pytest
 import torch
 
 from benchmarks.__main__ import main
 from tests.helpers.cuda import needs_cuda
 
 
-def test_without_a_gpu_it_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_gpu_it_says_so(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     out = tmp_path / "gpu.json"
     assert main(["gpu", "--out", str(out)]) == 2
@@ -23,7 +19,7 @@ def test_without_a_gpu_it_says_so(
     assert not out.exists()
 
 
-def check_smoke(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def check_smoke(device, tmp_path, capsys):
     out = tmp_path / "gpu.json"
     assert main(["gpu", "--smoke", "--device", device, "--out", str(out)]) == 0
     table = capsys.readouterr().out
@@ -41,10 +37,10 @@ def check_smoke(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert all(f["on_device"] > 0 and f["fetched"] > 0 for f in result["fps"].values())
 
 
-def test_smoke_runs_all_of_it_on_the_cpu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_smoke_runs_all_of_it_on_the_cpu(tmp_path, capsys):
     check_smoke("cpu", tmp_path, capsys)
 
 
 @needs_cuda
-def test_smoke_runs_all_of_it_on_cuda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_smoke_runs_all_of_it_on_cuda(tmp_path, capsys):
     check_smoke("cuda", tmp_path, capsys)

@@ -1,18 +1,14 @@
 """benchmarks/photographs.py: it holds out what it says, spoils by gains that it knows, and prints what it measured."""
 
 import re
-from pathlib import Path
 
-import pytest
 from PIL import Image
 
 from benchmarks.__main__ import main
 from tests.helpers.synthetic import make_synthetic_dataset
 
 
-def test_it_prints_its_figures_and_leaves_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_prints_its_figures_and_leaves_pictures(tmp_path, capsys):
     data, out = tmp_path / "data", tmp_path / "out"
     make_synthetic_dataset(data, n_views=6, n_timesteps=1, size=64, alphas=(), n_test=0)
     settings = [f"--set=space.{s}" for s in ("iterations=60", "max_gaussians=900", "gains=true")]
@@ -29,7 +25,7 @@ def test_it_prints_its_figures_and_leaves_pictures(
     assert Image.open(out / "between.png").size == (32, 32)
 
 
-def test_an_unknown_setting_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_setting_is_one_line(tmp_path, capsys):
     assert main(["photographs", str(tmp_path), "--set", "space.level=2"]) == 2
     error = capsys.readouterr().err
     assert error.startswith(

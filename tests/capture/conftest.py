@@ -2,8 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ FPS = 30  # Hz, of the tree
 SIZE = (12, 8)  # width, height
 
 
-def pose(azimuth: float = 0.3) -> list[list[float]]:
+def pose(azimuth=0.3):
     """Camera-to-world, OpenGL axes, four units from the origin and looking at it, Z up."""
     back = np.array([math.cos(azimuth), math.sin(azimuth), 0.5])
     back /= np.linalg.norm(back)
@@ -28,9 +26,7 @@ def pose(azimuth: float = 0.3) -> list[list[float]]:
     return c2w.tolist()
 
 
-def write_folder(
-    folder: Path, split: str = "train", views: int = 2, value: int = 100, time_s: float = 0.0
-) -> Path:
+def write_folder(folder, split="train", views=2, value=100, time_s=0.0):
     """One NeRF-synthetic folder with a split; every camera keeps its place, whatever the folder."""
     (folder / split).mkdir(parents=True, exist_ok=True)
     frames = []
@@ -46,7 +42,7 @@ def write_folder(
     return folder
 
 
-def write_tree(root: Path, timesteps: int = 3, scene: dict | None = None) -> Path:
+def write_tree(root, timesteps=3, scene=None):
     """A dataset tree with a train and a test split and ground truth at α = 5."""
     for t in range(timesteps):
         write_folder(root / f"{t:03d}", "train", 2, 100 + 10 * t, t / FPS)
@@ -56,14 +52,14 @@ def write_tree(root: Path, timesteps: int = 3, scene: dict | None = None) -> Pat
     return root
 
 
-def edit(path: Path, change) -> None:
+def edit(path, change):
     """Apply `change` to the JSON in a file, in place."""
     values = json.loads(path.read_text())
     change(values)
     path.write_text(json.dumps(values))
 
 
-def refused(what: Path | Callable[[], object], *parts: str, **options: object) -> None:
+def refused(what, *parts, **options):
     """Assert that a dataset cannot be loaded (with options), or a call fails, in one line that holds all parts."""
     with pytest.raises(CaptureError) as caught:
         what() if callable(what) else load_capture(what, **options)
@@ -74,10 +70,10 @@ def refused(what: Path | Callable[[], object], *parts: str, **options: object) -
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return write_folder(tmp_path / "mic")
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
+def tree(tmp_path):
     return write_tree(tmp_path / "mic_5Hz_0_005")

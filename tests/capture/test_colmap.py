@@ -2,7 +2,6 @@
 
 import os
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from tg4mm.capture import load_capture, load_images
 
 
 @pytest.fixture
-def text(tmp_path: Path) -> Path:
+def text(tmp_path):
     """A COLMAP folder with a text model."""
     root = pictures(tmp_path / "colmap")
     sparse = root / "sparse" / "0"
@@ -23,13 +22,13 @@ def text(tmp_path: Path) -> Path:
     return root
 
 
-def edit(path: Path, old: str, new: str) -> None:
+def edit(path, old, new):
     content = path.read_text()
     assert old in content
     path.write_text(content.replace(old, new))
 
 
-def check(root: Path) -> None:
+def check(root):
     capture = load_capture(root)
     assert [p.relative_to(root / "images").as_posix() for p in capture.paths] == list(NAMES)
     # x y z w → a third of a turn about (1, 1, 1): x to y, y to z, z to x
@@ -49,11 +48,11 @@ def check(root: Path) -> None:
     assert (points.xyz.dtype, points.rgb.dtype) == (np.float64, np.uint8)
 
 
-def test_a_text_model(text: Path) -> None:
+def test_a_text_model(text):
     check(text)
 
 
-def test_a_binary_model_as_pycolmap_writes_it(text: Path) -> None:
+def test_a_binary_model_as_pycolmap_writes_it(text):
     pycolmap = pytest.importorskip("pycolmap")
     sparse = text / "sparse" / "0"
     model = pycolmap.Reconstruction(sparse)
@@ -64,21 +63,21 @@ def test_a_binary_model_as_pycolmap_writes_it(text: Path) -> None:
     check(text)
 
 
-def test_a_text_model_as_pycolmap_writes_it(text: Path) -> None:
+def test_a_text_model_as_pycolmap_writes_it(text):
     pycolmap = pytest.importorskip("pycolmap")
     sparse = text / "sparse" / "0"
     pycolmap.Reconstruction(sparse).write_text(sparse)
     check(text)
 
 
-def test_the_undistorters_layout_has_no_number(text: Path) -> None:
+def test_the_undistorters_layout_has_no_number(text):
     for path in (text / "sparse" / "0").iterdir():
         shutil.move(path, text / "sparse")
     (text / "sparse" / "0").rmdir()
     check(text)
 
 
-def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path) -> None:
+def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text):
     os.replace(text / "images/b.png", text / "images/b 1.png")
     edit(text / "sparse/0/images.txt", "b.png", "b 1.png")
     edit(text / "sparse/0/images.txt", "0.5 0.5 0.5 0.5", "0.5 0.5 0.5 0.5002")
@@ -115,11 +114,11 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path)
         ("points3D", "1.5 2.5", "inf 2.5", ("points3D.txt: holds a point that is not finite",)),
     ],
 )
-def test_bad_models_are_refused(text: Path, file: str, old: str, new: str, parts: tuple[str, ...]) -> None:
+def test_bad_models_are_refused(text, file, old, new, parts):
     edit(text / "sparse" / "0" / f"{file}.txt", old, new)
     refused(text, *parts)
 
 
-def test_no_registered_image(text: Path) -> None:
+def test_no_registered_image(text):
     (text / "sparse/0/images.txt").write_text("# none\n")
     refused(text, "holds no registered image")

@@ -25,24 +25,24 @@ T = 60
 
 
 @pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def video(tmp_path_factory):
     """Key frames at 0, 24, 48 …, B pictures between; stored lying on its side, after #s in its name."""
     return write_video(tmp_path_factory.mktemp("in") / "a#3.mp4", still(T), rotation=90, between=3)
 
 
 @pytest.fixture(scope="module")
-def dataset(video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(video, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "flat"
     reconstruct(video, out)
     return out
 
 
 @pytest.fixture(scope="module")
-def truth(video: Path) -> list[np.ndarray]:
+def truth(video):
     return [frame.rgb for frame in video_frames(video)]
 
 
-def test_frames_and_files_come_once_each(video: Path, truth: list[np.ndarray], tmp_path: Path) -> None:
+def test_frames_and_files_come_once_each(video, truth, tmp_path):
     Image.fromarray(truth[0]).save(tmp_path / "0.png")
     paths = [Path(f"{video}#7"), tmp_path / "0.png", Path(f"{video}#2"), Path(f"{video}#7")]
     found: dict[int, np.ndarray] = {}
@@ -51,7 +51,7 @@ def test_frames_and_files_come_once_each(video: Path, truth: list[np.ndarray], t
         np.testing.assert_array_equal(found[k][..., :3], truth[number])
 
 
-def test_a_dataset_holds_the_video_and_no_pictures(dataset: Path, truth: list[np.ndarray]) -> None:
+def test_a_dataset_holds_the_video_and_no_pictures(dataset, truth):
     capture = load_capture(dataset)
     assert not list(dataset.rglob("0*/**/*.png"))
     np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
@@ -59,7 +59,7 @@ def test_a_dataset_holds_the_video_and_no_pictures(dataset: Path, truth: list[np
     np.testing.assert_array_equal(strip(slice(5, 9))[..., :3], np.stack([truth[k][5:9] for k in (3, 50, 4)]))
 
 
-def test_a_window_and_its_repeats_count_from_the_first_frame(video: Path, tmp_path: Path) -> None:
+def test_a_window_and_its_repeats_count_from_the_first_frame(video, tmp_path):
     clip = Clip("a", video).without([4, 9])
     numbers = [k for k in range(15, T) if k not in (19, 24)]
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
@@ -70,14 +70,14 @@ def test_a_window_and_its_repeats_count_from_the_first_frame(video: Path, tmp_pa
     )  # the container tells of others
 
 
-def test_conversion_writes_them_out(dataset: Path, truth: list[np.ndarray], tmp_path: Path) -> None:
+def test_conversion_writes_them_out(dataset, truth, tmp_path):
     write_nerfstudio([load_capture(dataset)], tmp_path / "out")
     capture = load_capture(tmp_path / "out")
     assert len(capture) == T
     np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
 
 
-def _point_at(dataset: Path, file_path: str) -> None:
+def _point_at(dataset, file_path):
     file = dataset / "004" / "transforms_train.json"
     values = json.loads(file.read_text())
     values["frames"][0]["file_path"] = file_path
@@ -95,14 +95,14 @@ def _point_at(dataset: Path, file_path: str) -> None:
         ("../scene.json#0", r"does not exist"),
     ],
 )
-def test_bad_addresses_are_refused(dataset: Path, tmp_path: Path, file_path: str, said: str) -> None:
+def test_bad_addresses_are_refused(dataset, tmp_path, file_path, said):
     shutil.copytree(dataset, tmp_path / "d")
     _point_at(tmp_path / "d", file_path)
     with pytest.raises(CaptureError, match=said):
         load_capture(tmp_path / "d")
 
 
-def test_a_video_that_was_cut_off_is_refused(dataset: Path, tmp_path: Path) -> None:
+def test_a_video_that_was_cut_off_is_refused(dataset, tmp_path):
     shutil.copytree(dataset, tmp_path / "d")
     own = tmp_path / "d" / "video" / "a#3.mp4"
     whole = own.read_bytes()

@@ -1,7 +1,6 @@
 """nerfstudio's transforms.json: what is read, and what is refused."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from tg4mm.capture import load_capture, load_images
 
 
 @pytest.fixture
-def studio(tmp_path: Path) -> Path:
+def studio(tmp_path):
     """Three pictures in images/, intrinsics of the file, as ns-process-data writes them."""
     folder = write_folder(tmp_path / "studio", "images", views=3)
     (folder / "transforms_images.json").unlink()
@@ -33,7 +32,7 @@ def studio(tmp_path: Path) -> Path:
     return folder
 
 
-def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, tmp_path) -> None:
+def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, tmp_path):
     capture = load_capture(studio)
     twin = load_capture(write_folder(tmp_path / "twin", "train", views=3))
     np.testing.assert_array_equal(capture.viewmats, twin.viewmats)
@@ -42,7 +41,7 @@ def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, t
     assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
 
 
-def test_splits_are_the_files_own_lists(studio) -> None:
+def test_splits_are_the_files_own_lists(studio):
     lists = {
         "train_filenames": ["images/r_002.png", "images/r_000.png"],
         "test_filenames": ["images/r_001.png"],
@@ -53,7 +52,7 @@ def test_splits_are_the_files_own_lists(studio) -> None:
     refused(studio, "has no val_filenames", "no 'val' split", split="val")
 
 
-def test_points_come_from_the_named_file(studio) -> None:
+def test_points_come_from_the_named_file(studio):
     data = np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
     data["x"] = range(4)
     PlyData([PlyElement.describe(data, "vertex")]).write(str(studio / "sparse_pc.ply"))
@@ -85,7 +84,7 @@ def test_points_come_from_the_named_file(studio) -> None:
         (lambda v: v.update(w=99), ("w is 99; expected 12",)),
     ],
 )
-def test_bad_files_are_refused(studio, change, parts) -> None:
+def test_bad_files_are_refused(studio, change, parts):
     edit(studio / "transforms.json", change)
     refused(studio, *parts)
 
@@ -104,9 +103,7 @@ def test_bad_files_are_refused(studio, change, parts) -> None:
     ],
 )
 @pytest.mark.parametrize("where", ["file", "frame"])
-def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(
-    studio: Path, field: str, value: object, is_refused: bool, where: str
-) -> None:
+def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(studio, field, value, is_refused, where):
     edit(
         studio / "transforms.json",
         lambda v: (v if where == "file" else v["frames"][1]).update({field: value}),
@@ -126,7 +123,7 @@ def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(
         ("OPENCV_FISHEYE", {}),
     ],
 )
-def test_a_lens_that_bends_is_straightened(studio: Path, model: str, bends: dict[str, float]) -> None:
+def test_a_lens_that_bends_is_straightened(studio, model, bends):
     """A known scene through OpenCV's own formulas is that of the pinhole, away from the edge."""
     size, focal, middle = (64, 48), (60.0, 61.0), (31.0, 24.0)
     values = {"fl_x": focal[0], "fl_y": focal[1], "cx": middle[0], "cy": middle[1], "w": 64, "h": 48}
@@ -146,7 +143,7 @@ def test_a_lens_that_bends_is_straightened(studio: Path, model: str, bends: dict
     assert max(width - size[0], height - size[1]) <= 0.6 * size[0]
 
 
-def bent(rays: np.ndarray, model: str, bends: dict[str, float]) -> np.ndarray:
+def bent(rays, model, bends):
     """Where OpenCV's lens puts rays [..., 2]: docs.opencv.org, calib3d, "Detailed Description" and fisheye."""
     k = [bends.get(f"k{i}", 0.0) for i in range(1, 7)]
     x, y = np.moveaxis(rays, -1, 0)
@@ -162,11 +159,11 @@ def bent(rays: np.ndarray, model: str, bends: dict[str, float]) -> np.ndarray:
     return np.stack([x2, y2], -1)
 
 
-def test_two_fields_of_view_are_two_focal_lengths(studio: Path) -> None:
+def test_two_fields_of_view_are_two_focal_lengths(studio):
     width, height = SIZE
     angles = {"camera_angle_x": 2 * np.arctan(width / 40), "camera_angle_y": 2 * np.arctan(height / 42)}
 
-    def change(values: dict) -> None:
+    def change(values):
         for key in ("fl_x", "fl_y"):
             del values[key]
         values.update(angles)
@@ -180,8 +177,8 @@ def test_two_fields_of_view_are_two_focal_lengths(studio: Path) -> None:
 class TestTimes:
     """Frames of one file that have times are of timesteps."""
 
-    def timed(self, studio: Path, times: list[float], **values: float) -> None:
-        def change(file: dict) -> None:
+    def timed(self, studio, times, **values):
+        def change(file):
             file.update(values)
             for frame, time in zip(file["frames"], times, strict=True):
                 frame["time"] = time
@@ -189,14 +186,14 @@ class TestTimes:
         edit(studio / "transforms.json", change)
 
     @pytest.mark.parametrize("times", [[0.0, 0.5, 1.0], [4.0, 4.1, 4.2]])
-    def test_the_rate_makes_them_timesteps(self, studio: Path, times: list[float]) -> None:
+    def test_the_rate_makes_them_timesteps(self, studio, times):
         self.timed(studio, times, fps=10.0)
         capture = load_capture(studio)
         assert (capture.n_timesteps, capture.fps) == (3, 10.0)
         assert capture.timesteps.tolist() == [0, 1, 2]
         np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
 
-    def test_a_gap_is_a_timestep_without_pictures(self, studio: Path) -> None:
+    def test_a_gap_is_a_timestep_without_pictures(self, studio):
         self.timed(studio, [0.0, 0.25, 1.0], fps=30.0)
         capture = load_capture(studio)
         assert (capture.n_timesteps, capture.timesteps.tolist()) == (5, [0, 1, 4])
@@ -205,7 +202,7 @@ class TestTimes:
         self.timed(studio, [0.0, 0.1, 0.1], fps=30.0)
         assert load_capture(studio).timesteps.tolist() == [0, 1, 1]
 
-    def test_without_a_rate_they_are_refused(self, studio: Path) -> None:
+    def test_without_a_rate_they_are_refused(self, studio):
         self.timed(studio, [0.0, 0.5, 1.0])
         refused(
             studio, "its frames have 3 different times, but no rate is known", '"fps": <frames per second>'

@@ -11,7 +11,7 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.run.train import _capture
 
 
-def test_a_timestep_and_its_pictures_are_parts(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_timestep_and_its_pictures_are_parts(tree, monkeypatch):
     root = tree.resolve()
     assert whole_dataset(tree / "001") == (root, f"timestep 001 of the dataset {root}")
     pictures = f"the train pictures, timestep 001, of the dataset {root}"
@@ -20,7 +20,7 @@ def test_a_timestep_and_its_pictures_are_parts(tree: Path, monkeypatch: pytest.M
     assert whole_dataset(Path(".")) == (root, pictures)
 
 
-def test_whole_datasets_and_other_folders_are_not(tree: Path, folder: Path, tmp_path: Path) -> None:
+def test_whole_datasets_and_other_folders_are_not(tree, folder, tmp_path):
     (tmp_path / "photos" / "train").mkdir(parents=True)
     for other in (tree, folder, tmp_path, tmp_path / "photos", tmp_path / "photos" / "train"):
         assert whole_dataset(other) is None
@@ -28,7 +28,7 @@ def test_whole_datasets_and_other_folders_are_not(tree: Path, folder: Path, tmp_
     assert whole_dataset(folder / "train") == (root, f"the train pictures of the dataset {root}")
 
 
-def test_training_pictures_alone_is_refused(tree: Path, folder: Path) -> None:
+def test_training_pictures_alone_is_refused(tree, folder):
     for part, root in ((tree / "000" / "train", tree), (folder / "train", folder)):
         with pytest.raises(
             CaptureError, match=rf"train: is no dataset, but .*: tg4mm train {root.resolve()} --out RUN"
@@ -36,7 +36,7 @@ def test_training_pictures_alone_is_refused(tree: Path, folder: Path) -> None:
             _capture(part)
 
 
-def test_training_one_timestep_is_said(tree: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_training_one_timestep_is_said(tree, caplog):
     with caplog.at_level(logging.WARNING, "tg4mm"):
         assert _capture(tree / "000").n_timesteps == 1
     (line,) = caplog.messages
@@ -46,7 +46,7 @@ def test_training_one_timestep_is_said(tree: Path, caplog: pytest.LogCaptureFixt
     assert caplog.messages == []
 
 
-def test_sfm_takes_no_part_of_a_dataset(tree: Path) -> None:
+def test_sfm_takes_no_part_of_a_dataset(tree):
     for part in (tree / "000", tree / "000" / "train"):
         with pytest.raises(CaptureError, match="whose poses are known: tg4mm train"):
             find_sources(part)

@@ -1,7 +1,6 @@
 """Pictures on disk are read as those in memory, and no more often than they must be."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from PIL import Image
 from dataset_gen.png import encode
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
-from tg4mm.capture import Capture, load_images
+from tg4mm.capture import load_images
 from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
@@ -20,7 +19,7 @@ SIZE = (5, 6)  # height, width
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Capture:
+def capture(tmp_path):
     """Two cameras, five timesteps."""
     data = np.random.default_rng(0).integers(0, 256, (10, *SIZE, 4)).astype(np.uint8)
     capture, _ = capture_of([0, 1] * 5, [t for t in range(5) for _ in range(2)], data)
@@ -30,13 +29,13 @@ def capture(tmp_path: Path) -> Capture:
     return replace(capture, root=tmp_path, paths=paths)
 
 
-def with_one_of_16_bits(capture: Capture) -> None:
+def with_one_of_16_bits(capture):
     data = np.random.default_rng(1).integers(0, 65536, (*SIZE, 4)).astype(np.uint16)
     capture.paths[3].write_bytes(encode(data))
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
+def test_they_are_those_of_the_stack(capture, bits):
     if bits == 16:
         with_one_of_16_bits(capture)
     files, stack = FilePictures(capture), load_images(capture)
@@ -51,9 +50,7 @@ def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
 
 
 @pytest.mark.parametrize("cached", [0, 1 << 30])
-def test_their_components_are_those_of_the_stack(
-    capture: Capture, cached: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_their_components_are_those_of_the_stack(capture, cached, monkeypatch):
     monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
     found = components(observe(capture, FilePictures(capture)), 16)
     expected = components(observe(capture, load_images(capture)), 16)
@@ -70,7 +67,7 @@ def test_their_components_are_those_of_the_stack(
         (lambda path: Image.new("RGBA", (7, 5)).save(path), r"4\.png: is 7×5 pixels, expected 6×5"),
     ],
 )
-def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, message: str) -> None:
+def test_a_spoiled_file_is_an_error_with_its_name(capture, spoil, message):
     files = FilePictures(capture)
     assert files.maximum == 255
     spoil(capture.paths[4])
@@ -78,7 +75,7 @@ def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, messa
         components(observe(capture, files), 16)
 
 
-def test_what_is_masked_stays_as_in_the_first_picture(capture: Capture) -> None:
+def test_what_is_masked_stays_as_in_the_first_picture(capture):
     mask = np.zeros(SIZE, bool)
     mask[1:3, 2:5] = True
     plain = load_images(capture)

@@ -1,10 +1,7 @@
 """[3DMM]'s real captures and its published ground truth, as they lie; lenses that bend straight lines."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,19 +16,17 @@ W, H = 64, 48
 POSES = "".join(f"{i + 1} 1 0 0 0 {i} 0 5 1 {i:03d}.png\n\n" for i in range(5))
 
 
-def seen(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def seen(x, y):
     """[..., 3] what is seen along the ray (x, y, 1), smooth."""
     return 0.5 + 0.3 * np.stack([np.sin(7 * x), np.sin(6 * y), np.cos(5 * (x + y))], -1)
 
 
-def save(path: Path, values: np.ndarray) -> None:
+def save(path, values):
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.round(255 * values).astype(np.uint8)).save(path)
 
 
-def capture_folder(
-    root: Path, camera: str = f"1 PINHOLE {W} {H} 60 60 32 24", scene: str = '{"fps": 15}'
-) -> Path:
+def capture_folder(root, camera=f"1 PINHOLE {W} {H} 60 60 32 24", scene='{"fps": 15}'):
     """Five registered pictures."""
     sparse = root / "sparse" / "0"
     sparse.mkdir(parents=True)
@@ -44,7 +39,7 @@ def capture_folder(
 
 
 @pytest.fixture
-def tripod(tmp_path: Path) -> Path:
+def tripod(tmp_path):
     root = capture_folder(tmp_path / "breathing")
     for t in range(15):
         save(root / "video_frames_1" / f"frame_{t + 1:05d}.png", np.full((H, W, 3), 0.05 * t))
@@ -52,11 +47,11 @@ def tripod(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def handheld(tmp_path: Path) -> Path:
+def handheld(tmp_path):
     return capture_folder(tmp_path / "baby", scene='{"fps": 30, "dynamic_start": 3}')
 
 
-def test_a_tripods_frames_have_the_pose_of_the_last_picture(tripod: Path) -> None:
+def test_a_tripods_frames_have_the_pose_of_the_last_picture(tripod):
     capture = load_capture(tripod)
     assert (capture.kind, capture.fps, capture.n_timesteps, len(capture)) == ("tripod", 15, 15, 19)
     frames = np.isfinite(capture.times_s)
@@ -70,7 +65,7 @@ def test_a_tripods_frames_have_the_pose_of_the_last_picture(tripod: Path) -> Non
     )
 
 
-def test_a_handheld_captures_timesteps_begin_at_its_start(handheld: Path) -> None:
+def test_a_handheld_captures_timesteps_begin_at_its_start(handheld):
     capture = load_capture(handheld)
     assert (capture.kind, capture.n_timesteps, len(capture)) == ("handheld", 3, 5)
     moving = np.isfinite(capture.times_s)
@@ -79,7 +74,7 @@ def test_a_handheld_captures_timesteps_begin_at_its_start(handheld: Path) -> Non
     assert load_capture(handheld).n_timesteps == 2
 
 
-def test_what_is_missing_is_said_in_one_line(tripod: Path, handheld: Path) -> None:
+def test_what_is_missing_is_said_in_one_line(tripod, handheld):
     (tripod / "video_frames_1" / "frame_00007.png").unlink()
     refused(tripod, "frame 7 is missing, after frame_00006.png")
     shutil.rmtree(tripod / "video_frames_1")
@@ -99,7 +94,7 @@ def test_what_is_missing_is_said_in_one_line(tripod: Path, handheld: Path) -> No
     "camera",
     ["1 OPENCV 64 48 60 61 31 24 -0.2 0.05 0.004 -0.003", "1 OPENCV_FISHEYE 64 48 60 60 32 24 0.02 0 0 0"],
 )
-def test_a_lens_that_bends_is_straightened(tripod: Path, camera: str, tmp_path: Path) -> None:
+def test_a_lens_that_bends_is_straightened(tripod, camera, tmp_path):
     """A known scene through the lens is that of the pinhole, away from the edge, to a grey level or two."""
     pycolmap = pytest.importorskip("pycolmap")
     (tripod / "sparse/0/cameras.txt").write_text(camera)
@@ -122,7 +117,7 @@ def test_a_lens_that_bends_is_straightened(tripod: Path, camera: str, tmp_path: 
     refused(tripod, "frame_00003.png: is 62×48 pixels, but its camera's pictures are 64×48")
 
 
-def test_the_published_ground_truth_is_read(tmp_path: Path) -> None:
+def test_the_published_ground_truth_is_read(tmp_path):
     root = tmp_path / "synthetic" / "mic_3Hz_0_005"
     eye = np.eye(4).tolist()
     for t in range(3):

@@ -14,14 +14,14 @@ from tg4mm.core.choices import KINDS
 from tg4mm.core.errors import CaptureError
 
 
-def of_cameras(cameras: dict[int, list[int]], n_timesteps: int) -> str:
+def of_cameras(cameras, n_timesteps):
     """The kind of a capture in which each camera has pictures at these timesteps."""
     ids = [camera for camera, timesteps in cameras.items() for _ in timesteps]
     times = [t for timesteps in cameras.values() for t in timesteps]
     return kind_of_cameras(np.array(ids), np.array(times), n_timesteps)
 
 
-def retime(tree: Path, times: dict[int, float | None], split: str = "train") -> None:
+def retime(tree, times, split="train"):
     """Give the frames of each timestep this time; None takes it away."""
     for t, time_s in times.items():
         path = tree / f"{t:03d}" / f"transforms_{split}.json"
@@ -49,7 +49,7 @@ class TestKind:
     def test_cameras_that_stay_are_counted(self, cameras, n_timesteps, kind):
         assert of_cameras(cameras, n_timesteps) == kind
 
-    def test_scene_json_has_the_last_word(self, tree: Path) -> None:
+    def test_scene_json_has_the_last_word(self, tree):
         assert load_capture(tree).kind == "rig"
         for kind in KINDS:
             edit(tree / "scene.json", lambda v, kind=kind: v.update(kind=kind))
@@ -57,28 +57,28 @@ class TestKind:
 
 
 class TestTimes:
-    def test_the_frames_own_times_are_taken(self, tree: Path) -> None:
+    def test_the_frames_own_times_are_taken(self, tree):
         retime(tree, {0: 7.0, 1: 7.0332, 2: 7.0668})
         np.testing.assert_array_equal(load_capture(tree).times_s, [7.0, 7.0, 7.0332, 7.0332, 7.0668, 7.0668])
 
-    def test_without_any_they_follow_from_the_frame_rate(self, tree: Path) -> None:
+    def test_without_any_they_follow_from_the_frame_rate(self, tree):
         retime(tree, dict.fromkeys(range(3)))
         np.testing.assert_allclose(load_capture(tree).times_s, np.array([0, 0, 1, 1, 2, 2]) / 30)
 
-    def test_a_picture_of_the_scene_at_rest_has_none(self, tree: Path) -> None:
+    def test_a_picture_of_the_scene_at_rest_has_none(self, tree):
         write_folder(tree / "000", "train", views=3)
         path = tree / "000" / "transforms_train.json"
         edit(path, lambda v: v["frames"][2].pop("time"))
         times = load_capture(tree).times_s
         assert np.isnan(times).tolist() == [False, False, True, False, False, False, False]
 
-    def test_a_later_picture_needs_one(self, tree: Path) -> None:
+    def test_a_later_picture_needs_one(self, tree):
         path = tree / "001" / "transforms_train.json"
         edit(path, lambda v: v["frames"][1].pop("time"))
         with pytest.raises(CaptureError, match=r"r_001\.png: its frame has no time, though others have"):
             load_capture(tree)
 
-    def test_an_edited_frame_rate_is_refused_with_both_numbers(self, tree: Path) -> None:
+    def test_an_edited_frame_rate_is_refused_with_both_numbers(self, tree):
         (tree / "scene.json").write_text('{"fps": 60}')
         with pytest.raises(
             CaptureError,
@@ -86,7 +86,7 @@ class TestTimes:
         ):
             load_capture(tree)
 
-    def test_numbered_pictures_show_it_too(self, tree: Path) -> None:
+    def test_numbered_pictures_show_it_too(self, tree):
         """No name comes back in a later timestep, so no camera's own steps can be looked at."""
         for t in range(3):
             path = tree / f"{t:03d}" / "transforms_train.json"
@@ -104,12 +104,12 @@ class TestTimes:
         ):
             load_capture(tree)
 
-    def test_times_that_stand_still_are_refused(self, tree: Path) -> None:
+    def test_times_that_stand_still_are_refused(self, tree):
         retime(tree, dict.fromkeys(range(3), 0.0))
         with pytest.raises(CaptureError, match=r"fps is 30, .* step by 0 s \(no frame rate\)"):
             load_capture(tree)
 
-    def test_a_lone_timestep_with_a_late_time_is_none_of_our_business(self, folder: Path) -> None:
+    def test_a_lone_timestep_with_a_late_time_is_none_of_our_business(self, folder):
         (folder / "scene.json").write_text('{"fps": 12}')
         assert load_capture(folder).times_s.tolist() == [0.0, 0.0]
 
@@ -141,7 +141,7 @@ def test_the_camera_whose_times_are_wrong_is_named():
         check_times("scene.json", times, np.tile(np.arange(2), 2), ["a"] * 2 + ["b"] * 2, 30.0)
 
 
-def test_a_capture_made_by_hand_gets_kind_and_times() -> None:
+def test_a_capture_made_by_hand_gets_kind_and_times():
     capture = Capture(
         Path(), "train", 4, 4, 10.0, 3, np.tile(np.eye(4), (3, 1, 1)), np.tile(np.eye(3), (3, 1, 1)),
         np.arange(3), np.zeros(3, int), (Path("a"),) * 3,
@@ -151,7 +151,7 @@ def test_a_capture_made_by_hand_gets_kind_and_times() -> None:
     assert math.isclose(capture.times_s[2], 0.2)
 
 
-def test_a_wrong_length_or_kind_is_refused() -> None:
+def test_a_wrong_length_or_kind_is_refused():
     arrays = (np.eye(4)[None], np.eye(3)[None], np.zeros(1, int), np.zeros(1, int), (Path("a"),))
     with pytest.raises(ValueError, match=r"times_s has shape \(2,\), expected \(1,\)"):
         Capture(Path(), "train", 4, 4, 0.0, 1, *arrays, times_s=np.zeros(2))

@@ -1,10 +1,7 @@
 """What the commands do with good input: options arrive where they belong, results lie where they should."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,15 +14,15 @@ from tg4mm.run import Run
 N_TIMESTEPS, SIZE = 6, 32
 
 
-def tree(folder: Path, pattern: str) -> set[str]:
+def tree(folder, pattern):
     return {str(path.relative_to(folder)) for path in folder.rglob(pattern)}
 
 
-def recorded(folder: Path) -> dict:
+def recorded(folder):
     return json.loads((folder / "render.json").read_text())
 
 
-def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Path) -> None:
+def test_export_of_a_sequence_takes_alpha_and_band(run_path, tmp_path):
     main(["export", str(run_path), "--out", str(tmp_path / "a.ply")])
     splat = read_splat(tmp_path / "a.ply")
     for name, band in (("inside", (4.0, 6.0)), ("outside", (1.0, 2.0))):
@@ -44,14 +41,14 @@ def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Pat
         ("x/", "such as {}/x.ply, or {}/x/splat.ply"),
     ],
 )
-def test_a_splat_file_is_named_as_one(run_path: Path, tmp_path: Path, capsys, name: str, said: str) -> None:
+def test_a_splat_file_is_named_as_one(run_path, tmp_path, capsys, name, said):
     assert main(["export", str(run_path), "--out", f"{tmp_path}/{name}"]) == 2
     assert said.replace("{}", str(tmp_path)) in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
     assert main(["export", str(run_path), "--out", f"{tmp_path}/x.PLY"]) == 0
 
 
-def test_render_takes_split_band_and_no_video(run_path: Path, tmp_path: Path) -> None:
+def test_render_takes_split_band_and_no_video(run_path, tmp_path):
     out = tmp_path / "train"
     options = ["--split", "train", "--band", "4", "6", "--no-video", "--alpha", "-1"]
     assert main(["render", str(run_path), "--out", str(out), *options]) == 0
@@ -60,7 +57,7 @@ def test_render_takes_split_band_and_no_video(run_path: Path, tmp_path: Path) ->
     assert (recorded(out)["alpha"], recorded(out)["band_hz"]) == (-1.0, [4.0, 6.0])
 
 
-def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) -> None:
+def test_render_takes_an_orbit_in_slow_motion(run_path, tmp_path):
     out = tmp_path / "orbit"
     options = ["--alpha", "3", "--orbit", "4", "--slow", "2"]
     assert main(["render", str(run_path), "--out", str(out), *options]) == 0
@@ -109,7 +106,7 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
         (["--alpha", "1", "--cameras", "nowhere.json"], "nowhere.json: cannot be read"),
     ],
 )
-def test_render_refuses_bad_values(run_path: Path, tmp_path: Path, capsys, options, message) -> None:
+def test_render_refuses_bad_values(run_path, tmp_path, capsys, options, message):
     assert main(["render", str(run_path), "--out", str(tmp_path / "o"), *options]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
@@ -126,7 +123,7 @@ def test_render_refuses_bad_values(run_path: Path, tmp_path: Path, capsys, optio
         ["export", "RUN", "--out", "FILE/x", "--format", "ply-sequence"],
     ],
 )
-def test_out_that_cannot_be_made_is_one_line(run_path: Path, tmp_path: Path, capsys, arguments) -> None:
+def test_out_that_cannot_be_made_is_one_line(run_path, tmp_path, capsys, arguments):
     (tmp_path / "file").write_text("mine")
     places = {"RUN": str(run_path), "DATA": str(run_path.parent / "data"), "FILE": str(tmp_path / "file")}
     for name, path in places.items():
@@ -139,7 +136,7 @@ def test_out_that_cannot_be_made_is_one_line(run_path: Path, tmp_path: Path, cap
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_without_test_cameras_render_names_the_others(tmp_path: Path, capsys) -> None:
+def test_without_test_cameras_render_names_the_others(tmp_path, capsys):
     gaussians, _ = make_synthetic_dataset(tmp_path / "data", n_views=2, n_timesteps=1, size=SIZE, n_test=0)
     run = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
     run.save_space(gaussians, {})
@@ -154,7 +151,7 @@ def test_without_test_cameras_render_names_the_others(tmp_path: Path, capsys) ->
     assert "choose" not in capsys.readouterr().err
 
 
-def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path: Path, capsys) -> None:
+def test_evaluate_prints_a_table_and_writes_the_figures(run_path, tmp_path, capsys):
     out = tmp_path / "metrics.json"
     assert main(["evaluate", str(run_path), "--alphas", "5", "--out", str(out)]) == 0
     metrics = json.loads(out.read_text())
@@ -164,14 +161,14 @@ def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path
     assert "nothing moves" in printed
 
 
-def test_evaluate_refuses_an_alpha_without_ground_truth(run_path: Path, tmp_path: Path, capsys) -> None:
+def test_evaluate_refuses_an_alpha_without_ground_truth(run_path, tmp_path, capsys):
     out = tmp_path / "metrics.json"
     assert main(["evaluate", str(run_path), "--alphas", "5,3", "--out", str(out)]) == 2
     assert "--alphas holds α = 3: no such ground truth under" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, capsys) -> None:
+def test_evaluate_refuses_a_band_without_motion(run_path, tmp_path, capsys):
     out = tmp_path / "metrics.json"
     command = ["evaluate", str(run_path), "--alphas", "5", "--band", "6.4", "7", "--out", str(out)]
     assert main(command) == 2
@@ -180,14 +177,14 @@ def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, 
     assert main([*command, "--allow-empty-band"]) == 0
 
 
-def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch, capsys):
     class Killed:
-        def __init__(self, command: list[str]) -> None: ...
-        def __enter__(self) -> Killed:
+        def __init__(self, command): ...
+        def __enter__(self):
             return self
 
-        def __exit__(self, *_: object) -> None: ...
-        def wait(self) -> int:
+        def __exit__(self, *_): ...
+        def wait(self):
             return -9
 
     monkeypatch.setattr("tg4mm.research.generator.subprocess.Popen", Killed)

@@ -1,7 +1,6 @@
 """--device: refused in one line where it cannot be, the same results where it can."""
 
 import sys
-from pathlib import Path
 
 import pytest
 import torch
@@ -10,21 +9,20 @@ from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.device import check_device, full_precision
-from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory):
     root = tmp_path_factory.mktemp("device")
     return moving_run(root, n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
 
 
-def test_an_unknown_device_is_named() -> None:
+def test_an_unknown_device_is_named():
     with pytest.raises(Tg4mmError, match=r"\Adevice is 'tpu', expected cpu or cuda\Z"):
         check_device("tpu")
 
 
-def commands(run: Run, out: Path) -> list[list[str]]:
+def commands(run, out):
     return [
         ["train", str(run.dataset), "--out", str(out)],
         ["render", str(run.path), "--alpha", "5", "--out", str(out)],
@@ -41,8 +39,8 @@ def commands(run: Run, out: Path) -> list[list[str]]:
 )
 @pytest.mark.parametrize("index", range(3))
 def test_cuda_without_a_gpu_or_gsplat_is_one_line_and_2(
-    index: int, has_gpu: bool, said: str, run: Run, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    index, has_gpu, said, run, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: has_gpu)
     monkeypatch.setitem(sys.modules, "gsplat", None)
     out = tmp_path / "out"
@@ -51,7 +49,7 @@ def test_cuda_without_a_gpu_or_gsplat_is_one_line_and_2(
     assert not out.exists()
 
 
-def test_full_precision_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_precision_ends_with_its_block(monkeypatch):
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
     with full_precision("cuda"):
         assert not torch.backends.cudnn.allow_tf32

@@ -1,7 +1,5 @@
 """`tg4mm export` in formats of other tools: options arrive, files hold the magnified motion or say that they do not."""
 
-from pathlib import Path
-
 import gsply
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ import pytest
 from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
-from tg4mm.core.splatfile import SplatFile, positions_at
+from tg4mm.core.splatfile import positions_at
 from tg4mm.core.splatfile.axes import TURN
 from tg4mm.run import Run
 from tg4mm.show.export.splat import splat_of
@@ -17,26 +15,26 @@ from tg4mm.show.export.splat import splat_of
 N_TIMESTEPS = 12
 
 
-def made(root: Path, n_timesteps: int = N_TIMESTEPS, freqs: tuple[float, ...] = (5.0,)) -> Run:
+def made(root, n_timesteps=N_TIMESTEPS, freqs=(5.0,)):
     return moving_run(root, n_views=1, n_timesteps=n_timesteps, size=16, freqs=freqs)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory):
     """5 Hz at 30 Hz: a period is 6 of 12 timesteps."""
     return made(tmp_path_factory.mktemp("formats"))
 
 
 @pytest.fixture(scope="module")
-def splat(run: Run) -> SplatFile:
+def splat(run):
     return splat_of(run)
 
 
-def export(run: Run, out: Path, format: str, *options: str) -> int:
+def export(run, out, format, *options):
     return main(["export", str(run.path), "--out", str(out), "--format", format, *options])
 
 
-def test_spz_is_one_file_at_rest(run, splat, tmp_path, capsys) -> None:
+def test_spz_is_one_file_at_rest(run, splat, tmp_path, capsys):
     assert export(run, tmp_path / "deep" / "a.spz", "spz") == 0
     printed = capsys.readouterr()
     assert printed.out == f"{tmp_path}/deep/a.spz\n"
@@ -45,7 +43,7 @@ def test_spz_is_one_file_at_rest(run, splat, tmp_path, capsys) -> None:
     np.testing.assert_allclose(read.means @ TURN, splat.means, atol=1e-6)
 
 
-def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys) -> None:
+def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys):
     assert export(run, tmp_path / "frames", "spz", "--alpha", "20", "--band", "4", "6") == 0
     assert "spz holds no motion: 6 files, one for each timestep" in capsys.readouterr().err
     files = sorted(path.name for path in (tmp_path / "frames").glob("*.spz"))
@@ -55,7 +53,7 @@ def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys) -> None:
         np.testing.assert_allclose(read.means @ TURN, positions_at(splat, t, 20.0), atol=1e-5)
 
 
-def test_gltf_holds_the_band_magnified(run, splat, tmp_path) -> None:
+def test_gltf_holds_the_band_magnified(run, splat, tmp_path):
     for name, options in (("in", ("4", "6")), ("out", ("1", "2"))):
         band = ["--band", *options, "--allow-empty-band"]
         assert export(run, tmp_path / f"{name}.glb", "gltf", "--alpha", "20", *band) == 0
@@ -67,7 +65,7 @@ def test_gltf_holds_the_band_magnified(run, splat, tmp_path) -> None:
     np.testing.assert_allclose(factors, [21.0, 1.0], rtol=1e-5)
 
 
-def test_lengths_that_are_a_guess_are_said(tmp_path, capsys) -> None:
+def test_lengths_that_are_a_guess_are_said(tmp_path, capsys):
     run = made(tmp_path)
     scene = run.dataset / "scene.json"
     scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
@@ -76,7 +74,7 @@ def test_lengths_that_are_a_guess_are_said(tmp_path, capsys) -> None:
         assert "the scale is not known: one scene unit is written as one metre" in capsys.readouterr().err
 
 
-def test_a_run_without_motion_is_exported_at_rest(run, tmp_path, capsys) -> None:
+def test_a_run_without_motion_is_exported_at_rest(run, tmp_path, capsys):
     still = Run.create(tmp_path / "still", run.dataset, "modal", {})
     still.save_space(run.load_space(), {})
     for name, format in (("a.glb", "gltf"), ("a.usdc", "usd"), ("a.spz", "spz"), ("frames", "spz")):
@@ -126,7 +124,7 @@ TO_MOVE = "ply-sequence, spz, usd, gltf"
         ("a.glb", ["gltf", "--alpha", "3", "--band", "1", "20"], "half the frame rate"),
     ],
 )
-def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, options, message) -> None:
+def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, options, message):
     assert export(run, tmp_path / out, *options) == 2
     printed = capsys.readouterr().err
     assert message.replace("{}", str(tmp_path)) in printed
@@ -137,7 +135,7 @@ def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, op
 @pytest.mark.parametrize(
     ("name", "format", "kind"), [("a.ply", "ply", "PLY"), ("a.glb", "gltf", "GLB"), ("a.usda", "usd", "USDA")]
 )
-def test_a_file_of_another_kind_is_not_replaced(run, tmp_path, capsys, name, format, kind) -> None:
+def test_a_file_of_another_kind_is_not_replaced(run, tmp_path, capsys, name, format, kind):
     (tmp_path / name).write_text("mine")
     assert export(run, tmp_path / name, format) == 2
     assert f"exists, and is no {kind} file; choose another name" in capsys.readouterr().err

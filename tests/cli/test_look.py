@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ WIDTH, HEIGHT, FPS, FRAMES, HZ = 128, 96, 30, 120, 5.2
 PLATE = (32, 32, 96, 80)
 
 
-def film(size_px: float) -> Film:
+def film(size_px):
     """A plate that moves to the right and down before a wall that is still."""
     rng = np.random.default_rng(3)
     shape = np.broadcast_to([0.8 * size_px, 0.6 * size_px], (HEIGHT, WIDTH, 2))
@@ -26,15 +25,13 @@ def film(size_px: float) -> Film:
 
 
 @pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def video(tmp_path_factory):
     path = tmp_path_factory.mktemp("look") / "my pump.mp4"
     write_video(path, film(0.2).pictures(), FPS, Coding("libx264", 1_500_000))
     return path
 
 
-def test_a_video_is_told_in_words_and_drawn(
-    video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_video_is_told_in_words_and_drawn(video, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["look", str(video)]) == 0
     said = capsys.readouterr().out
@@ -49,7 +46,7 @@ def test_a_video_is_told_in_words_and_drawn(
     assert [path.name for path in tmp_path.iterdir()] == ["my pump-look.png"]
 
 
-def test_a_page_and_json_go_to_a_folder(video: Path, tmp_path: Path) -> None:
+def test_a_page_and_json_go_to_a_folder(video, tmp_path):
     out = tmp_path / "a" / "b"
     assert main(["look", str(video), "--out", str(out), "--fps", "240"]) == 0
     assert {path.name for path in out.iterdir()} == {"look.html", "look.json", "look.png"}
@@ -65,9 +62,7 @@ def test_a_page_and_json_go_to_a_folder(video: Path, tmp_path: Path) -> None:
     assert "--fps 240" in page
 
 
-def test_a_part_of_the_video(
-    video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_part_of_the_video(video, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["look", str(video), "--from", "1", "--until", "3"]) == 0
     said = capsys.readouterr().out
@@ -77,9 +72,7 @@ def test_a_part_of_the_video(
     assert "holds 15 pictures; at least 24 are needed" in capsys.readouterr().err
 
 
-def test_a_readout_is_taken_into_account_and_handed_on(
-    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_readout_is_taken_into_account_and_handed_on(video, tmp_path, capsys):
     assert main(["look", str(video), "--out", str(tmp_path), "--readout", "12.5"]) == 0
     assert "--kind flat --readout 12.5 --out" in capsys.readouterr().out
     assert from_record(json.loads((tmp_path / "look.json").read_text())).rows_s == 0.0125
@@ -89,9 +82,7 @@ def test_a_readout_is_taken_into_account_and_handed_on(
     )
 
 
-def test_a_folder_of_numbered_pictures_needs_its_rate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_numbered_pictures_needs_its_rate(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "frames"
     folder.mkdir()
@@ -107,8 +98,8 @@ def test_a_folder_of_numbered_pictures_needs_its_rate(
 
 
 def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     write_video(tmp_path / "still.mp4", film(0.0).pictures(), FPS, Coding("libx264", 1_500_000))
     assert main(["look", "still.mp4"]) == 0
@@ -134,13 +125,7 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         (["noise.mp4", "--out", "notes.txt"], "--out notes.txt: is a file; expected a folder"),
     ],
 )
-def test_what_is_no_recording_is_one_line(
-    arguments: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_is_no_recording_is_one_line(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
     (tmp_path / "noise.mp4").write_bytes(bytes(500))

@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
 
-def tg4mm(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def tg4mm(*arguments, cwd=None):
     """Run the program in a process of its own."""
     command = [sys.executable, "-m", "tg4mm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=ENVIRONMENT)
 
 
-def refused(done: subprocess.CompletedProcess[str]) -> str:
+def refused(done):
     """The one line on stderr of a program that refused its input; asserts that it is that."""
     assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
     assert done.stdout == ""
@@ -28,7 +28,7 @@ def refused(done: subprocess.CompletedProcess[str]) -> str:
 
 
 @pytest.fixture
-def empty_run(tmp_path: Path) -> Path:
+def empty_run(tmp_path):
     """A run folder whose training has made nothing yet."""
     from tg4mm.run import Run
 
@@ -36,7 +36,7 @@ def empty_run(tmp_path: Path) -> Path:
     return Run.create(tmp_path / "run", tmp_path / "data", "modal", {}).path
 
 
-def test_the_log_is_shown_once_where_progress_is() -> None:
+def test_the_log_is_shown_once_where_progress_is():
     """Also after a second command in the same process, and on a stderr that is another by then, as under a bar."""
     code = (
         "import io, logging, sys\nfrom tg4mm.cli import main\nmain(['--version'])\nmain(['--version'])\n"
@@ -49,7 +49,7 @@ def test_the_log_is_shown_once_where_progress_is() -> None:
 
 
 @pytest.mark.parametrize(("module", "encoding"), [("tg4mm", "cp1252"), ("dataset_gen", "cp437")])
-def test_help_can_be_printed_where_the_encoding_lacks_a_letter(module: str, encoding: str) -> None:
+def test_help_can_be_printed_where_the_encoding_lacks_a_letter(module, encoding):
     """As in a pipe on Windows: α is not in code page 1252, … not in 437."""
     environment = ENVIRONMENT | {"PYTHONIOENCODING": encoding}
     done = subprocess.run(
@@ -60,7 +60,7 @@ def test_help_can_be_printed_where_the_encoding_lacks_a_letter(module: str, enco
     assert b"Hz" in done.stdout
 
 
-def test_help_is_fast_and_imports_nothing_heavy() -> None:
+def test_help_is_fast_and_imports_nothing_heavy():
     code = (
         "import sys\nfor name in ('torch', 'bpy', 'numpy', 'numba', 'PIL'): sys.modules[name] = None\n"
         "from tg4mm.cli import main\nmain(['train', '--help'])\n"
@@ -87,7 +87,7 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
         (["export", "x", "--out", "y", "--format", "usdz"], "'usdz' is not"),
     ],
 )
-def test_usage_errors_are_one_line(arguments: list[str], message: str) -> None:
+def test_usage_errors_are_one_line(arguments, message):
     assert re.search(message, refused(tg4mm(*arguments)))
 
 
@@ -99,25 +99,25 @@ def test_usage_errors_are_one_line(arguments: list[str], message: str) -> None:
         (["seed=1", "seed=2"], "--set seed is given twice"),
     ],
 )
-def test_bad_settings_are_refused(tmp_path: Path, pairs: list[str], message: str) -> None:
+def test_bad_settings_are_refused(tmp_path, pairs, message):
     options = [option for pair in pairs for option in ("--set", pair)]
     assert message in refused(tg4mm("train", tmp_path, "--out", tmp_path / "run", *options))
 
 
 @pytest.mark.parametrize("command", ["render", "evaluate", "export"])
-def test_folder_that_is_no_run_is_named(tmp_path: Path, command: str) -> None:
+def test_folder_that_is_no_run_is_named(tmp_path, command):
     options = ["--alpha", "5"] if command == "render" else []
     done = tg4mm(command, tmp_path, "--out", tmp_path / "out", *options)
     assert f"{tmp_path} is not a run folder: it has no config.json" in refused(done)
     assert not (tmp_path / "out").exists()
 
 
-def test_unfinished_run_is_refused(empty_run: Path, tmp_path: Path) -> None:
+def test_unfinished_run_is_refused(empty_run, tmp_path):
     done = tg4mm("export", empty_run, "--out", tmp_path / "a.ply")
     assert "its space stage is not finished" in refused(done)
 
 
-def run_main(body: str) -> subprocess.CompletedProcess[str]:
+def run_main(body):
     """main() with the export command's body replaced by `body`, as another command of the program."""
     code = (
         "import sys; from tg4mm.cli import program\n"
@@ -127,7 +127,7 @@ def run_main(body: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
 
 
-def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1() -> None:
+def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1():
     done = run_main("[][3]")
     assert done.returncode == 1
     assert "Traceback" in done.stderr
@@ -135,23 +135,23 @@ def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1() -> None:
 
 
 @pytest.mark.parametrize("error", ["OSError(28, 'No space left')", "OSError('No space left')"])
-def test_fault_of_the_system_is_one_line(error: str) -> None:
+def test_fault_of_the_system_is_one_line(error):
     assert refused(run_main(f"raise {error}")) == "tg4mm: No space left"
 
 
-def test_reader_that_goes_away_ends_it_quietly() -> None:
+def test_reader_that_goes_away_ends_it_quietly():
     done = run_main("raise BrokenPipeError(32, 'Broken pipe')")
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
 
 
-def test_missing_core_package_says_how_to_install_it() -> None:
+def test_missing_core_package_says_how_to_install_it():
     done = run_main("sys.modules['torch'] = None; import torch")
     assert (
         refused(done) == "tg4mm: this command needs torch: pip install '.[core]' in a copy of the repository"
     )
 
 
-def test_interrupt_exits_with_130_and_says_how_to_go_on() -> None:
+def test_interrupt_exits_with_130_and_says_how_to_go_on():
     code = (
         "import sys, time; from tg4mm.cli import program\n"
         "def probe() -> None:\n    print('ready', flush=True); time.sleep(60)\n"
@@ -170,7 +170,7 @@ def test_interrupt_exits_with_130_and_says_how_to_go_on() -> None:
     assert "Traceback" not in err
 
 
-def test_generate_without_blender_says_how_to_install_it() -> None:
+def test_generate_without_blender_says_how_to_install_it():
     code = (
         "import sys, importlib.util as u; find = u.find_spec\n"
         "u.find_spec = lambda name: None if name == 'bpy' else find(name)\n"

@@ -6,9 +6,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +14,7 @@ from tg4mm.cli import main
 
 
 @contextmanager
-def started(*arguments: str, root: Path) -> Iterator[subprocess.Popen[str]]:
+def started(*arguments, root):
     command = [sys.executable, "-m", "tg4mm", "view", *arguments, "--no-open", "--port", "0"]
     process = subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -26,7 +24,7 @@ def started(*arguments: str, root: Path) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def test_it_serves_the_page_and_ends_cleanly_at_ctrl_c(run_path: Path, repo_root: Path) -> None:
+def test_it_serves_the_page_and_ends_cleanly_at_ctrl_c(run_path, repo_root):
     with started(str(run_path), root=repo_root) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -43,7 +41,7 @@ def test_it_serves_the_page_and_ends_cleanly_at_ctrl_c(run_path: Path, repo_root
         assert "Traceback" not in err
 
 
-def test_a_port_in_use_is_one_line(run_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_one_line(run_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert main(["view", str(run_path), "--no-open", "--port", port]) == 2
@@ -60,18 +58,14 @@ def test_a_port_in_use_is_one_line(run_path: Path, capsys: pytest.CaptureFixture
         (["--port", "70000"], "--port 70000: expected 0 … 65535"),
     ],
 )
-def test_bad_options_are_one_line(
-    run_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options_are_one_line(run_path, options, message, capsys):
     assert main(["view", str(run_path), "--no-open", *options]) == 2
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
 
 
-def test_without_viser_it_says_what_to_install(
-    run_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_viser_it_says_what_to_install(run_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view", str(run_path), "--no-open"]) == 2
     assert "pip install '.[core,view]' in a copy of the repository" in capsys.readouterr().err

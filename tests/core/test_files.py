@@ -1,7 +1,6 @@
 """Atomic files: the target is the old content or the new one, never a part, and nothing is left behind."""
 
 import os
-from pathlib import Path
 
 import pytest
 from filelock import FileLock, Timeout
@@ -9,11 +8,11 @@ from filelock import FileLock, Timeout
 from tg4mm.core.files import give_back, write_atomic, write_json
 
 
-def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path: Path) -> None:
+def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path):
     target = tmp_path / "a.json"
     write_json(target, {"v": 1})
 
-    def fail(temporary: Path) -> None:
+    def fail(temporary):
         temporary.write_text("half")
         raise OSError("disk full")
 
@@ -23,13 +22,11 @@ def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path: Path) -> 
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(tmp_path, monkeypatch):
     """A virus scanner has what was just written open for some milliseconds."""
     calls, replace = [], os.replace
 
-    def held(source: Path, target: Path) -> None:
+    def held(source, target):
         calls.append(target)
         if len(calls) < 3:
             raise PermissionError(13, "The process cannot access the file", str(target))
@@ -50,16 +47,14 @@ def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
     assert len(calls) == 1
 
 
-def test_json_without_nan(tmp_path: Path) -> None:
+def test_json_without_nan(tmp_path):
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", {"v": float("nan")})
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("windows", [False, True])
-def test_a_lock_given_back_is_free_and_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, windows: bool
-) -> None:
+def test_a_lock_given_back_is_free_and_leaves_no_file(tmp_path, monkeypatch, windows):
     monkeypatch.setattr("tg4mm.core.files.WINDOWS", windows)
     lock, other = FileLock(tmp_path / ".lock"), FileLock(tmp_path / ".lock")
     lock.acquire()

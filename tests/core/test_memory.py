@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ print(total, peak_memory_mib() - before)
 """
 
 
-def printed(code: str) -> list[float]:
+def printed(code):
     """In a process of its own: one that has run other tests may take a block from memory it holds already."""
     names = "peak_memory_mib, mapped_zeros, release, reset_peak_memory"
     start = f"import numpy as np\nfrom tg4mm.core.memory import {names}\nreset_peak_memory()\n"
@@ -38,7 +37,7 @@ def printed(code: str) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
-def test_peak_grows_by_what_was_held_and_falls_at_a_reset() -> None:
+def test_peak_grows_by_what_was_held_and_falls_at_a_reset():
     before, held, after = printed(HOLD)
     assert 90 <= held - before <= 120
     if after < 0:
@@ -46,7 +45,7 @@ def test_peak_grows_by_what_was_held_and_falls_at_a_reset() -> None:
     assert after < held - 80
 
 
-def test_child_of_a_large_process_does_not_report_its_parents_peak() -> None:
+def test_child_of_a_large_process_does_not_report_its_parents_peak():
     block = np.ones(300 << 20, dtype=np.uint8)
     code = "from tg4mm.core.memory import peak_memory_mib; print(peak_memory_mib())"  # and no reset
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
@@ -54,7 +53,7 @@ def test_child_of_a_large_process_does_not_report_its_parents_peak() -> None:
     del block
 
 
-def test_a_file_holds_what_memory_lets_go_of() -> None:
+def test_a_file_holds_what_memory_lets_go_of():
     total, grown = printed(MAPPED.format(limit=1 << 20))
     assert total == sum(range(50))
     assert grown < 60
@@ -63,7 +62,7 @@ def test_a_file_holds_what_memory_lets_go_of() -> None:
 
 
 @pytest.mark.parametrize("in_memory", [0, 1 << 20])
-def test_contents_stay_as_they_were_written(in_memory: int, tmp_path: Path) -> None:
+def test_contents_stay_as_they_were_written(in_memory, tmp_path):
     array = mapped_zeros((3, 5), np.uint16, tmp_path, in_memory)
     assert not array.any()
     array[1] = 7

@@ -13,14 +13,14 @@ from tg4mm.core.progress import HeardProgress, PlainProgress, listened_to, progr
 
 
 class Clock:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now
 
 
-def lines(*steps: tuple[float, int], total: int = 100, brief: bool = False, **figures: float) -> list[str]:
+def lines(*steps, total=100, brief=False, **figures):
     """What is printed for a job of so many units; steps are (seconds since the one before, done)."""
     stream, clock = io.StringIO(), Clock()
     job = PlainProgress("space", total, "it", 0, stream, clock, brief=brief)
@@ -31,16 +31,14 @@ def lines(*steps: tuple[float, int], total: int = 100, brief: bool = False, **fi
     return stream.getvalue().splitlines()
 
 
-def test_line_holds_counts_elapsed_time_left_and_figures() -> None:
+def test_line_holds_counts_elapsed_time_left_and_figures():
     assert lines((10.0, 20), psnr=28.34567) == [
         "space: 20/100 it, 0:10 elapsed, 0:40 left, psnr 28.35",
         "space: 20/100 it, took 0:10, psnr 28.35",
     ]
 
 
-def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(monkeypatch, capsys):
     monkeypatch.setattr("tg4mm.core.progress._PULSE_S", 0.01)
     monkeypatch.setattr(PlainProgress, "first_s", 0.02)
     with progress("adjusting", 1, "run"):
@@ -49,11 +47,11 @@ def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(1.0, 0), (3.0, 2)])
-def test_of_a_brief_job_nothing_is_said(seconds: float, said: int) -> None:
+def test_of_a_brief_job_nothing_is_said(seconds, said):
     assert len(lines((seconds, 2), total=4, brief=True)) == said
 
 
-def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> None:
+def test_what_the_first_of_many_units_took_does_not_count_for_the_others():
     """Kernels are compiled for a minute within the first of 1000 units, of which ten take a second."""
     printed = lines((60.0, 1), (10.0, 101), (10.0, 201), total=1000)
     assert "1:00 elapsed, time left unknown" in printed[0]
@@ -61,7 +59,7 @@ def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> No
     assert "1:20 elapsed, 1:20 left" in printed[2]
 
 
-def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_terminal_plain_lines_go_to_stderr(capsys):
     with progress("render", 3, unit="frames") as update:
         for i in range(3):
             update(i + 1, alpha=5)
@@ -71,7 +69,7 @@ def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_terminal_gets_a_bar_also_inside_another() -> None:
+def test_terminal_gets_a_bar_also_inside_another():
     code = (
         "from tg4mm.core.progress import progress\n"
         "with progress('outer', 2) as a:\n"
@@ -95,7 +93,7 @@ def test_terminal_gets_a_bar_also_inside_another() -> None:
         assert part in shown
 
 
-def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes() -> None:
+def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes():
     now, heard = iter([0.0, 2.0, 2.1, 4.0]), list[str]()
     state = HeardProgress("frames", 40, "frames", 0, sys.stderr, lambda: next(now), listener=heard.append)
     state.update(10)
@@ -104,7 +102,7 @@ def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes() -> None:
     assert heard == ["frames: 10 of 40 frames, 0:06 left", "frames: 20 of 40 frames, 0:04 left"]
 
 
-def test_only_jobs_of_the_listening_thread_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_jobs_of_the_listening_thread_are_heard(monkeypatch):
     monkeypatch.setattr(HeardProgress, "first_s", 0.0)
     heard = list[str]()
     with listened_to(heard.append), progress("one", 3) as update:

@@ -1,7 +1,5 @@
 """Steps of a folder: what is skipped, what is done again, and what is kept."""
 
-from pathlib import Path
-
 import pytest
 
 from tg4mm.core.steps import Step, run_steps
@@ -13,11 +11,11 @@ RECORD = {"format": "test"}
 class Made:
     """A chain of steps data → run → page that counts how often each was done; `fail` raises once."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root):
         self.root, self.calls, self.said, self.fail = root, [], [], ""
 
-    def __call__(self, **asked: int) -> list[str]:
-        def folder(name: str) -> None:
+    def __call__(self, **asked):
+        def folder(name):
             path = self.root / name
             path.mkdir(exist_ok=True)
             if self.fail == name:
@@ -26,7 +24,7 @@ class Made:
             (path / "file").write_text(f"{name} {asked.get(name, 0)}")
             self.calls.append(name)
 
-        def page() -> None:
+        def page():
             (self.root / "page").write_text((self.root / "run" / "file").read_text())
             self.calls.append("page")
 
@@ -43,7 +41,7 @@ class Made:
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Made:
+def made(tmp_path):
     made = Made(tmp_path / "out")
     assert made() == ["data", "run", "page"]
     return made

@@ -31,7 +31,7 @@ with {"replacing": replacing, "whole": whole}[sys.argv[1]](path) as temporary:
 """
 
 
-def killed(writer: str, path: Path) -> list[str]:
+def killed(writer, path):
     """Names in the folder after a process was killed while it wrote."""
     subprocess.run([sys.executable, "-c", KILLED, writer, str(path)], check=False)
     return os.listdir(path.parent)
@@ -39,7 +39,7 @@ def killed(writer: str, path: Path) -> list[str]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("writer", ["write_atomic", "replacing", "whole"])
-def test_the_next_writer_of_a_folder_removes_what_a_killed_one_left(writer: str, tmp_path: Path) -> None:
+def test_the_next_writer_of_a_folder_removes_what_a_killed_one_left(writer, tmp_path):
     (left,) = killed(writer, tmp_path / "r_000.ply")
     assert is_temporary(Path(left), "r_000.ply")
     write_json(tmp_path / "other.json", 1)
@@ -50,7 +50,7 @@ def test_the_next_writer_of_a_folder_removes_what_a_killed_one_left(writer: str,
     assert not os.listdir(tmp_path / "sub")
 
 
-def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+def test_what_another_process_is_writing_stays(tmp_path):
     living = temporary_name(tmp_path / "a.json").with_name(f".a.json.{temporary._HOST}-{os.getppid()}.tmp")
     elsewhere = tmp_path / ".a.json.node7-1.tmp"
     own, foreign = temporary_name(tmp_path / "a.json"), tmp_path / ".vimrc.tmp"
@@ -60,9 +60,7 @@ def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
     assert len(os.listdir(tmp_path)) == 4
 
 
-def test_from_another_machine_an_hour_without_a_change_tells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_from_another_machine_an_hour_without_a_change_tells(tmp_path, monkeypatch):
     for name in (".a.json.node7-1.tmp", ".a.0123456789ab.tmp.png", ".vimrc.tmp"):
         (tmp_path / name).touch()
     later = time.time() + 4000
@@ -72,17 +70,15 @@ def test_from_another_machine_an_hour_without_a_change_tells(
 
 
 @pytest.mark.parametrize("writer", ["write_atomic", "replacing", "whole"])
-def test_what_is_written_is_on_disk_before_it_has_its_name(
-    writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_written_is_on_disk_before_it_has_its_name(writer, tmp_path, monkeypatch):
     done: list[tuple[str, int]] = []
     sync, replace = os.fsync, os.replace
 
-    def fsync(file: int) -> None:
+    def fsync(file):
         done.append(("on disk", os.fstat(file).st_ino))
         sync(file)
 
-    def named(source: Path, target: Path) -> None:
+    def named(source, target):
         done.append(("named", os.stat(source).st_ino))
         replace(source, target)
 

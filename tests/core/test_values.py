@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,7 +24,7 @@ FITS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_what_fits_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_what_fits_is_read_as_it_was_written(tmp_path):
     write_sealed(tmp_path / "a.json", FITS)
     assert read_formed(tmp_path / "a.json", FORM) == FITS
     (tmp_path / "a.json").write_text(json.dumps(FITS))  # from before there was a digest
@@ -54,6 +53,6 @@ def test_what_fits_is_read_as_it_was_written(tmp_path: Path) -> None:
         ({"rows": {"5": {"ssim": 1, "flip": "1"}}}, "rows.5.flip is '1', expected a finite number"),
     ],
 )
-def test_what_does_not_fit_is_named(change: dict[str, Any], message: str) -> None:
+def test_what_does_not_fit_is_named(change, message):
     with pytest.raises(ValueError, match=rf"\A{re.escape(message)}\Z"):
         check_form(FITS | change, FORM)

@@ -11,11 +11,11 @@ from tg4mm.core.work_folder import WorkFolder
 ASKED = {"alpha": 5.0, "cameras": {"seed": 0, "views": 3}, "band": None}
 
 
-def folder(path: Path, **changes: object) -> WorkFolder:
-    return WorkFolder(path, "work.json", **changes)  # type: ignore[arg-type]
+def folder(path, **changes):
+    return WorkFolder(path, "work.json", **changes)
 
 
-def test_a_new_folder_holds_what_was_asked_and_the_same_request_goes_on(tmp_path: Path) -> None:
+def test_a_new_folder_holds_what_was_asked_and_the_same_request_goes_on(tmp_path):
     work = folder(tmp_path / "a" / "b")
     work.claim(ASKED)
     assert work.read() == ASKED
@@ -34,7 +34,7 @@ def test_a_new_folder_holds_what_was_asked_and_the_same_request_goes_on(tmp_path
         ({"alpha": "x" * 500}, r"asked is \"x{78}…: give"),
     ],
 )
-def test_the_first_value_that_differs_is_named(tmp_path: Path, change: dict, message: str) -> None:
+def test_the_first_value_that_differs_is_named(tmp_path, change, message):
     folder(tmp_path).claim(ASKED)
     with pytest.raises(CaptureError, match=message):
         folder(tmp_path, error=CaptureError).claim(ASKED | change)
@@ -43,7 +43,7 @@ def test_the_first_value_that_differs_is_named(tmp_path: Path, change: dict, mes
     assert folder(tmp_path).read() == ASKED
 
 
-def test_values_that_may_change_and_values_that_are_not_shown(tmp_path: Path) -> None:
+def test_values_that_may_change_and_values_that_are_not_shown(tmp_path):
     work = folder(tmp_path, free=("alpha",), others={"cameras": "from other cameras"})
     work.claim(ASKED)
     work.claim(ASKED | {"alpha": 9.0})
@@ -52,13 +52,13 @@ def test_values_that_may_change_and_values_that_are_not_shown(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "NaN", '{"a": 1, "a": 2}', "\xff"])
-def test_a_torn_record_is_named(tmp_path: Path, text: str) -> None:
+def test_a_torn_record_is_named(tmp_path, text):
     (tmp_path / "work.json").write_text(text, encoding="latin-1")
     with pytest.raises(RunError, match=r"work\.json (is not readable JSON|holds list, expected an object)"):
         folder(tmp_path).claim(ASKED)
 
 
-def test_somebody_elses_folder_is_left_alone(tmp_path: Path) -> None:
+def test_somebody_elses_folder_is_left_alone(tmp_path):
     (tmp_path / "holiday.txt").touch()
     for call in (lambda: folder(tmp_path).claim(ASKED), lambda: folder(tmp_path).held("works").__enter__()):
         with pytest.raises(RunError, match=r"is not empty and holds no work\.json, but 'holiday\.txt'"):
@@ -69,12 +69,12 @@ def test_somebody_elses_folder_is_left_alone(tmp_path: Path) -> None:
         folder(tmp_path / "holiday.txt").claim(ASKED)
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     with pytest.raises(RunError, match=r"^/proc/nobody cannot be written: [^\n]+$"):
         folder(Path("/proc/nobody")).claim(ASKED)
 
 
-def test_a_second_holder_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+def test_a_second_holder_is_refused_and_nothing_is_left(tmp_path):
     (tmp_path / "mine").mkdir()
     for name in ("new/run", "mine"):
         work = folder(tmp_path / name)

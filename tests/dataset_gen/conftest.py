@@ -1,12 +1,10 @@
 """A set with a report."""
 
-from pathlib import Path
-
 import pytest
 
 
 @pytest.fixture(scope="session")
-def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plane(tmp_path_factory):
     """A whole set of tests/dataset_gen/planes.py, with second renders."""
     from tests.dataset_gen.planes import Plane  # needs the packages of the report
 
@@ -18,7 +16,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def page(plane: Path) -> str:
+def page(plane):
     """The report of `plane`."""
     from dataset_gen.report import write_report
 

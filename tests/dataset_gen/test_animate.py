@@ -34,7 +34,7 @@ MODES = {
 }  # fmt: skip
 
 
-def scene() -> Scene:
+def scene():
     checks = np.indices((8, 8)).sum(0)[..., None] % 2 * np.array([0.6, 0.2, 0.1])
     paint = Surface("paint", checks + 0.2, relief=np.eye(8), roughness=np.full((4, 4), 0.4))
     rod = m.revolve([(0.0, -0.5), *((0.05, z) for z in np.linspace(-0.5, 0.5, 9)), (0.0, 0.5)], 12)
@@ -67,7 +67,7 @@ def saved(tmp_path_factory):
     return path, motion, setup
 
 
-def evaluated(name: str) -> np.ndarray:
+def evaluated(name):
     obj = bpy.data.objects[name]
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     out = np.empty(3 * len(mesh.vertices), np.float32)
@@ -75,7 +75,7 @@ def evaluated(name: str) -> np.ndarray:
     return out.reshape(-1, 3).astype(np.float64)
 
 
-def show(frame: int, alpha: float) -> None:
+def show(frame, alpha):
     control = bpy.data.objects["tg4mm"]
     control["alpha"] = alpha
     control.update_tag()

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def both(tmp_path_factory):
     other = ROOT / (".venv52" if sys.version_info < (3, 13) else ".venv") / "bin/python"
     if not other.exists():
         pytest.skip(f"no other Blender: {other} is absent (make install test-52)")
@@ -27,7 +27,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_both_lines_make_the_same_pictures_and_truth(both: tuple[Path, Path]) -> None:
+def test_both_lines_make_the_same_pictures_and_truth(both):
     d = difference(*both)
     assert d.share < 0.02  # with 4 samples one light path that goes elsewhere is many grey levels
     assert d.mean < 0.02

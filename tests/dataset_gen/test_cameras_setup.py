@@ -145,7 +145,7 @@ ALPHA = 100  # the largest of the presets
 MARGIN = 0.97  # of the half width; cameras stand so that the points that they were placed by are within 0.96
 
 
-def settings_of(name: str, cameras: CameraSetup) -> Settings:
+def settings_of(name, cameras):
     motion = read_motion(motion_file(name))
     return Settings(name, motion=motion, cameras=cameras, alphas=(ALPHA,), size=128, samples=1, truth="none")
 

@@ -6,7 +6,6 @@ to it later is lost. A manager and workers cannot be tested here.
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -36,17 +35,17 @@ var job = {
 SETTINGS = {"scene": "mic", "options": "", "out": "/data", "parts": 3, "python": "py", "processes": 0}
 
 
-def job_type() -> dict[str, Any]:
+def job_type():
     return json.loads(dukpy.evaljs([SCRIPT.read_text(), "JSON.stringify(JOB_TYPE)"]))
 
 
-def compiled(**settings: object) -> list[dict[str, Any]]:
+def compiled(**settings):
     defaults = {s["key"]: s["default"] for s in job_type()["settings"] if "default" in s}
     code = [MANAGER, SCRIPT.read_text(), "compileJob(job); JSON.stringify(job.tasks)"]
     return json.loads(dukpy.evaljs(code, settings={**defaults, **SETTINGS, **settings}))
 
 
-def command_lines(tasks: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+def command_lines(tasks):
     found = []
     for task in tasks:
         (command,) = task["commands"]
@@ -57,14 +56,14 @@ def command_lines(tasks: list[dict[str, Any]]) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("parts", [1, 3, 12])
-def test_the_commands_are_those_of_every_other_farm(parts: int) -> None:
+def test_the_commands_are_those_of_every_other_farm(parts):
     tasks = compiled(parts=parts, processes=2, options="--preset paper --amplitude 0.02")
     arguments = ["mic", "--preset", "paper", "--amplitude", "0.02"]
     expected = commands("py", arguments, "/data", parts, 2)
     assert command_lines(tasks) == [expected.prepare, *expected.parts, expected.finish]
 
 
-def test_parts_wait_for_the_preparation_and_the_end_for_all_parts() -> None:
+def test_parts_wait_for_the_preparation_and_the_end_for_all_parts():
     tasks = compiled()
     assert [task["name"] for task in tasks] == ["prepare", "render-1/3", "render-2/3", "render-3/3", "finish"]
     assert [task["dependencies"] for task in tasks] == [
@@ -87,6 +86,6 @@ def test_parts_wait_for_the_preparation_and_the_end_for_all_parts() -> None:
         ({"options": "--name 'a"}, "quote ' is not closed"),
     ],
 )
-def test_what_cannot_be_rendered_is_refused(settings: dict[str, object], message: str) -> None:
+def test_what_cannot_be_rendered_is_refused(settings, message):
     with pytest.raises(dukpy.JSRuntimeError, match=message):
         compiled(**settings)

@@ -3,7 +3,6 @@
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ from dataset_gen.options import parser, request_from
 SMALL = {"out": "data", "python": "py", "sets": {"mic": None}}
 
 
-def test_every_command_is_one_that_the_generator_understands() -> None:
+def test_every_command_is_one_that_the_generator_understands():
     made = commands("py", ["mic", "--size", "64"], "my data", 3, 2)
     requests = [
         request_from(parser().parse_args(list(c[3:]))) for c in (made.prepare, *made.parts, made.finish)
@@ -48,15 +47,13 @@ def test_every_command_is_one_that_the_generator_understands() -> None:
         ({**SMALL, "sets": {"mic": None, "same": {"options": "mic"}}}, "have the same folder mic_5Hz_0_005"),
     ],
 )
-def test_a_bad_configuration_is_refused_with_one_line(config: dict[str, Any], message: str) -> None:
+def test_a_bad_configuration_is_refused_with_one_line(config, message):
     with pytest.raises(GenerateError, match=message) as caught:
         farm_sets(config)
     assert "\n" not in str(caught.value)
 
 
-def test_the_module_prints_what_a_shell_can_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_module_prints_what_a_shell_can_run(monkeypatch, capsys):
     config = {**SMALL, "out": "my data", "parts": 2}
     monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(config)))
     assert main() == 0

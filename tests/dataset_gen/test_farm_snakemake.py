@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -56,12 +55,12 @@ else:
 class Farm:
     """A folder with a configuration, and Snakemake started in it."""
 
-    def __init__(self, folder: Path, python: str, sets: dict[str, object], options: str = "") -> None:
+    def __init__(self, folder, python, sets, options=""):
         self.folder, self.out = folder, folder / "my sets"
         config = {"out": str(self.out), "python": python, "parts": 3, "options": options, "sets": sets}
         (folder / "config.json").write_text(json.dumps(config))
 
-    def run(self, *more: str, seconds: int = 240) -> subprocess.CompletedProcess[str]:
+    def run(self, *more, seconds=240):
         command = [snakemake(), "-s", str(FARM / "Snakefile"), "--configfile", "config.json", *more]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(self.folder / "cache")}
         return subprocess.run(
@@ -72,7 +71,7 @@ class Farm:
 class StandIn(Farm):
     """A farm whose Python records what it was asked for."""
 
-    def __init__(self, folder: Path, sets: dict[str, object]) -> None:
+    def __init__(self, folder, sets):
         self.log, self.fail = folder / "calls.txt", folder / "fail"
         program = folder / "python"
         program.write_text(
@@ -81,7 +80,7 @@ class StandIn(Farm):
         program.chmod(0o755)
         super().__init__(folder, str(program), sets)
 
-    def calls(self) -> list[str]:
+    def calls(self):
         """What was run since the last time, in order."""
         found = self.log.read_text().splitlines() if self.log.exists() else []
         self.log.write_text("")
@@ -89,11 +88,11 @@ class StandIn(Farm):
 
 
 @pytest.fixture
-def farm(tmp_path: Path) -> StandIn:
+def farm(tmp_path):
     return StandIn(tmp_path, {"mic": None})
 
 
-def test_every_step_runs_once_and_a_finished_set_is_left_alone(farm: StandIn) -> None:
+def test_every_step_runs_once_and_a_finished_set_is_left_alone(farm):
     done = farm.run("--cores", "2")
     assert done.returncode == 0, done.stderr
     calls = [call.split()[1] for call in farm.calls()]
@@ -108,7 +107,7 @@ def test_every_step_runs_once_and_a_finished_set_is_left_alone(farm: StandIn) ->
 
 
 @pytest.mark.slow
-def test_a_part_that_failed_is_all_that_runs_again(farm: StandIn) -> None:
+def test_a_part_that_failed_is_all_that_runs_again(farm):
     farm.fail.write_text("2/3")
     done = farm.run("--cores", "1", "--keep-going")
     assert done.returncode == 1
@@ -121,7 +120,7 @@ def test_a_part_that_failed_is_all_that_runs_again(farm: StandIn) -> None:
 
 
 @pytest.mark.parametrize("name", ["local", "slurm", "kubernetes"])
-def test_the_profiles_are_accepted(farm: StandIn, name: str) -> None:
+def test_the_profiles_are_accepted(farm, name):
     done = farm.run("--profile", str(FARM / "profiles" / name), "--dry-run")
     said = done.stdout + done.stderr
     check_plugins(said, name)
@@ -130,7 +129,7 @@ def test_the_profiles_are_accepted(farm: StandIn, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_generator_itself_is_run_in_parts(tmp_path: Path) -> None:
+def test_the_generator_itself_is_run_in_parts(tmp_path):
     pytest.importorskip("bpy")
     options = (
         "--preset smoke --size 16 --timesteps 2 --samples 1 --views 3 --test-views 1 --points 20 --alphas 5"

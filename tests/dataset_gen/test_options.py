@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 
 from dataset_gen.__main__ import main
-from dataset_gen.options import Request, parser, request_from
+from dataset_gen.options import parser, request_from
 from dataset_gen.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def request(*arguments: str) -> Request:
+def request(*arguments):
     return request_from(parser().parse_args([*arguments, "--out", "x"]))
 
 
-def settings(*arguments: str) -> Settings:
+def settings(*arguments):
     return request(*arguments).sets[0]
 
 

@@ -5,7 +5,7 @@ from dataset_gen.plan import RESEEDED, shots
 from dataset_gen.prepare import builtin_bodies, motion_of
 
 
-def plan(arguments: str = ""):
+def plan(arguments=""):
     settings = request_from(parser().parse_args(["mic", *arguments.split(), "--out", "x"])).sets[0]
     every = shots(settings, motion_of(settings, builtin_bodies("mic")))
     return settings, [s for s in every if not s.seed_offset], [s for s in every if s.seed_offset]

@@ -20,13 +20,12 @@ from dataset_gen.options import parser, request_from
 from dataset_gen.prepare import plan
 from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
-from dataset_gen.settings import Settings
 from tg4mm.core.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
 
 
-def tiny(*more: str) -> Settings:
+def tiny(*more):
     views = () if "handheld" in more else ("--views", "3")  # one camera: refused
     options = ["mic", "--out", "x", *TINY_OPTIONS.split(), *views, *more]
     return request_from(parser().parse_args(options)).sets[0]

@@ -1,7 +1,5 @@
 """What a dataset's report measures agrees with an analytic set."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,7 @@ from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SIZE, SWAY, 
 from tests.show.report.page_checks import check, words
 
 
-def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:
+def test_motion_in_pixels_is_what_the_pinhole_says(plane):
     dataset = read_dataset(plane)
     seen = seen_motion(dataset, dataset.by_camera("test")["r_000"])
     assert seen is not None
@@ -36,7 +34,7 @@ def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:
     assert 0.4 < found.still < 0.6  # half of the square stands still
 
 
-def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
+def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane):
     dataset = read_dataset(plane)
     seen = seen_motion(dataset, dataset.by_camera("test")["r_000"])
     assert seen is not None
@@ -49,7 +47,7 @@ def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
     np.testing.assert_allclose(still, 0, atol=1e-9)
 
 
-def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
+def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path):
     made = Plane(tmp_path / "a", camera_moves=True)
     made.write()
     made.truth()
@@ -65,7 +63,7 @@ def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
     assert "does not tell the modes apart" in words(text)
 
 
-def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
+def test_the_point_over_time_is_the_analytic_one(plane):
     dataset = read_dataset(plane)
     made = Plane(plane)
     for seen in (seen_motion(dataset, dataset.views["test"]), None):
@@ -76,7 +74,7 @@ def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
         np.testing.assert_allclose(track.displacement, expected, atol=1e-6)
 
 
-def test_a_perfect_method_scores_what_the_noise_says(plane: Path) -> None:
+def test_a_perfect_method_scores_what_the_noise_says(plane):
     rows = {row.alpha: row for row in noise_floor(read_dataset(plane))}
     expected = -20 * np.log10(SIGMA)
     for row in rows.values():

@@ -1,7 +1,6 @@
 """A dataset's report as a page: sound, the same each time, and what is absent is said."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ from tests.dataset_gen.planes import Plane
 from tests.show.report.page_checks import check, read_page, words
 
 
-def test_the_page_is_sound_and_says_the_numbers(page: str, plane: Path) -> None:
+def test_the_page_is_sound_and_says_the_numbers(page, plane):
     check(page)
     said = words(page)
     for title in (
@@ -38,7 +37,7 @@ def test_the_page_is_sound_and_says_the_numbers(page: str, plane: Path) -> None:
     assert not list((plane / "report").glob(".*"))
 
 
-def test_what_is_absent_is_said(tmp_path: Path) -> None:
+def test_what_is_absent_is_said(tmp_path):
     made = Plane(tmp_path / "a")
     made.write(alphas=(), test=False)
     (made.root / "truth/motion.npz").unlink()
@@ -53,7 +52,7 @@ def test_what_is_absent_is_said(tmp_path: Path) -> None:
     assert "not recorded" in said
 
 
-def test_the_overview_links_every_report_and_names_what_has_none(plane: Path, page: str) -> None:
+def test_the_overview_links_every_report_and_names_what_has_none(plane, page):
     parent = plane.parent
     (parent / "unfinished").mkdir(exist_ok=True)
     (parent / "unfinished/scene.json").write_text("{}")
@@ -70,7 +69,7 @@ def test_the_overview_links_every_report_and_names_what_has_none(plane: Path, pa
     assert "2 datasets" in said
 
 
-def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
+def test_a_hostile_name_stays_text(tmp_path):
     evil = "<script>alert(1)</script>"
     made = Plane(tmp_path / "sets" / "a&b")
     made.write(modes=[{"name": evil, "kind": evil}], engine={evil: evil}, **{"scene": evil})
@@ -80,7 +79,7 @@ def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
         assert reader.tags.count("script") == 1
 
 
-def test_the_command_writes_reports_and_an_overview(plane: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_reports_and_an_overview(plane, capsys):
     assert main([str(plane), "--overview", str(plane.parent)]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out == [str(plane / "report/index.html"), str(plane.parent / "index.html")]

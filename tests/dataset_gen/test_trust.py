@@ -19,7 +19,7 @@ from dataset_gen.options import parser, request_from  # noqa: E402
 from dataset_gen.prepare import builtin_bodies, motion_of  # noqa: E402
 from dataset_gen.scenes import NAMES, SCENES  # noqa: E402
 from dataset_gen.settings import Quality, Settings  # noqa: E402
-from dataset_gen.vibration import Body, Motion, State  # noqa: E402
+from dataset_gen.vibration import Body, Motion  # noqa: E402
 from tests.dataset_gen.trust import (  # noqa: E402
     Surface,
     displacement_errors,
@@ -45,22 +45,22 @@ class World:
     quality: Quality
     camera: Camera
 
-    def displacements(self, state: State) -> list[np.ndarray]:
+    def displacements(self, state):
         return [self.motion.displacement(i, state) for i in range(len(self.bodies))]
 
-    def take(self, displacements: list[np.ndarray], seed_offset: int = 0) -> np.ndarray:
+    def take(self, displacements, seed_offset=0):
         """Linear light [H, W, 4]; another offset gives other noise."""
         build.move(self.stage, displacements)
         build.set_view(self.stage, self.camera)
         render.use_picture(self.stage, self.quality, seed_offset)
         return render.linear_picture(self.stage)
 
-    def exr(self, timestep: int) -> dict[str, np.ndarray]:
+    def exr(self, timestep):
         return truth.read_exr(self.root / f"truth/test/{timestep:03d}/{self.camera.name}.exr")
 
 
 @pytest.fixture(scope="module")
-def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sets(tmp_path_factory):
     out = tmp_path_factory.mktemp("all")
     command = [sys.executable, "-m", "dataset_gen", "all", *OPTIONS, "--out", str(out)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
@@ -69,7 +69,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def world(request: pytest.FixtureRequest, sets: Path) -> World:
+def world(request, sets):
     settings = request_from(parser().parse_args([request.param, *OPTIONS, "--out", str(sets)])).sets[0]
     bodies = builtin_bodies(request.param)
     quality = Quality.of(settings, 1)
@@ -81,11 +81,11 @@ def world(request: pytest.FixtureRequest, sets: Path) -> World:
     )
 
 
-def pixels(path: Path) -> np.ndarray:
+def pixels(path):
     return np.asarray(Image.open(path)).astype(int)
 
 
-def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
+def test_depth_and_pose_lead_onto_the_moved_surface(world):
     data = world.exr(NOW)
     points = unprojected(data["Depth"], world.camera)
     assert len(points) > 300
@@ -98,7 +98,7 @@ def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
     assert (elsewhere.distance(points) > 1e-3).mean() > 0.1
 
 
-def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
+def test_the_displacement_pass_is_the_analytic_motion(world):
     data = world.exr(NOW)
     seen = data["Depth"] < 1e9
     position, moved = (data[name][seen].astype(float) for name in ("Position", "Displacement"))
@@ -111,7 +111,7 @@ def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
     assert np.percentile(wrong, 98) > 1e-5
 
 
-def test_optical_flow_is_the_projected_displacement(world: World, tmp_path: Path) -> None:
+def test_optical_flow_is_the_projected_displacement(world, tmp_path):
     alpha, states = 20.0, {}
     for t in (NOW, NOW + 1):
         states[t] = world.displacements(world.motion.state(t, alpha))
@@ -131,7 +131,7 @@ def test_optical_flow_is_the_projected_displacement(world: World, tmp_path: Path
         assert np.percentile(np.abs(got + expected).max(1), 98) > 0.1
 
 
-def _flow_to_next(world: World, states: dict[int, list[np.ndarray]], path: Path) -> np.ndarray:
+def _flow_to_next(world, states, path):
     """[H, W, 2] pixels to the next frame, y down, by Blender's Vector pass of a mesh that two keyframes move."""
     scene = world.stage.scene
     for i, obj in enumerate(world.stage.objects):

@@ -10,8 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,26 +28,26 @@ from tg4mm.show.render.video import write_mp4
 TMPFS = ("-t", "tmpfs", "-o")
 
 
-def fill(folder: Path) -> None:
+def fill(folder):
     """Fill the file system."""
     room = os.statvfs(folder)
     (folder / "filler").write_bytes(b"\1" * (room.f_bavail * room.f_frsize))
 
 
-def mount(*arguments: str) -> None:
+def mount(*arguments):
     done = subprocess.run(["mount", *arguments], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
 @functools.cache
-def can_mount() -> bool:
+def can_mount():
     with tempfile.TemporaryDirectory() as folder:
         made = subprocess.run(["mount", *TMPFS, "size=16k", "tmpfs", folder], capture_output=True)
         return made.returncode == 0 and subprocess.run(["umount", folder]).returncode == 0
 
 
 @pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+def disk(tmp_path):
     """`disk(kib)`: a folder on a file system of that size."""
     if not sys.platform.startswith("linux"):
         pytest.skip("a small file system needs Linux")
@@ -59,7 +57,7 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
     folder.mkdir()
     mounted = []
 
-    def make(kib: int) -> Path:
+    def make(kib):
         mount(*TMPFS, f"size={kib}k", "tmpfs", str(folder))
         mounted.append(folder)
         return folder
@@ -69,13 +67,13 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         subprocess.run(["umount", str(each)], check=True)
 
 
-def frames() -> list[np.ndarray]:
+def frames():
     rng = np.random.default_rng(0)
     return [rng.integers(0, 256, (48, 48, 3), np.uint8) for _ in range(8)]
 
 
 @pytest.mark.parametrize("kib", [4, 8, 12, 16, 20, 64])
-def test_no_video_is_left_that_does_not_play(disk: Callable[[int], Path], kib: int) -> None:
+def test_no_video_is_left_that_does_not_play(disk, kib):
     """The encoder tells a full disk by its exit status alone."""
     folder = disk(kib)
     with pytest.raises(
@@ -85,7 +83,7 @@ def test_no_video_is_left_that_does_not_play(disk: Callable[[int], Path], kib: i
     assert os.listdir(folder) == []
 
 
-def test_what_was_there_stays_whole(disk: Callable[[int], Path]) -> None:
+def test_what_was_there_stays_whole(disk):
     folder = disk(256)
     write_json(folder / "a.json", {"old": 1})
     run = Run.create(folder / "run", folder, "modal", {})
@@ -103,7 +101,7 @@ def test_what_was_there_stays_whole(disk: Callable[[int], Path]) -> None:
     assert sorted(os.listdir(folder / "run")) == ["checkpoint_space.safetensors", "config.json"]
 
 
-def test_temporary_arrays_are_refused_before_they_are_written(disk: Callable[[int], Path]) -> None:
+def test_temporary_arrays_are_refused_before_they_are_written(disk):
     """A mapped file that finds no room on its disk ends the process by a signal."""
     folder = disk(256)
     with pytest.raises(OSError, match=r"No space left[^\n]*temporary arrays") as refused:
@@ -113,7 +111,7 @@ def test_temporary_arrays_are_refused_before_they_are_written(disk: Callable[[in
     assert mapped_zeros((1 << 14,), folder=folder, in_memory=0).sum() == 0
 
 
-def test_the_generator_leaves_no_temporary_file(disk: Callable[[int], Path]) -> None:
+def test_the_generator_leaves_no_temporary_file(disk):
     from dataset_gen import tree
 
     folder = disk(64)
@@ -126,13 +124,13 @@ def test_the_generator_leaves_no_temporary_file(disk: Callable[[int], Path]) -> 
     assert [p.name for p in sorted(folder.rglob("*")) if p.is_file()] == ["a", "filler"]
 
 
-def tg4mm(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+def tg4mm(*arguments):
     command = [sys.executable, "-m", "tg4mm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 @pytest.mark.slow
-def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_path: Path) -> None:
+def test_training_on_a_full_disk_is_one_line(disk, tmp_path):
     (tmp_path / "set").mkdir()
     write_tree(tmp_path / "set", 6)
     folder = disk(16)
@@ -167,7 +165,7 @@ SETTINGS = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
+def undisturbed(tmp_path_factory):
     """The words of a training that has several checkpoints, but for its `--out`, and a run of it."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_synthetic_dataset(
@@ -181,9 +179,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("stage", "nth"), [("space", 1), ("space", 3), ("motion", 1), ("motion", 2)])
-def test_a_disk_that_fills_during_a_stage_loses_nothing(
-    stage: str, nth: int, disk: Callable[[int], Path], undisturbed: tuple[list[str], Path], repo_root: Path
-) -> None:
+def test_a_disk_that_fills_during_a_stage_loses_nothing(stage, nth, disk, undisturbed, repo_root):
     """With room again, the same command goes on, to what an undisturbed training gives."""
     folder, (words, expected) = disk(8192), undisturbed
     command = [sys.executable, "-c", FULL_IN, stage, str(nth), "train", *words, "--out", str(folder / "run")]
@@ -203,9 +199,7 @@ def test_a_disk_that_fills_during_a_stage_loses_nothing(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["train", "export", "render", "generate"])
-def test_a_folder_that_cannot_be_written_is_one_line(
-    command: str, disk: Callable[[int], Path], tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(command, disk, tmp_path):
     """Read-only as a file system is, which binds root, too."""
     (tmp_path / "set").mkdir()
     write_tree(tmp_path / "set", 6)
@@ -229,9 +223,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     assert os.listdir(folder) == []
 
 
-def test_without_root_all_of_this_runs_in_a_namespace(
-    request: pytest.FixtureRequest, repo_root: Path
-) -> None:
+def test_without_root_all_of_this_runs_in_a_namespace(request, repo_root):
     if can_mount():
         pytest.skip("the tests above could mount by themselves")
     alone = ["unshare", "-rm"]

@@ -3,8 +3,6 @@
 import os
 import signal
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,45 +13,45 @@ from tests.faults.readers import READERS, Reader
 from tg4mm.core.errors import CaptureError
 
 
-def make(root: Path) -> Path:
+def make(root):
     (root / "a").write_bytes(b"0123456789")
     (root / "c").write_bytes(b"A")
     return root / "a"
 
 
-def spoilt(root: Path) -> bool:
+def spoilt(root):
     return (root / "a").read_bytes() != b"0123456789"
 
 
-def foreign(root: Path) -> None:
+def foreign(root):
     raise KeyError("no such thing")
 
 
-def two_lines(root: Path) -> None:
+def two_lines(root):
     raise CaptureError("one\ntwo")
 
 
-def dies(root: Path) -> None:
+def dies(root):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def hangs(root: Path) -> None:
+def hangs(root):
     time.sleep(60)
 
 
-def hoards(root: Path) -> None:
+def hoards(root):
     np.ones(4 << 27)  # 4 GiB
 
 
-def writes(root: Path) -> None:
+def writes(root):
     (root / "b").touch()
 
 
-def changes(root: Path) -> None:
+def changes(root):
     (root / "c").write_bytes(b"B")
 
 
-def good(root: Path) -> None:
+def good(root):
     raise CaptureError("spoilt")
 
 
@@ -64,7 +62,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_each_kind_of_fault_is_told(fault: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_kind_of_fault_is_told(fault, monkeypatch):
     monkeypatch.setattr(harness, "LIMIT_S", 1.0)
     monkeypatch.setattr(harness, "FIRST_S", 1.0)
     reader = Reader(make, lambda root: fault(root) if spoilt(root) else None, lambda data, rng: data + b"x")
@@ -74,7 +72,7 @@ def test_each_kind_of_fault_is_told(fault: Any, monkeypatch: pytest.MonkeyPatch)
     assert all(FAULTS[fault] in what for _, what in tally.faults), tally.faults
 
 
-def test_a_refusal_in_one_line_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_in_one_line_is_no_fault(monkeypatch):
     monkeypatch.setitem(READERS, "right", Reader(make, lambda r: good(r) if spoilt(r) else None, of_bytes))
     tally = harness.run_reader("right", 50, 0)
     assert (tally.count, tally.faults) == (50, [])

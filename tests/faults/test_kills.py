@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ COMMANDS = (*RENAMES, "render", "measure", "sfm", "sfm-photographs", "generate")
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_that_is_killed_loses_nothing(command: str, repo_root: Path) -> None:
+def test_a_command_that_is_killed_loses_nothing(command, repo_root):
     """In a process of its own: a fork of one that has used threads would hang."""
     if command == "generate":
         pytest.importorskip("bpy")

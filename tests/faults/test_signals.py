@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -26,7 +25,7 @@ BUSY_S = 5.0  # of processor time, after which a render process has loaded Blend
 PARENT = "import sys; from tg4mm.cli.program import main; sys.exit(main(['generate', *sys.argv[1:]]))"
 
 
-def wait_for(path: Path, seconds: float = 60.0) -> str:
+def wait_for(path, seconds=60.0):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if path.exists() and path.read_text():
@@ -35,7 +34,7 @@ def wait_for(path: Path, seconds: float = 60.0) -> str:
     raise AssertionError(f"{path} did not appear within {seconds} s")
 
 
-def started(folder: Path, repo_root: Path, *arguments: str) -> subprocess.Popen[str]:
+def started(folder, repo_root, *arguments):
     """`tg4mm generate` with a generator that only waits."""
     package = folder / "dataset_gen"
     package.mkdir()
@@ -49,9 +48,7 @@ def started(folder: Path, repo_root: Path, *arguments: str) -> subprocess.Popen[
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("manner", ["polite", "deaf"])
-def test_a_signal_to_the_parent_ends_the_child(
-    tmp_path: Path, repo_root: Path, number: signal.Signals, manner: str
-) -> None:
+def test_a_signal_to_the_parent_ends_the_child(tmp_path, repo_root, number, manner):
     parent = started(tmp_path, repo_root, manner)
     child = int(wait_for(tmp_path / "child"))
     parent.send_signal(number)
@@ -75,7 +72,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_a_signal_to_a_benchmark_ends_its_step_and_the_rest(tmp_path: Path, repo_root: Path) -> None:
+def test_a_signal_to_a_benchmark_ends_its_step_and_the_rest(tmp_path, repo_root):
     environment = {**os.environ, "PYTHONPATH": str(repo_root)}
     parent = subprocess.Popen([sys.executable, "-c", BENCH, STUB], cwd=tmp_path, env=environment)
     child = int(wait_for(tmp_path / "child"))
@@ -85,7 +82,7 @@ def test_a_signal_to_a_benchmark_ends_its_step_and_the_rest(tmp_path: Path, repo
     assert not (tmp_path / "two").exists()
 
 
-def workers(pid: int) -> list[psutil.Process]:
+def workers(pid):
     """The render processes that a process has started."""
     found = []
     for process in psutil.Process(pid).children(recursive=True):
@@ -96,7 +93,7 @@ def workers(pid: int) -> list[psutil.Process]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_render_processes_end_as_well(tmp_path: Path, repo_root: Path, number: signal.Signals) -> None:
+def test_the_render_processes_end_as_well(tmp_path, repo_root, number):
     """In the middle of a picture that takes much longer than this test waits."""
     pytest.importorskip("bpy")
     command = [sys.executable, "-m", "tg4mm", "generate", "mic", "--out", str(tmp_path)]

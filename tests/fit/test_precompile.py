@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
-def test_every_job_compiles_each_kernel_that_it_names(tmp_path: Path) -> None:
+def test_every_job_compiles_each_kernel_that_it_names(tmp_path):
     """One more signature each. With an empty cache: what is loaded from one does not load the kernels inside it."""
     code = """
 from tests.helpers.kernels import kernels_of
@@ -33,7 +33,7 @@ for name, job in JOBS.items():
 
 
 @pytest.mark.slow
-def test_training_asks_for_no_other_types() -> None:
+def test_training_asks_for_no_other_types():
     """An iteration as the space stage does it, in a process that the jobs ran in before: not one more signature."""
     code = """
 import numpy as np, torch
@@ -59,18 +59,14 @@ print(before == [len(k.signatures) for job in jobs for k in kernels_of(job)])
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_where_no_process_starts_the_command_goes_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_no_process_starts_the_command_goes_on(monkeypatch, capsys):
     jobs = precompile._Jobs()
     monkeypatch.setattr(precompile.sys, "executable", "/nowhere/python")
     assert not jobs.wait("blend._forward")
     assert "compiling kernels" in capsys.readouterr().err
 
 
-def test_a_kernel_is_there_after_the_wait_which_counts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kernel_is_there_after_the_wait_which_counts(monkeypatch, capsys):
     jobs = precompile._Jobs()
     monkeypatch.setattr(
         precompile, "_WORK", "import sys\nfor line in sys.stdin: print(line.strip(), flush=True)"
@@ -80,7 +76,7 @@ def test_a_kernel_is_there_after_the_wait_which_counts(
     assert not jobs.wait("blend._forward")  # it was made, for other types: not again
 
 
-def test_only_once_enabled_is_a_kernel_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_once_enabled_is_a_kernel_waited_for(monkeypatch):
     monkeypatch.setattr(missing, "_answers", [])  # a test that ran the program may have enabled it
     assert not missing.may_be_there("blend._forward")
     monkeypatch.setattr(precompile._jobs, "wait", lambda kernel: kernel == "blend._forward")

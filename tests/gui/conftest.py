@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from . import session
 SPLAT = "drum.ply"
 
 
-def drum(side: int = 24, freqs_hz: tuple[float, ...] = (2.0, 5.0)) -> SplatFile:
+def drum(side=24, freqs_hz=(2.0, 5.0)):
     """A square membrane of side × side coloured Gaussians, 2 units wide, in its modes (1, 1) and (2, 1)."""
     line = np.linspace(-1.0, 1.0, side)
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
@@ -42,28 +41,28 @@ def drum(side: int = 24, freqs_hz: tuple[float, ...] = (2.0, 5.0)) -> SplatFile:
 
 
 @pytest.fixture(scope="session")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pictures(tmp_path_factory):
     """Where the screenshots go: $TG4MM_GUI_PICTURES, else a temporary folder."""
     folder = os.environ.get("TG4MM_GUI_PICTURES")
     return Path(folder) if folder else tmp_path_factory.mktemp("pictures")
 
 
 @pytest.fixture(scope="session")
-def extension_zip(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def extension_zip(repo_root, tmp_path_factory):
     """The zip as `make extension` builds it."""
     subprocess.run([sys.executable, "addon/make_extension.py"], cwd=repo_root, check=True)
     return max((repo_root / "dist").glob("tg4mm-*.zip"), key=lambda path: path.stat().st_mtime)
 
 
 @pytest.fixture(scope="session")
-def splat_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def splat_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("splat") / SPLAT
     write_splat(path, drum())
     return path
 
 
 @pytest.fixture(scope="module")
-def blender(extension_zip: Path, splat_file: Path) -> Iterator[session.Session]:
+def blender(extension_zip, splat_file):
     """One Blender for the tests of a module, which go on from each other's state, in their order."""
     with session.Session.start(extension_zip, [splat_file]) as running:
         yield running

@@ -6,7 +6,6 @@ One Blender for all of it; each test goes on from the one before. `make test-gui
 import itertools
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from tg4mm.core.splatfile import SplatFile, positions_at
 
 from . import looking, sidebar
 from .conftest import SPLAT, drum
-from .session import ACTIVE, OBJECTS, Session, missing
+from .session import ACTIVE, OBJECTS, missing
 
 pytestmark = [
     pytest.mark.slow,
@@ -31,38 +30,38 @@ SAME = 2e-5  # scene units, of a scene 2 units wide
 
 
 @pytest.fixture(scope="module")
-def splat() -> SplatFile:
+def splat():
     return drum()
 
 
-def view_of(blender: Session, picture: np.ndarray) -> np.ndarray:
+def view_of(blender, picture):
     """The middle of the 3D view, between the tools and the sidebar."""
     box = blender.region("VIEW_3D")
     sides = blender.region("VIEW_3D", "UI").width + 60
     return picture[box.top + 90 : box.top + box.height, box.left + 100 : box.left + box.width - sides]
 
 
-def still_view(blender: Session, path: Path) -> np.ndarray:
+def still_view(blender, path):
     """The same of a new screenshot, without a tooltip, once the screen is still."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)
     time.sleep(1.0)
     return view_of(blender, blender.settled(path))
 
 
-def expected(blender: Session, splat: SplatFile) -> np.ndarray:
+def expected(blender, splat):
     """[N, 3] by the core's formula, for the frame and the inputs that Blender has now."""
     inputs = blender.ask("inputs")
     band = inputs["Band Low"], inputs["Band High"]
     return positions_at(splat, blender.ask("frame")["current"] - 1, inputs["Magnification"], band)
 
 
-def test_the_window_opens_and_the_extension_raises_nothing(blender: Session, pictures: Path) -> None:
+def test_the_window_opens_and_the_extension_raises_nothing(blender, pictures):
     assert blender.value("bpy.app.version[:2]") == [5, 2]
     assert not looking.is_blank(blender.picture(pictures / "01_start.png"))
     assert blender.complaints() == []
 
 
-def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pictures: Path) -> None:
+def test_the_import_menu_reads_the_file(blender, splat, pictures):
     blender.ask("clear")
     assert sidebar.import_by_menu(blender, SPLAT) == Path(SPLAT).stem
     blender.ask("view", look_from=[0.3, -1.0, 0.7], at=[0, 0, 0], distance=4.5)
@@ -72,7 +71,7 @@ def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pict
     assert not looking.is_blank(view_of(blender, blender.picture(pictures / "02_imported.png")))
 
 
-def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
+def test_the_tab_opens_in_the_sidebar(blender, pictures):
     sidebar.open_tab(blender)
     time.sleep(0.5)
     picture = blender.picture(pictures / "03_tab.png")
@@ -80,9 +79,7 @@ def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
     assert blender.complaints() == []
 
 
-def test_dragging_the_alpha_slider_moves_the_points(
-    blender: Session, splat: SplatFile, pictures: Path
-) -> None:
+def test_dragging_the_alpha_slider_moves_the_points(blender, splat, pictures):
     before = blender.places()
     alpha = sidebar.drag_value(blender, "Magnification", 150)
     assert alpha > 0.5
@@ -94,7 +91,7 @@ def test_dragging_the_alpha_slider_moves_the_points(
     blender.picture(pictures / "04_dragged.png")
 
 
-def test_a_typed_alpha_shows_in_the_view(blender: Session, splat: SplatFile, pictures: Path) -> None:
+def test_a_typed_alpha_shows_in_the_view(blender, splat, pictures):
     first = blender.picture(pictures / "05_before_typing.png")
     sidebar.type_value(blender, "Magnification", "25")
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
@@ -103,7 +100,7 @@ def test_a_typed_alpha_shows_in_the_view(blender: Session, splat: SplatFile, pic
     assert blender.complaints() == []
 
 
-def test_the_timeline_plays(blender: Session, splat: SplatFile, pictures: Path) -> None:
+def test_the_timeline_plays(blender, splat, pictures):
     box = blender.region("VIEW_3D")
     blender.move(box.left + 300, box.top + 500)
     blender.key("space")
@@ -121,9 +118,7 @@ def test_the_timeline_plays(blender: Session, splat: SplatFile, pictures: Path) 
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
 
 
-def test_a_band_that_is_typed_magnifies_what_is_in_it(
-    blender: Session, splat: SplatFile, pictures: Path
-) -> None:
+def test_a_band_that_is_typed_magnifies_what_is_in_it(blender, splat, pictures):
     sidebar.type_value(blender, "Band High", "3")
     alone = SplatFile(**{**vars(splat), "displacement": splat.displacement * [[[26]], [[1]]]})
     at = positions_at(alone, blender.ask("frame")["current"] - 1)
@@ -136,7 +131,7 @@ def test_a_band_that_is_typed_magnifies_what_is_in_it(
     blender.wait(lambda: blender.ask("inputs")["Band High"] > 5, "the whole band")
 
 
-def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
+def test_solid_view_takes_colours(blender, pictures):
     blender.ask("shading", kind="SOLID")  # an import leaves it, and the button with it
     grey = still_view(blender, pictures / "09_grey.png")
     sidebar.press(blender, "bpy.ops.tg4mm.solid_colours(on=True)")
@@ -145,7 +140,7 @@ def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
     assert looking.coloured(colours) > looking.coloured(grey) + 0.05
 
 
-def test_display_modes_look_different(blender: Session, pictures: Path) -> None:
+def test_display_modes_look_different(blender, pictures):
     shots = {}
     for mode in ("Points", "Arrows", "Splats", "Ellipsoids"):
         sidebar.choose(blender, "Draw As", mode)
@@ -158,7 +153,7 @@ def test_display_modes_look_different(blender: Session, pictures: Path) -> None:
     assert blender.complaints() == []
 
 
-def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> None:
+def test_colours_show_amplitude_and_phase(blender, pictures):
     shots = []
     for by in ("File", "Amplitude", "Phase"):
         sidebar.choose(blender, "Colour By", by)
@@ -168,7 +163,7 @@ def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> N
     sidebar.choose(blender, "Colour By", "File")
 
 
-def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile, pictures: Path) -> None:
+def test_the_probe_reads_what_is_in_a_sphere(blender, splat, pictures):
     sidebar.press(blender, "bpy.ops.tg4mm.add_probe_sphere()", at=0.83)
     blender.wait(lambda: "drum probe" in blender.value(OBJECTS), "a sphere")
     sidebar.press(blender, "bpy.ops.tg4mm.probe(source='SPHERE')")
@@ -188,7 +183,7 @@ def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile,
 
 
 @pytest.mark.parametrize("engine", ["CYCLES", "BLENDER_EEVEE"])
-def test_f12_renders_the_splats(blender: Session, pictures: Path, engine: str) -> None:
+def test_f12_renders_the_splats(blender, pictures, engine):
     blender.ask("prepare_render", engine=engine, size=[160, 120], frames=[3, 5], to="frame_")
     blender.move(*blender.region("VIEW_3D").middle)
     blender.key(F12)
@@ -199,7 +194,7 @@ def test_f12_renders_the_splats(blender: Session, pictures: Path, engine: str) -
     assert looking.coloured(picture) > 0.1
 
 
-def test_an_animation_renders_frames_that_differ(blender: Session, pictures: Path) -> None:
+def test_an_animation_renders_frames_that_differ(blender, pictures):
     blender.ask("prepare_render", engine="CYCLES", size=[160, 120], frames=[3, 5], to="frame_")
     blender.move(*blender.region("VIEW_3D").middle)
     blender.key(f"ctrl+{F12}")
@@ -210,14 +205,14 @@ def test_an_animation_renders_frames_that_differ(blender: Session, pictures: Pat
     assert blender.complaints() == []
 
 
-def wait_for_render(blender: Session, done: Callable[[], bool]) -> None:
+def wait_for_render(blender, done):
     """Wait until a render that was begun by a key has ended and left what it should."""
     blender.wait(
         lambda: not blender.value("bpy.app.is_job_running('RENDER')") and done(), "the render", 300.0, 0.5
     )
 
 
-def test_a_file_is_dropped_into_the_view(blender: Session, splat: SplatFile, pictures: Path) -> None:
+def test_a_file_is_dropped_into_the_view(blender, splat, pictures):
     before = blender.value(OBJECTS)
     blender.drop(SPLAT, *blender.region("VIEW_3D").middle)
     time.sleep(1.0)
@@ -233,12 +228,12 @@ def test_a_file_is_dropped_into_the_view(blender: Session, splat: SplatFile, pic
     blender.run(f"{ACTIVE} = bpy.data.objects['drum']")
 
 
-def test_undo_takes_the_last_change_back(blender: Session) -> None:
+def test_undo_takes_the_last_change_back(blender):
     sidebar.type_value(blender, "Magnification", "3")
     blender.move(*blender.region("VIEW_3D").middle)
     blender.key("ctrl+z")
     blender.wait(lambda: blender.ask("inputs")["Magnification"] == 25.0, "the magnification before")
 
 
-def test_nothing_was_complained_about(blender: Session) -> None:
+def test_nothing_was_complained_about(blender):
     assert blender.complaints() == [], blender.log()

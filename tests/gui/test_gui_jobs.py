@@ -3,9 +3,7 @@
 import json
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -39,18 +37,18 @@ else:
 
 
 @pytest.fixture(scope="module")
-def blender(extension_zip: Path, splat_file: Path) -> Iterator[Session]:
+def blender(extension_zip, splat_file):
     with Session.start(extension_zip, [splat_file]) as running:
         running.ask("cube", size=2 * TOP)
         sidebar.open_tab(running)
         yield running
 
 
-def job(blender: Session, kind: str) -> dict[str, Any]:
+def job(blender, kind):
     return blender.ask("job", kind=kind) or {"state": "", "done": 0, "total": 0, "message": "", "results": []}
 
 
-def test_the_preview_moves_the_object_as_far_as_gain_says(blender: Session, pictures: Path) -> None:
+def test_the_preview_moves_the_object_as_far_as_gain_says(blender, pictures):
     blender.ask(
         "put_settings", of="tg4mm_generate", kind="translate", direction=[0, 0, 1], amplitude=AMPLITUDE,
         frequency=6.0, fps=24.0, gain=10.0, out=f"{blender.inside}/sets", label="cube", timesteps=6, views=3,
@@ -73,7 +71,7 @@ def test_the_preview_moves_the_object_as_far_as_gain_says(blender: Session, pict
     blender.run("bpy.context.scene.frame_set(1)")
 
 
-def test_a_dataset_is_begun_and_cancelled(blender: Session, pictures: Path) -> None:
+def test_a_dataset_is_begun_and_cancelled(blender, pictures):
     sidebar.press(blender, "bpy.ops.tg4mm.generate()")
     blender.wait(lambda: job(blender, "generate")["state"] == "running", "the generator")
     cancel = sidebar.find(blender, "bpy.ops.tg4mm.cancel_job(kind='generate')")
@@ -84,11 +82,11 @@ def test_a_dataset_is_begun_and_cancelled(blender: Session, pictures: Path) -> N
     assert blender.complaints() == []
 
 
-def test_it_goes_on_to_a_whole_dataset(blender: Session, pictures: Path) -> None:
+def test_it_goes_on_to_a_whole_dataset(blender, pictures):
     sidebar.press(blender, "bpy.ops.tg4mm.generate(go_on=True)")
     seen: list[int] = []
 
-    def ended() -> bool:
+    def ended():
         now = job(blender, "generate")
         if now["total"] and now["done"] not in seen:
             seen.append(now["done"])
@@ -106,7 +104,7 @@ def test_it_goes_on_to_a_whole_dataset(blender: Session, pictures: Path) -> None
     assert not looking.is_blank(blender.picture(pictures / "22_generated.png"))
 
 
-def test_training_shows_progress_and_imports_what_was_trained(blender: Session, pictures: Path) -> None:
+def test_training_shows_progress_and_imports_what_was_trained(blender, pictures):
     core = blender.folder / "python"
     core.write_text(CORE.replace("SPLAT", SPLAT))
     core.chmod(0o755)

@@ -1,7 +1,6 @@
 """The demo's order, resuming and refusals; generating and training are replaced by quick exact ones."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -15,23 +14,23 @@ from tg4mm.run import Run
 class Said(list):
     """Collects what the demo says."""
 
-    def __call__(self, text: str) -> None:
+    def __call__(self, text):
         self.append(text)
 
-    def count(self, words: str) -> int:
+    def count(self, words):
         return sum(words in line for line in self)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+def made(tmp_path_factory):
     """The demo's folder and words, of a dataset made without Blender and its exact model in place of a trained one."""
     made = {}
 
-    def generate(places: demo.Places, size: int) -> None:
+    def generate(places, size):
         options = {"n_views": 3, "n_timesteps": 6, "size": size, "freqs": (5.0,), "alphas": (20,)}
         made["model"] = make_synthetic_dataset(places.data / "sway_5Hz_0_02", **options)
 
-    def train(places: demo.Places) -> None:
+    def train(places):
         run = Run.create(places.run, places.dataset, "modal", {})
         run.save_space(made["model"][0], {"seconds": 1.0})
         run.save_motion(made["model"][1], {"seconds": 1.0})

@@ -1,7 +1,6 @@
 """The stages as functions: the same as a run gives, without writing anything; and the page about them, executed."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,29 +17,29 @@ HZ = 3.0
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("api") / "data" / "mic_5Hz_0_005"
     make_synthetic_dataset(path, freqs=(HZ,), n_timesteps=20)
     return path
 
 
 @pytest.fixture(scope="module")
-def capture(data: Path) -> tg4mm.Capture:
+def capture(data):
     return tg4mm.load_capture(data)
 
 
 @pytest.fixture(scope="module")
-def fit(capture: tg4mm.Capture) -> tg4mm.MotionFit:
+def fit(capture):
     return tg4mm.fit_motion(capture, tg4mm.fit_space(capture, SPACE), MOTION)
 
 
 @pytest.fixture(scope="module")
-def run(data: Path) -> tg4mm.Run:
+def run(data):
     settings = {"space.iterations": "300", "space.max_gaussians": "800", "motion.appearance": "false"}
     return train(data, data.parent.parent / "run", settings=settings)
 
 
-def test_the_fit_is_a_runs(fit: tg4mm.MotionFit, run: tg4mm.Run) -> None:
+def test_the_fit_is_a_runs(fit, run):
     stored = run.load_fit()
     for field in fields(fit.gaussians):
         assert torch.equal(getattr(fit.gaussians, field.name), getattr(stored.gaussians, field.name))
@@ -54,7 +53,7 @@ def test_the_fit_is_a_runs(fit: tg4mm.MotionFit, run: tg4mm.Run) -> None:
     assert fit.config == MOTION
 
 
-def test_a_measurement_is_a_runs(capture: tg4mm.Capture, run: tg4mm.Run) -> None:
+def test_a_measurement_is_a_runs(capture, run):
     sensors = [tg4mm.Sensor("top", "box", (-0.6, -0.3, 1.0, 0.0, 0.3, 1.5)), tg4mm.Sensor("all", "all")]
     stored = run.load_fit()  # the same but for rounding: the test above
     here = tg4mm.measure(tg4mm.prepare_fit(capture, stored), sensors)
@@ -66,9 +65,7 @@ def test_a_measurement_is_a_runs(capture: tg4mm.Capture, run: tg4mm.Run) -> None
     assert here.prepared.folder is None
 
 
-def test_nothing_is_written(
-    data: Path, capture: tg4mm.Capture, fit: tg4mm.MotionFit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_written(data, capture, fit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     before = {path: path.stat().st_mtime_ns for path in data.rglob("*")}
     tg4mm.fit_motion(capture, tg4mm.fit_space(capture, replace(SPACE, iterations=20)), MOTION)
@@ -77,8 +74,8 @@ def test_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_magnifying(fit: tg4mm.MotionFit) -> None:
-    def means(magnification: float | tg4mm.Magnification = 0.0) -> np.ndarray:
+def test_magnifying(fit):
+    def means(magnification=0.0):
         return tg4mm.animate(fit, 3, magnification).means.numpy()
 
     rest = tg4mm.animate(fit, 3, -1).means.numpy()
@@ -94,7 +91,7 @@ def test_magnifying(fit: tg4mm.MotionFit) -> None:
     assert np.abs(means(outside) - means()).max() < 0.2 * np.abs(means(inside) - means()).max()
 
 
-def test_a_picture_shows_what_the_camera_saw(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
+def test_a_picture_shows_what_the_camera_saw(capture, fit):
     camera, images = tg4mm.capture_cameras(capture)[0], tg4mm.load_images(capture)
     row = int(np.flatnonzero((capture.camera_ids == 0) & (capture.timesteps == 4))[0])
     picture = tg4mm.render(tg4mm.animate(fit, 4), camera)
@@ -105,7 +102,7 @@ def test_a_picture_shows_what_the_camera_saw(capture: tg4mm.Capture, fit: tg4mm.
     assert error < 0.05 < other
 
 
-def test_one_fixed_camera_is_a_plane(capture: tg4mm.Capture) -> None:
+def test_one_fixed_camera_is_a_plane(capture):
     rows = np.flatnonzero(capture.camera_ids == 0)
     flat = replace(capture.selected(rows), kind="flat")
     gaussians = tg4mm.fit_space(flat, tg4mm.SpaceConfig(max_gaussians=200))
@@ -114,7 +111,7 @@ def test_one_fixed_camera_is_a_plane(capture: tg4mm.Capture) -> None:
     assert "flat capture" in " ".join(tg4mm.fit_motion(flat, gaussians, MOTION).notes)
 
 
-def test_bad_input(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
+def test_bad_input(capture, fit):
     with pytest.raises(tg4mm.Tg4mmError, match=r"space\.sh_degree is 9, expected 0 to 3"):
         tg4mm.fit_space(capture, tg4mm.SpaceConfig(sh_degree=9))
     with pytest.raises(tg4mm.Tg4mmError, match="tpu"):
@@ -128,7 +125,7 @@ def test_bad_input(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
         (0, 1e12, "alpha is 1000000000000.0, expected"),
     ):
         with pytest.raises(tg4mm.Tg4mmError, match=said):
-            tg4mm.animate(fit, t, alpha)  # type: ignore[arg-type]
+            tg4mm.animate(fit, t, alpha)
     with pytest.raises(tg4mm.RunError, match="method 'phase'"):
         tg4mm.animate(fit, 0, tg4mm.Magnification(method="phase"))
     still = replace(capture, n_timesteps=1)
@@ -137,14 +134,12 @@ def test_bad_input(capture: tg4mm.Capture, fit: tg4mm.MotionFit) -> None:
 
 
 @pytest.mark.slow
-def test_the_packages_own_example(
-    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_packages_own_example(data, monkeypatch, capsys):
     """The lines of `help(tg4mm)`."""
     monkeypatch.chdir(data.parent.parent)
     lines = [line.strip() for line in (tg4mm.__doc__ or "").splitlines() if line.startswith("    ")]
     assert 8 <= len(lines) <= 10
     names: dict[str, object] = {"tg4mm": tg4mm}
     exec("\n".join(lines), names)
-    assert names["picture"].shape == (48, 48, 3)  # type: ignore[attr-defined]
-    assert names["waveform"].displacement.shape == (20, 3)  # type: ignore[attr-defined]
+    assert names["picture"].shape == (48, 48, 3)
+    assert names["waveform"].displacement.shape == (20, 3)

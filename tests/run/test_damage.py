@@ -3,7 +3,6 @@
 import json
 import random
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from tg4mm.run.tensor_file import model_hash, read_tensors, write_tensors
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     (tmp_path / "data").mkdir()
     run = Run.create(tmp_path / "run", tmp_path / "data", "modal", SETTINGS)
     run.save_space(gaussians(), {})
@@ -29,7 +28,7 @@ def run(tmp_path: Path) -> Run:
     return run
 
 
-def anew(run: Run, name: str, tensors: dict[str, Any] | None = None, **header: Any) -> None:
+def anew(run, name, tensors=None, **header):
     """Write a part with other tensors or header entries, its digest right."""
     file = run.part_file(name)
     old, meta = read_tensors(file, name, 1)
@@ -38,14 +37,14 @@ def anew(run: Run, name: str, tensors: dict[str, Any] | None = None, **header: A
     write_tensors(file, {k: v for k, v in changed.items() if v is not None}, meta)
 
 
-def without_digest(file: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+def without_digest(file):
     """Tensors and header of a file as it was written before there were digests."""
     with safe_open(file, framework="pt") as opened:
         meta = {k: v for k, v in opened.metadata().items() if k != "digest"}
         return {name: opened.get_tensor(name) for name in opened.keys()}, meta  # noqa: SIM118
 
 
-def _read(read: Callable[[], Any]) -> str | None:
+def _read(read):
     """What is read, as text; None for a refusal."""
     try:
         return repr(read())
@@ -54,7 +53,7 @@ def _read(read: Callable[[], Any]) -> str | None:
 
 
 @pytest.mark.parametrize("name", ["space", "motion", "uncertainty", "checkpoint_motion"])
-def test_a_flipped_bit_is_told_or_does_no_harm(run: Run, name: str) -> None:
+def test_a_flipped_bit_is_told_or_does_no_harm(run, name):
     """Never a number that is not what was written. Most bits lie in numbers."""
     reads: dict[str, Callable[[], Any]] = {
         "space": run.load_space, "motion": run.load_motion, "uncertainty": run.load_uncertainty,
@@ -72,7 +71,7 @@ def test_a_flipped_bit_is_told_or_does_no_harm(run: Run, name: str) -> None:
     assert told > 250
 
 
-def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run: Run) -> None:
+def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run):
     file = run.part_file("checkpoint_motion")
     raw = bytearray(file.read_bytes())
     raw[-5] ^= 0x40  # an exponent: 299 becomes 1e21
@@ -83,7 +82,7 @@ def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run: R
         run.load_checkpoint("motion")
 
 
-def test_results_from_before_digests_are_still_read(run: Run) -> None:
+def test_results_from_before_digests_are_still_read(run):
     file = run.part_file("motion")
     before = model_hash(run.path)
     tensors, meta = without_digest(file)
@@ -108,7 +107,7 @@ def test_results_from_before_digests_are_still_read(run: Run) -> None:
         ),
     ],
 )
-def test_a_clock_that_cannot_be_is_refused(run: Run, key: str, text: str, match: str) -> None:
+def test_a_clock_that_cannot_be_is_refused(run, key, text, match):
     file = run.part_file("motion")
     tensors, meta = without_digest(file)
     save_file(tensors, file, metadata=meta | {key: text})
@@ -134,9 +133,7 @@ def test_a_clock_that_cannot_be_is_refused(run: Run, key: str, text: str, match:
         ("uncertainty", {"displacement": torch.ones(7, dtype=torch.int64)}, "expected floating-point numbers"),
     ],
 )  # fmt: skip
-def test_tensors_of_another_kind_are_refused(
-    run: Run, name: str, tensors: dict[str, Any], match: str
-) -> None:
+def test_tensors_of_another_kind_are_refused(run, name, tensors, match):
     anew(run, name, tensors)
     read = {"space": run.load_space, "motion": run.load_motion, "uncertainty": run.load_uncertainty}[name]
     with refused(match):
@@ -153,7 +150,7 @@ def test_tensors_of_another_kind_are_refused(
         ([], "holds list, expected an object"),
     ],
 )
-def test_a_log_of_another_form_is_refused(run: Run, log: Any, match: str) -> None:
+def test_a_log_of_another_form_is_refused(run, log, match):
     (run.path / "log.json").write_text(json.dumps(log))
     with refused(match):
         run.log()
@@ -161,7 +158,7 @@ def test_a_log_of_another_form_is_refused(run: Run, log: Any, match: str) -> Non
         run.record("space", {"seconds": 1.0})
 
 
-def test_a_checkpoint_that_a_kill_left_beside_its_result_is_forgotten(run: Run, tmp_path: Path) -> None:
+def test_a_checkpoint_that_a_kill_left_beside_its_result_is_forgotten(run, tmp_path):
     """The kill came between the rename of motion.safetensors and the removal."""
     run.save_checkpoint("triplane", {"x": torch.ones(1)}, {})
     Run.create(run.path, tmp_path / "data", "modal", SETTINGS)

@@ -1,7 +1,6 @@
 """The run folder: files read back as written, a kill costs nothing finished, foreign files are refused."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +13,13 @@ from tg4mm.run import Run
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     (tmp_path / "data").mkdir()
     return Run.create(tmp_path / "run", tmp_path / "data", "modal", SETTINGS)
 
 
 class TestResults:
-    def test_motion_read_back_equals_that_written(self, run: Run) -> None:
+    def test_motion_read_back_equals_that_written(self, run):
         run.save_space(gaussians(), {})
         assert run.load_motion() is None
         run.save_motion(modal(), {})
@@ -33,7 +32,7 @@ class TestResults:
             np.testing.assert_array_equal(read, written)
         assert (back.fps, back.n_timesteps) == (30.0, 30)
 
-    def test_many_modes_of_few_fields_take_little_room_and_read_back(self, run: Run) -> None:
+    def test_many_modes_of_few_fields_take_little_room_and_read_back(self, run):
         """15 modes of 2 fields: as large as 1 mode, and the same to the digits of float32."""
         rng, n = np.random.default_rng(2), 500
         fields = rng.normal(size=(2, n, 6)) * [1e-3, 1e-3, 1e-3, 5, 5, 5]
@@ -60,7 +59,7 @@ class TestResults:
             ((2, 8, 6), (3, 2), r"displacement has shape \(3, 8, 3\), expected \(3, 7, 3\)"),
         ],
     )
-    def test_fields_that_do_not_fit_are_refused(self, run: Run, fields, series, message: str) -> None:
+    def test_fields_that_do_not_fit_are_refused(self, run, fields, series, message):
         run.save_space(gaussians(), {})
         tensors = {
             "freqs_hz": torch.arange(3, dtype=torch.float64),
@@ -71,7 +70,7 @@ class TestResults:
         with refused(message):
             run.load_motion()
 
-    def test_modes_beyond_all_memory_are_refused(self, run: Run) -> None:
+    def test_modes_beyond_all_memory_are_refused(self, run):
         run.save_space(gaussians(), {})
         tensors = {
             "freqs_hz": torch.arange(200_000, dtype=torch.float64),
@@ -82,11 +81,11 @@ class TestResults:
         with refused("200000 modes of 7000 Gaussians would take 62 GiB"):
             run.load_motion()
 
-    def test_motion_before_space_is_refused(self, run: Run) -> None:
+    def test_motion_before_space_is_refused(self, run):
         with refused("has no space.safetensors"):
             run.save_motion(modal(), {})
 
-    def test_motion_of_other_gaussians_is_refused(self, run: Run) -> None:
+    def test_motion_of_other_gaussians_is_refused(self, run):
         run.save_space(gaussians(7), {})
         with refused(r"displacement has shape \(2, 8, 3\), expected \(2, 7, 3\)"):
             run.save_motion(modal(8), {})
@@ -96,14 +95,14 @@ class TestResults:
             run.load_motion()
 
     @pytest.mark.parametrize("keep", [0, 4, 100, -1])
-    def test_truncated_file_is_refused(self, run: Run, keep: int) -> None:
+    def test_truncated_file_is_refused(self, run, keep):
         run.save_space(gaussians(), {})
         file = run.path / "space.safetensors"
         file.write_bytes(file.read_bytes()[:keep])
         with refused("space.safetensors is truncated or not a safetensors file"):
             run.load_space()
 
-    def test_foreign_safetensors_file_is_refused(self, run: Run) -> None:
+    def test_foreign_safetensors_file_is_refused(self, run):
         save_file({"means": torch.zeros(1, 3)}, run.path / "space.safetensors", metadata={"format": "pt"})
         with refused("was not written by tg4mm: format 'pt'"):
             run.load_space()
@@ -117,13 +116,13 @@ class TestResults:
             ({"kind": "{"}, "has a header that is not JSON"),
         ],
     )
-    def test_wrong_header_is_refused(self, run: Run, change: dict[str, str], message: str) -> None:
+    def test_wrong_header_is_refused(self, run, change, message):
         meta = {"format": "tg4mm", "kind": '"space"', "version": "1", "config": "{}"} | change
         save_file({"means": torch.zeros(1, 3)}, run.path / "space.safetensors", metadata=meta)
         with refused(re.escape(message)):
             run.load_space()
 
-    def test_value_that_is_not_finite_is_refused(self, run: Run) -> None:
+    def test_value_that_is_not_finite_is_refused(self, run):
         bad = gaussians()
         bad.scales[3, 1] = float("nan")
         run.save_space(bad, {})
@@ -132,7 +131,7 @@ class TestResults:
 
 
 class TestCreate:
-    def test_other_preset_or_dataset_is_refused(self, run: Run, tmp_path: Path) -> None:
+    def test_other_preset_or_dataset_is_refused(self, run, tmp_path):
         with refused('preset = "modal", asked is "paper"'):
             Run.create(run.path, run.dataset, "paper", SETTINGS)
         with refused(f'dataset = "{tmp_path}/data", asked is "{tmp_path}/other"'):
@@ -140,7 +139,7 @@ class TestCreate:
 
 
 class TestOpen:
-    def test_missing_folder_and_folder_without_config_are_refused(self, tmp_path: Path) -> None:
+    def test_missing_folder_and_folder_without_config_are_refused(self, tmp_path):
         with refused("nowhere does not exist"):
             Run.open(tmp_path / "nowhere")
         with refused("is not a run folder: it has no config.json"):
@@ -156,12 +155,12 @@ class TestOpen:
             ('{"format": "tg4mm", "kind": "run", "version": 1, "dataset": 5}', "dataset is 5, expected text"),
         ],
     )
-    def test_bad_config_is_refused(self, tmp_path: Path, text: str, message: str) -> None:
+    def test_bad_config_is_refused(self, tmp_path, text, message):
         (tmp_path / "config.json").write_text(text)
         with refused(re.escape(message)):
             Run.open(tmp_path)
 
-    def test_dataset_and_run_may_be_moved_together(self, tmp_path: Path) -> None:
+    def test_dataset_and_run_may_be_moved_together(self, tmp_path):
         (tmp_path / "here" / "data").mkdir(parents=True)
         Run.create(tmp_path / "here" / "run", tmp_path / "here" / "data", "modal", {})
         (tmp_path / "here").rename(tmp_path / "there")
@@ -170,7 +169,7 @@ class TestOpen:
 
 
 class TestCheckpoint:
-    def test_reads_back_every_kind_of_tensor_and_the_state(self, run: Run) -> None:
+    def test_reads_back_every_kind_of_tensor_and_the_state(self, run):
         base = torch.arange(6.0)
         tensors = {
             "view": base.view(2, 3),
@@ -192,7 +191,7 @@ class TestCheckpoint:
             assert torch.equal(loaded[0][name], tensor.detach()), name
             assert loaded[0][name].dtype == tensor.dtype
 
-    def test_checkpoint_of_other_settings_or_stage_is_refused(self, run: Run, tmp_path: Path) -> None:
+    def test_checkpoint_of_other_settings_or_stage_is_refused(self, run, tmp_path):
         other = Run.create(tmp_path / "other", run.dataset, "modal", {**SETTINGS, "seed": 5})
         other.save_checkpoint("space", {}, {})
         run.save_checkpoint("motion", {}, {})
@@ -204,7 +203,7 @@ class TestCheckpoint:
 
 
 class TestLog:
-    def test_seconds_add_up_memory_keeps_the_most_the_rest_is_replaced(self, run: Run) -> None:
+    def test_seconds_add_up_memory_keeps_the_most_the_rest_is_replaced(self, run):
         assert run.log() == {}
         run.record("space", {"seconds": 2.0, "peak_memory_mib": 300.0, "psnr": 20.0})
         Run.open(run.path).record("space", {"seconds": 3.5, "peak_memory_mib": 200.0, "psnr": 25.0})

@@ -2,9 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
@@ -19,7 +17,7 @@ with work_folder(sys.argv[1]).held("trains it"):
 
 
 @contextmanager
-def held(run: Path) -> Iterator[subprocess.Popen]:
+def held(run):
     """Another process that holds the run."""
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(run)], stdout=subprocess.PIPE, text=True
@@ -32,7 +30,7 @@ def held(run: Path) -> Iterator[subprocess.Popen]:
             process.kill()
 
 
-def test_a_second_process_gets_one_line_and_exit_code_2(tmp_path: Path, capsys) -> None:
+def test_a_second_process_gets_one_line_and_exit_code_2(tmp_path, capsys):
     data, run = tmp_path / "data", tmp_path / "run"
     make_synthetic_dataset(data, n_views=2, n_timesteps=1, size=24, alphas=(), n_test=0)
     command = ["train", str(data), "--out", str(run), "--set", "space.iterations=5"]

@@ -1,7 +1,6 @@
 """The whole way of a flat video: the line is named beside a wheel, and the wheel is left out."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from tg4mm.show.result import lines_of, result_of
 WIDTH, HEIGHT, FPS, FRAMES, HZ = 160, 112, 30, 120, 5.6
 
 
-def video(path: Path) -> Path:
+def video(path):
     rng = np.random.default_rng(0)
     shape = np.broadcast_to([0.16, 0.0], (HEIGHT, WIDTH, 2))
     plate = Mode(shape, lambda t: float(np.cos(2 * np.pi * HZ * t)))
@@ -27,7 +26,7 @@ def video(path: Path) -> Path:
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     disc, angle = np.hypot(x - 132, y - 28) < 20, np.arctan2(y - 28, x - 132)
 
-    def wheel(picture: np.ndarray, t: float, k: int) -> np.ndarray:
+    def wheel(picture, t, k):
         return np.where(disc, 0.3 + 0.25 * np.sign(np.cos(3 * (angle - 2 * np.pi * 2.7 * t))), picture)
 
     film = Film(layers, FPS, FRAMES, 3.0, painters=[wheel])
@@ -36,7 +35,7 @@ def video(path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_plate_beside_a_wheel_the_whole_way(tmp_path: Path) -> None:
+def test_a_plate_beside_a_wheel_the_whole_way(tmp_path):
     reconstruct(video(tmp_path / "plate.mp4"), tmp_path / "set")
     scene = json.loads((tmp_path / "set" / "scene.json").read_text())
     assert len(scene["picture_kinds"]) == FRAMES

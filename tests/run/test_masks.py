@@ -1,7 +1,5 @@
 """Masks: what the scene at rest is fitted to, and where motion may be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 from PIL import Image
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.capture.masks import mask_of, region_mask
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
@@ -20,13 +18,13 @@ from tg4mm.show.render.image import render_image
 SIZE = 32
 
 
-def write(path: Path, white: np.ndarray) -> Path:
+def write(path, white):
     Image.fromarray(np.where(white, 255, 0).astype(np.uint8)).save(path)
     return path
 
 
 @pytest.fixture(scope="module")
-def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def still(tmp_path_factory):
     """Twelve views of one timestep with the left half of every picture painted red, as one nerfstudio file."""
     root = tmp_path_factory.mktemp("masks") / "still"
     make_synthetic_dataset(root, n_views=12, n_timesteps=1, size=SIZE, alphas=())
@@ -46,12 +44,12 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def train(root: Path, out: Path, *options: str) -> int:
+def train(root, out, *options):
     fast = ["--set", "space.iterations=150", "--set", "space.max_gaussians=400"]
     return main(["train", str(root), "--out", str(out), *fast, *options])
 
 
-def error(run: Path, root: Path) -> float:
+def error(run, root):
     """Of the left half of a view, against the picture before it was painted."""
     capture = load_capture(root)
     shown = render_image(Run.open(run).load_space(), capture.viewmats[0], capture.Ks[0], SIZE, SIZE)
@@ -62,12 +60,12 @@ def error(run: Path, root: Path) -> float:
     return float(np.abs(np.asarray(shown)[..., :3] - original)[:, :16].mean())
 
 
-def names(root: Path) -> list[str]:
+def names(root):
     file = json.loads((root.parent / "000" / "transforms_train.json").read_text())
     return [Path(frame["file_path"]).name for frame in file["frames"]]
 
 
-def test_what_a_mask_leaves_out_is_not_fitted(still: Path, tmp_path: Path) -> None:
+def test_what_a_mask_leaves_out_is_not_fitted(still, tmp_path):
     assert train(still, tmp_path / "masked") == 0
     file = json.loads((still / "transforms.json").read_text())
     for frame in file["frames"]:
@@ -82,7 +80,7 @@ def test_what_a_mask_leaves_out_is_not_fitted(still: Path, tmp_path: Path) -> No
     assert error(tmp_path / "masked", still) < 0.3 * error(tmp_path / "plain", still)
 
 
-def test_motion_is_where_it_may_be(tmp_path: Path, capsys) -> None:
+def test_motion_is_where_it_may_be(tmp_path, capsys):
     """A post sways and a ball goes to and fro before one camera; only where the post is may anything move."""
     root = tmp_path / "data"
     true, _ = make_synthetic_dataset(
@@ -116,17 +114,17 @@ def test_motion_is_where_it_may_be(tmp_path: Path, capsys) -> None:
     assert moved[1][1] < 0.6 * moved[0][1]  # what no picture tells moves with its neighbours
 
 
-def is_post(means: np.ndarray) -> np.ndarray:
+def is_post(means):
     return (means[:, 0] < 0) & (means[:, 2] > 0.2)
 
 
-def pixels(capture: Capture, means: np.ndarray) -> np.ndarray:
+def pixels(capture, means):
     """[N, 2] in the first camera's picture."""
     seen = (means @ capture.viewmats[0][:3, :3].T + capture.viewmats[0][:3, 3]) @ capture.Ks[0].T
     return seen[:, :2] / seen[:, 2:]
 
 
-def test_masks_of_colmap_and_what_is_wrong_with_them(tmp_path: Path) -> None:
+def test_masks_of_colmap_and_what_is_wrong_with_them(tmp_path):
     from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
 
     root = pictures(tmp_path / "colmap")
@@ -143,7 +141,7 @@ def test_masks_of_colmap_and_what_is_wrong_with_them(tmp_path: Path) -> None:
         mask_of(load_capture(root), 2)
 
 
-def test_a_polygon_holds_the_pixels_in_it() -> None:
+def test_a_polygon_holds_the_pixels_in_it():
     mask = region_mask("2,1 6,1 6,5 2,5", (10, 8))
     assert mask[1:5, 2:6].all()
     assert mask.sum() <= 25

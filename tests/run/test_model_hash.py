@@ -1,7 +1,6 @@
 """The digest of a model follows what it has learned, not how its files were written."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 
 
-def written(folder: Path, settings: dict = SETTINGS, scale: float = 1.0, fps: float = 30.0) -> Path:
+def written(folder, settings=SETTINGS, scale=1.0, fps=30.0):
     run = Run.create(folder, folder.parent, "modal", settings)
     run.save_space(gaussians(), {"seconds": 1.0})
     motion = modal()
@@ -21,7 +20,7 @@ def written(folder: Path, settings: dict = SETTINGS, scale: float = 1.0, fps: fl
     return run.path
 
 
-def reordered(file: Path) -> None:
+def reordered(file):
     """The same file as another writer may make it: keys of the header in another order."""
     with safe_open(file, framework="pt") as opened:
         meta = opened.metadata()
@@ -35,12 +34,12 @@ def reordered(file: Path) -> None:
     file.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + length :])
 
 
-def test_equal_models_in_other_folders_with_other_settings_have_one_digest(tmp_path: Path) -> None:
+def test_equal_models_in_other_folders_with_other_settings_have_one_digest(tmp_path):
     a, b = written(tmp_path / "a"), written(tmp_path / "b", {"seed": 5})
     assert model_hash(a) == model_hash(b)
 
 
-def test_the_order_of_a_files_header_does_not_matter(tmp_path: Path) -> None:
+def test_the_order_of_a_files_header_does_not_matter(tmp_path):
     run = written(tmp_path / "run")
     before, tensors = model_hash(run), load_file(run / "space.safetensors")
     bytes_before = (run / "space.safetensors").read_bytes()
@@ -50,7 +49,7 @@ def test_the_order_of_a_files_header_does_not_matter(tmp_path: Path) -> None:
     assert model_hash(run) == before
 
 
-def test_another_value_another_frame_rate_and_a_missing_motion_give_other_digests(tmp_path: Path) -> None:
+def test_another_value_another_frame_rate_and_a_missing_motion_give_other_digests(tmp_path):
     variants = [
         written(tmp_path / "a"),
         written(tmp_path / "b", scale=1.5),

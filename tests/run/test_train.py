@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.run import Run
 from tg4mm.run.preset import presets
 from tg4mm.run.train import parse_settings, train
 
@@ -19,19 +17,19 @@ SETTINGS = {
 }  # fmt: skip
 
 
-def one_line(match: str) -> pytest.RaisesExc:
+def one_line(match):
     return pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z")
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("train") / "data"
     make_synthetic_dataset(path, n_views=3, n_timesteps=6, size=32, freqs=(6.0,), alphas=(), n_test=0)
     return path
 
 
 @pytest.fixture(scope="module")
-def trained(data: Path) -> Run:
+def trained(data):
     return train(data, data.parent / "run", settings=SETTINGS)
 
 
@@ -48,12 +46,12 @@ class TestSettings:
             ("", "tg4mm train"),
         ],
     )
-    def test_an_unknown_one_is_refused_with_those_that_may_be_meant(self, name: str, meant: str) -> None:
+    def test_an_unknown_one_is_refused_with_those_that_may_be_meant(self, name, meant):
         with one_line(rf"setting {name!r} is unknown; {meant}.* --list-settings lists all") as refused:
             parse_settings({name: "3"})
         assert meant.startswith("did") == ("did you mean" in str(refused.value))
 
-    def test_all_are_listed_with_default_unit_and_meaning(self, capsys) -> None:
+    def test_all_are_listed_with_default_unit_and_meaning(self, capsys):
         assert main(["train", "--list-settings"]) == 0
         lines = capsys.readouterr().out.splitlines()
         for preset, defaults in ((p, c.defaults) for p, c in presets().items()):
@@ -73,7 +71,7 @@ class TestSettings:
             ("motion.ridge", "1,5", "float"),
         ],
     )
-    def test_a_value_of_the_wrong_type_is_refused(self, name: str, text: str, kind: str) -> None:
+    def test_a_value_of_the_wrong_type_is_refused(self, name, text, kind):
         with one_line(f"setting {name} is {re.escape(repr(text))}, expected {kind}"):
             parse_settings({name: text})
 
@@ -83,7 +81,7 @@ class TestRequests:
         "wrong",
         [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "cloud"}],
     )
-    def test_settings_out_of_range_leave_no_run_behind(self, wrong: dict, data: Path, tmp_path: Path) -> None:
+    def test_settings_out_of_range_leave_no_run_behind(self, wrong, data, tmp_path):
         """Else the folder would be bound to the bad value, and the right one refused. And no minutes are lost."""
         (name,) = wrong
         with one_line(f"setting {name} is {wrong[name]}"):
@@ -91,9 +89,7 @@ class TestRequests:
         assert not (tmp_path / "run").exists()
 
     @pytest.mark.parametrize(("n_timesteps", "is_refused"), [(2, True), (5, True), (6, False)])
-    def test_a_record_in_which_no_frequency_can_be_told_is_refused(
-        self, n_timesteps: int, is_refused: bool, tmp_path: Path
-    ) -> None:
+    def test_a_record_in_which_no_frequency_can_be_told_is_refused(self, n_timesteps, is_refused, tmp_path):
         path = tmp_path / "data"
         make_synthetic_dataset(path, n_views=2, n_timesteps=n_timesteps, size=24, alphas=(), n_test=0)
         if is_refused:
@@ -103,7 +99,7 @@ class TestRequests:
         else:
             assert train(path, tmp_path / "run", settings=SETTINGS).has_motion
 
-    def test_settings_that_do_not_fit_the_data_leave_no_run_behind(self, data: Path, tmp_path: Path) -> None:
+    def test_settings_that_do_not_fit_the_data_leave_no_run_behind(self, data, tmp_path):
         bare = tmp_path / "bare"
         shutil.copytree(data, bare, ignore=shutil.ignore_patterns("points3d.ply"))
         with one_line("init is 'points'"):
@@ -112,7 +108,7 @@ class TestRequests:
 
 
 class TestResult:
-    def test_training_ends_with_the_result_and_does_so_again(self, data: Path, trained: Run, capsys) -> None:
+    def test_training_ends_with_the_result_and_does_so_again(self, data, trained, capsys):
         command = ["train", str(data), "--out", str(trained.path)]
         for name, value in SETTINGS.items():
             command += ["--set", f"{name}={value}"]
@@ -128,7 +124,7 @@ class TestResult:
 
 
 class TestStages:
-    def test_both_stages_are_done_and_logged(self, trained: Run) -> None:
+    def test_both_stages_are_done_and_logged(self, trained):
         assert trained.has_space
         assert trained.has_motion
         assert trained.settings["space"]["iterations"] == 20
@@ -141,10 +137,8 @@ class TestStages:
         assert motion.displacement.shape == (3, len(trained.load_space()), 3)
         assert not list(trained.path.glob("checkpoint_*"))
 
-    def test_a_finished_run_is_not_touched(
-        self, trained: Run, data: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def never(*args: object, **kwargs: object) -> None:
+    def test_a_finished_run_is_not_touched(self, trained, data, monkeypatch):
+        def never(*args, **kwargs):
             raise AssertionError("a finished stage was run again")
 
         for name in ("train_space", "train_motion", "pictures_for"):
@@ -153,7 +147,7 @@ class TestStages:
         assert train(data, trained.path, settings=SETTINGS).path == trained.path
         assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()} == before
 
-    def test_one_timestep_ends_after_the_space_stage(self, tmp_path: Path) -> None:
+    def test_one_timestep_ends_after_the_space_stage(self, tmp_path):
         path = tmp_path / "data"
         make_synthetic_dataset(path, n_views=3, n_timesteps=1, size=24, alphas=(), n_test=0)
         for source, name in ((path, "tree"), (path / "000", "folder")):
@@ -164,7 +158,7 @@ class TestStages:
             assert train(source, tmp_path / name, settings=SETTINGS).has_space
 
 
-def same_results(one: Run, other: Run) -> None:
+def same_results(one, other):
     for name in ("means", "quats", "scales", "opacities", "sh"):
         a, b = getattr(one.load_space(), name), getattr(other.load_space(), name)
         np.testing.assert_array_equal(a.numpy(), b.numpy())
@@ -176,9 +170,7 @@ def same_results(one: Run, other: Run) -> None:
 
 
 @pytest.mark.slow
-def test_pictures_that_stay_on_disk_give_the_same_bits(
-    data: Path, trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pictures_that_stay_on_disk_give_the_same_bits(data, trained, tmp_path, monkeypatch):
     """As those of long captures do, which memory would not hold."""
     monkeypatch.setattr("tg4mm.capture.pictures.IN_MEMORY", 0)
     monkeypatch.setattr(

@@ -2,7 +2,6 @@
 
 import json
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ HZ, FPS = 4.0, 20
 
 
 @pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def video(tmp_path_factory):
     """2.5 s of 96×72 pixels, a part of which vibrates by .4 px."""
     pytest.importorskip("av", reason="needs the extra sfm")
     rng = np.random.default_rng(0)

@@ -17,7 +17,7 @@ ROW = 7
 
 
 @pytest.fixture
-def video() -> np.ndarray:
+def video():
     """A soft vertical edge in rows 6 to 8, strongest in row 7, that swings at 3 Hz by 4 pixels."""
     x, t = np.arange(W) + 0.5, np.arange(T)
     centre = 32 + 4 * np.sin(2 * np.pi * FREQ * t / FPS)
@@ -28,7 +28,7 @@ def video() -> np.ndarray:
     return video
 
 
-def test_a_row_slice_shows_the_sinusoid_and_its_frequency(video) -> None:
+def test_a_row_slice_shows_the_sinusoid_and_its_frequency(video):
     picture = space_time_slice(video, "row", ROW)
     assert picture.shape == (T, W, 3)
     np.testing.assert_array_equal(picture[5], video[5, ROW])
@@ -39,7 +39,7 @@ def test_a_row_slice_shows_the_sinusoid_and_its_frequency(video) -> None:
     assert amplitude.max() == pytest.approx(4.0, rel=0.01)
 
 
-def test_difference_maps_are_equation_17(video) -> None:
+def test_difference_maps_are_equation_17(video):
     maps, scale = difference_maps(video, 6)
     assert maps.shape == (6, H, W)
     np.testing.assert_allclose(maps[2], np.abs(video[3] - video[2]).mean(-1))
@@ -47,7 +47,7 @@ def test_difference_maps_are_equation_17(video) -> None:
     assert len(difference_maps(video)[0]) == T - 1
 
 
-def test_the_spectrum_is_the_weighted_mean_amplitude() -> None:
+def test_the_spectrum_is_the_weighted_mean_amplitude():
     displacement = np.zeros((2, 3, 3), np.complex64)
     displacement[0, 0] = [0, 3e-3j, 4e-3]  # length 5e-3
     displacement[1] = 1e-3
@@ -62,7 +62,7 @@ SIZE, FOCAL, DISTANCE = 32, 40.0, 4.0
 EPS2D = 0.3  # pixels², the low-pass that gsplat adds
 
 
-def balls(means: list[list[float]], scale: float, opacities: list[float]) -> Gaussians:
+def balls(means, scale, opacities):
     n = len(means)
     quats = torch.tensor([[1.0, 0, 0, 0]]).expand(n, 4)
     # A dark colour: weights must not depend on it.
@@ -71,7 +71,7 @@ def balls(means: list[list[float]], scale: float, opacities: list[float]) -> Gau
     )
 
 
-def capture(n_images: int, camera_ids: list[int]) -> Capture:
+def capture(n_images, camera_ids):
     """Cameras on the z axis looking along +z; camera 1 stands twice as far away."""
     viewmats = np.stack([np.eye(4)] * n_images)
     viewmats[:, 2, 3] = [DISTANCE * (1 + c) for c in camera_ids]
@@ -91,7 +91,7 @@ def capture(n_images: int, camera_ids: list[int]) -> Capture:
     )
 
 
-def alpha_image(scale: float, opacity: float, depth: float) -> np.ndarray:
+def alpha_image(scale, opacity, depth):
     """Opacity of a centred ball in each pixel: o exp(−r² / 2σ²), nothing below 1/255."""
     variance = (FOCAL * scale / depth) ** 2 + EPS2D
     offsets = np.arange(SIZE) + 0.5 - SIZE / 2
@@ -99,7 +99,7 @@ def alpha_image(scale: float, opacity: float, depth: float) -> np.ndarray:
     return np.where(alpha >= 1 / 255, alpha, 0.0)
 
 
-def test_one_behind_another_gets_what_the_first_lets_through() -> None:
+def test_one_behind_another_gets_what_the_first_lets_through():
     front, back = alpha_image(0.2, 0.6, DISTANCE), alpha_image(0.2, 0.8, DISTANCE + 1)
     weights = blending_weights(balls([[0, 0, 1.0], [0, 0, 0.0]], 0.2, [0.8, 0.6]), capture(1, [0]))
     assert weights.shape == (2,)

@@ -1,8 +1,6 @@
 """The import takes every kind of splat file; what the format says of up is taken over once; what is odd is said."""
 
 import re
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from tests.helpers.splat_files import KINDS, sog_parts, sog_zip, write_as  # noq
 from tg4mm.core.splatfile import read_splat, write_splat  # noqa: E402
 
 
-def places(obj, n: int) -> np.ndarray:
+def places(obj, n):
     """[n, 3] world places of the object's first points: it may have others, for its transform."""
     found = np.empty(3 * len(obj.data.vertices), np.float32)
     obj.data.vertices.foreach_get("co", found)
@@ -24,7 +22,7 @@ def places(obj, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_is_imported_with_z_up(extension: ModuleType, kind: str, tmp_path: Path) -> None:
+def test_every_kind_is_imported_with_z_up(extension, kind, tmp_path):
     pytest.importorskip("zstandard") if kind == "SPZ 4" else None
     pytest.importorskip("gsply") if kind == "compressed PLY" else None
     path = write_as(kind, tmp_path, some_splat(degree=1))
@@ -33,9 +31,7 @@ def test_every_kind_is_imported_with_z_up(extension: ModuleType, kind: str, tmp_
     np.testing.assert_allclose(places(obj, 23), read_splat(path).means, atol=1e-5)
 
 
-def test_cameras_beside_a_file_whose_format_says_what_is_up_are_not_asked(
-    extension: ModuleType, tmp_path: Path
-) -> None:
+def test_cameras_beside_a_file_whose_format_says_what_is_up_are_not_asked(extension, tmp_path):
     (tmp_path / "cameras.json").write_text('[{"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}]')  # −Y up
     path = write_as("SPZ 3", tmp_path, some_splat())
     obj = import_splat(path)
@@ -43,9 +39,7 @@ def test_cameras_beside_a_file_whose_format_says_what_is_up_are_not_asked(
     assert import_splat(write_as("PLY", tmp_path, some_splat())).rotation_euler.x != 0
 
 
-def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(
-    extension: ModuleType, tmp_path: Path
-) -> None:
+def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(extension, tmp_path):
     meta, pictures = sog_parts(some_splat())
     before = blocks()
     for data in pictures.values():
@@ -64,7 +58,7 @@ def test_blender_decodes_what_pillow_does_and_says_what_it_cannot(
     assert blocks() == before
 
 
-def test_frequencies_that_were_lost_are_asked_for(extension: ModuleType, tmp_path: Path) -> None:
+def test_frequencies_that_were_lost_are_asked_for(extension, tmp_path):
     path = tmp_path / "a.ply"
     write_splat(path, some_splat())
     path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))

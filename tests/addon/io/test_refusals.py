@@ -1,9 +1,5 @@
 """What cannot be imported is reported in one line, and nothing of it stays behind."""
 
-from pathlib import Path
-from types import ModuleType
-from typing import Any
-
 import pytest
 
 from tg4mm.core.splatfile import read_splat
@@ -25,9 +21,7 @@ MESH = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float 
         (lambda data: data, "holds 23 Gaussians, more than Most Gaussians, 22", 22),
     ],
 )
-def test_a_file_that_cannot_be_imported_leaves_nothing(
-    extension: ModuleType, splat_path: Path, change: Any, message: str, most: int
-) -> None:
+def test_a_file_that_cannot_be_imported_leaves_nothing(extension, splat_path, change, message, most):
     before, data, bad = blocks(), splat_path.read_bytes(), splat_path.with_name("bad.ply")
     if change(data) is not None:
         bad.write_bytes(change(data))
@@ -40,12 +34,10 @@ def test_a_file_that_cannot_be_imported_leaves_nothing(
     assert import_splat(splat_path, most=23)
 
 
-def test_fault_half_way_leaves_nothing(
-    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fault_half_way_leaves_nothing(extension, splat_path, monkeypatch):
     before = blocks()
 
-    def fail(*_: Any) -> None:
+    def fail(*_):
         raise MemoryError("no room for the links")
 
     monkeypatch.setattr(extension.nodes.player, "build_shapes", fail)

@@ -3,8 +3,6 @@
 import json
 import os
 import sys
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -13,20 +11,20 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 ALL = ("tg4mm", "torch", "numba", "safetensors", "bpy")
 
 
-def answering(path: Path, text: str) -> str:
+def answering(path, text):
     """A program that prints a text whatever it is asked."""
     path.write_text(f"#!/bin/sh\ncat <<'END'\n{text}\nEND\n")
     path.chmod(0o755)
     return str(path)
 
 
-def report(tmp_path: Path, there: dict[str, bool], version: str | None = "0.1.0") -> str:
+def report(tmp_path, there, version="0.1.0"):
     return answering(
         tmp_path / "python", json.dumps({"python": "3.11.7", "there": there, "version": version})
     )
 
 
-def test_all_is_there(extension: ModuleType, tmp_path: Path) -> None:
+def test_all_is_there(extension, tmp_path):
     check = extension.jobs.core_check.check
     python = report(tmp_path, dict.fromkeys(ALL, True))
     assert check(python, "0.1.0") == "tg4mm 0.1.0 on Python 3.11.7, ready to generate and to train"
@@ -34,7 +32,7 @@ def test_all_is_there(extension: ModuleType, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", ALL)
-def test_what_is_missing_is_named(extension: ModuleType, tmp_path: Path, lost: str) -> None:
+def test_what_is_missing_is_named(extension, tmp_path, lost):
     python = report(tmp_path, {name: name != lost for name in ALL})
     with pytest.raises(
         Exception, match=rf"Python 3.11.7 of .* has no {lost}; in a copy of the repository run"
@@ -42,7 +40,7 @@ def test_what_is_missing_is_named(extension: ModuleType, tmp_path: Path, lost: s
         extension.jobs.core_check.check(python, "0.1.0")
 
 
-def test_what_is_no_python_is_told(extension: ModuleType, tmp_path: Path) -> None:
+def test_what_is_no_python_is_told(extension, tmp_path):
     check = extension.jobs.core_check.check
     with pytest.raises(Exception, match="is no Python: choose bin/python"):
         check(answering(tmp_path / "talker", "hello"), "0.1.0")
@@ -51,9 +49,7 @@ def test_what_is_no_python_is_told(extension: ModuleType, tmp_path: Path) -> Non
         check(str(tmp_path / "text"), "0.1.0")
 
 
-def test_a_real_python_answers(
-    extension: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_real_python_answers(extension, monkeypatch, tmp_path):
     """An empty environment of this Python: it has nothing of what is needed."""
     import venv
 

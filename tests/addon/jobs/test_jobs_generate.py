@@ -2,8 +2,6 @@
 
 import json
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ KIND = "generate"
 
 
 @pytest.fixture
-def settings(extension: ModuleType, tmp_path: Path) -> Any:
+def settings(extension, tmp_path):
     """A scene of two cubes and a lamp, of which one rocks; the smallest dataset."""
     bpy.ops.mesh.primitive_cube_add(size=1)
     bpy.context.object.name = "Cube [a]"
@@ -36,7 +34,7 @@ def settings(extension: ModuleType, tmp_path: Path) -> Any:
     return found
 
 
-def test_scene_becomes_a_dataset(extension: ModuleType, settings: Any, splat_path: Path) -> None:
+def test_scene_becomes_a_dataset(extension, settings, splat_path):
     splat = import_splat(splat_path)
     bpy.context.scene.frame_set(4)
     assert bpy.ops.tg4mm.preview_start() == {"FINISHED"}
@@ -69,7 +67,7 @@ def test_scene_becomes_a_dataset(extension: ModuleType, settings: Any, splat_pat
     assert {"tg4mm.generate"} == {name for name in shown if name.startswith("tg4mm.")}
 
 
-def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
+def test_stopped_run_goes_on(extension, settings):
     settings.timesteps, settings.views = 8, 6
     assert bpy.ops.tg4mm.generate() == {"FINISHED"}
     shown = drawn(extension, "Generate")
@@ -115,9 +113,7 @@ def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
         ({"source": "FILE", "motion_file": "/no/such.yaml"}, "/no/such.yaml cannot be read"),
     ],
 )
-def test_refusals_come_before_anything_is_written(
-    extension: ModuleType, settings: Any, values: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_refusals_come_before_anything_is_written(extension, settings, values, message, tmp_path):
     before = sorted(tmp_path.rglob("*"))
     for name, value in values.items():
         setattr(settings, name, value)
@@ -127,9 +123,7 @@ def test_refusals_come_before_anything_is_written(
     assert extension.jobs.commands.get(KIND) is None
 
 
-def test_core_python_runs_the_generator_where_it_is_named(
-    extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_core_python_runs_the_generator_where_it_is_named(extension, settings, monkeypatch, tmp_path):
     stub = tmp_path / "python"
     event = '{"tg4mm": "error", "message": "not today"}'
     stub.write_text(f'#!/bin/sh\necho "$@" >> "$0.said"\necho \'{event}\' >&2\nexit 2\n')
@@ -144,7 +138,7 @@ def test_core_python_runs_the_generator_where_it_is_named(
     assert "--truth test" in said
 
 
-def test_disabling_the_extension_ends_the_run(extension: ModuleType, settings: Any) -> None:
+def test_disabling_the_extension_ends_the_run(extension, settings):
     bpy.ops.tg4mm.generate()
     job = extension.jobs.commands.get(KIND)
     extension.unregister()

@@ -1,15 +1,11 @@
 """The preview moves what the generator would move, as far and when, and leaves nothing behind."""
 
 import json
-from collections.abc import Sequence
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 
-from dataset_gen.vibration import Body, Motion, MotionDescription, solve
+from dataset_gen.vibration import Body, MotionDescription, solve
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -18,7 +14,7 @@ from tests.addon.playing import blocks  # noqa: E402
 GAIN = 25.0
 
 
-def add(kind: str, name: str, **where: Any) -> Any:
+def add(kind, name, **where):
     """A primitive, "cube_add" and the like, under a name."""
     getattr(bpy.ops.mesh, f"primitive_{kind}_add")(**where)
     bpy.context.object.name = name
@@ -26,7 +22,7 @@ def add(kind: str, name: str, **where: Any) -> Any:
 
 
 @pytest.fixture
-def scene(extension: ModuleType) -> Any:
+def scene(extension):
     """A beam, turned, squeezed and subdivided; a child of it; a plate with a vertex group; a lamp."""
     beam = add("cube", "Beam", location=(0.2, 0, 1), rotation=(0.2, 0.3, 0.4), scale=(0.1, 0.2, 1))
     beam.modifiers.new("smooth", "SUBSURF").levels = 2
@@ -44,7 +40,7 @@ def scene(extension: ModuleType) -> Any:
     return bpy.context.scene
 
 
-def bodies(frame: float, names: Sequence[str]) -> list[Body]:
+def bodies(frame, names):
     """The evaluated vertices of objects at a frame, world space."""
     bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1))
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -59,20 +55,20 @@ def bodies(frame: float, names: Sequence[str]) -> list[Body]:
     return found
 
 
-def weights(obj: Any, world: np.ndarray) -> dict[str, np.ndarray]:
+def weights(obj, world):
     if "Loose" not in obj.vertex_groups:
         return {}
     return {"Loose": np.maximum(np.array([v.co.x for v in obj.data.vertices]), 0.0)}
 
 
-def expected_motion(extension: ModuleType, rest: list[Body], parts: list[str]) -> Motion:
+def expected_motion(extension, rest, parts):
     """Solved by the generator's own package from the description that the panel makes."""
     settings = bpy.context.scene.tg4mm_generate
     described = extension.jobs.kinds.description(settings, parts).to_json()
     return solve(MotionDescription.from_json(described), rest, settings.fps, None, settings.seed)
 
 
-def check(extension: ModuleType, names: Sequence[str], parts: list[str], largest: float = 0.02) -> None:
+def check(extension, names, parts, largest=0.02):
     """Start the preview: at several frames the vertices must lie where the motion has them."""
     rest = bodies(3, names)
     motion = expected_motion(extension, rest, parts)
@@ -107,9 +103,7 @@ ALL = ("Beam", "Weight [1]*", "Plate")
         ("group", {"group": "Loose", "direction": (0, 0, 1)}),
     ],
 )
-def test_every_kind_moves_as_the_generator_moves_it(
-    extension: ModuleType, scene: Any, kind: str, values: dict[str, Any]
-) -> None:
+def test_every_kind_moves_as_the_generator_moves_it(extension, scene, kind, values):
     settings = scene.tg4mm_generate
     settings.kind = kind
     for name, value in values.items():
@@ -117,7 +111,7 @@ def test_every_kind_moves_as_the_generator_moves_it(
     check(extension, ALL, [])
 
 
-def test_only_the_chosen_objects_move(extension: ModuleType, scene: Any) -> None:
+def test_only_the_chosen_objects_move(extension, scene):
     scene.tg4mm_generate.kind = "translate"
     for obj in bpy.data.objects:
         obj.select_set(obj.name == "Weight [1]*" or obj.type == "LIGHT")
@@ -129,7 +123,7 @@ def test_only_the_chosen_objects_move(extension: ModuleType, scene: Any) -> None
     ]
 
 
-def test_modes_of_a_file_ring_down_and_drift(extension: ModuleType, scene: Any, tmp_path: Path) -> None:
+def test_modes_of_a_file_ring_down_and_drift(extension, scene, tmp_path):
     modes = [
         {"name": "a", "kind": "rock", "pivot": [0, 0, 0], "axis": [1, 0, 0], "frequency": 3.3, "amplitude": 0.02,
          "decay": 0.4, "phase": 20},
@@ -143,7 +137,7 @@ def test_modes_of_a_file_ring_down_and_drift(extension: ModuleType, scene: Any, 
     check(extension, ALL, [])
 
 
-def test_amplitude_in_pixels_is_that_of_the_first_camera(extension: ModuleType, scene: Any) -> None:
+def test_amplitude_in_pixels_is_that_of_the_first_camera(extension, scene):
     from dataset_gen.vibration import pixel_displacement
 
     settings = scene.tg4mm_generate
@@ -166,7 +160,7 @@ def test_amplitude_in_pixels_is_that_of_the_first_camera(extension: ModuleType, 
     assert max(pixels) == pytest.approx(0.7, rel=1e-3)
 
 
-def state() -> dict[str, Any]:
+def state():
     """Everything that a preview could leave behind."""
     users = {obj.name: [m.name for m in obj.modifiers] for obj in bpy.data.objects}
     attributes = {mesh.name: sorted(a.name for a in mesh.attributes) for mesh in bpy.data.meshes}
@@ -178,7 +172,7 @@ def state() -> dict[str, Any]:
     }
 
 
-def test_undo_takes_the_preview_away_and_redo_brings_it_back(extension: ModuleType, scene: Any) -> None:
+def test_undo_takes_the_preview_away_and_redo_brings_it_back(extension, scene):
     bpy.context.preferences.edit.use_global_undo = True
     bpy.ops.ed.undo_push(message="before")
     before = state()
@@ -193,7 +187,7 @@ def test_undo_takes_the_preview_away_and_redo_brings_it_back(extension: ModuleTy
     assert state() == before
 
 
-def test_gain_and_settings_change_what_is_shown(extension: ModuleType, scene: Any) -> None:
+def test_gain_and_settings_change_what_is_shown(extension, scene):
     settings = scene.tg4mm_generate
     settings.kind = "translate"
     rest = bodies(3, ALL)[2].vertices
@@ -208,7 +202,7 @@ def test_gain_and_settings_change_what_is_shown(extension: ModuleType, scene: An
     assert np.abs(moved[:, :2]).max() < 1e-5
 
 
-def test_refresh_that_fails_says_why(extension: ModuleType, scene: Any) -> None:
+def test_refresh_that_fails_says_why(extension, scene):
     before = state()
     bpy.ops.tg4mm.preview_start()
     scene.tg4mm_generate.frequency = 20.0
@@ -230,7 +224,7 @@ def test_refresh_that_fails_says_why(extension: ModuleType, scene: Any) -> None:
         ({"source": "FILE", "motion_file": ""}, "Description is empty"),
     ],
 )
-def test_refusals(extension: ModuleType, scene: Any, values: dict[str, Any], message: str) -> None:
+def test_refusals(extension, scene, values, message):
     for name, value in values.items():
         setattr(scene.tg4mm_generate, name, value)
     before = state()
@@ -239,7 +233,7 @@ def test_refusals(extension: ModuleType, scene: Any, values: dict[str, Any], mes
     assert state() == before
 
 
-def test_fields_from_the_cursor(extension: ModuleType) -> None:
+def test_fields_from_the_cursor(extension):
     cursor, settings = bpy.context.scene.cursor, bpy.context.scene.tg4mm_generate
     cursor.location, cursor.rotation_euler = (1, 2, 3), (0, np.pi / 2, 0)
     for name in ("point", "axis", "level"):
@@ -249,7 +243,7 @@ def test_fields_from_the_cursor(extension: ModuleType) -> None:
     assert settings.level == 3
 
 
-def test_instances_of_a_chosen_empty_are_parts(extension: ModuleType) -> None:
+def test_instances_of_a_chosen_empty_are_parts(extension):
     inner = bpy.data.collections.new("inner")
     cube = add("cube", "Cube")
     bpy.context.scene.collection.objects.unlink(cube)

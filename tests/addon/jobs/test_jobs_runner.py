@@ -5,7 +5,6 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +14,16 @@ pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]
 
 
 @pytest.fixture(scope="module")
-def jobs() -> Any:
+def jobs():
     """The modules of addon/jobs that need no Blender."""
     return importlib.import_module("addon").jobs
 
 
 @pytest.fixture
-def step(jobs: Any, tmp_path: Path) -> Callable[..., Any]:
+def step(jobs, tmp_path):
     """step(code): a program of Python code."""
 
-    def make(code: str, label: str = "working") -> Any:
+    def make(code, label="working"):
         path = tmp_path / f"program_{len(list(tmp_path.iterdir()))}.py"
         path.write_text(code, encoding="utf-8")
         return jobs.runner.Step(label, (sys.executable, str(path)))
@@ -32,7 +31,7 @@ def step(jobs: Any, tmp_path: Path) -> Callable[..., Any]:
     return make
 
 
-def run(job: Any, until: Callable[[], bool] = lambda: False, limit_s: float = 20.0) -> list[Any]:
+def run(job, until=lambda: False, limit_s=20.0):
     """Poll a job until it ends, or until a condition; the progress it showed on the way."""
     seen: list[Any] = []
     begun = time.monotonic()
@@ -45,11 +44,11 @@ def run(job: Any, until: Callable[[], bool] = lambda: False, limit_s: float = 20
     return seen
 
 
-def environment(jobs: Any) -> dict[str, str]:
+def environment(jobs):
     return jobs.commands.environment()
 
 
-def alive(pid: int) -> bool:
+def alive(pid):
     """Whether a process is there and not a zombie."""
     try:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
@@ -57,18 +56,18 @@ def alive(pid: int) -> bool:
         return False
 
 
-def event(kind: str, **fields: Any) -> str:
+def event(kind, **fields):
     return json.dumps({"tg4mm": kind, **fields})
 
 
 @pytest.fixture
-def emitted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[], list[str]]:
+def emitted(monkeypatch, capsys):
     """Lines that the programs write on stderr where events are asked for."""
     monkeypatch.setenv("TG4MM_EVENTS", "json")
     return lambda: capsys.readouterr().err.splitlines()
 
 
-def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], list[str]]) -> None:
+def test_progress_is_what_the_programs_print(jobs, emitted):
     from tg4mm.core.progress import EventProgress
 
     core = EventProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
@@ -80,7 +79,7 @@ def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], li
     assert (last.done, last.left_s) == (10, None)  # it ended early
 
 
-def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str]]) -> None:
+def test_what_the_programs_say_is_read(jobs, emitted):
     from dataset_gen.__main__ import main as generator
     from tg4mm.cli import main
     from tg4mm.core import events
@@ -98,7 +97,7 @@ def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str
     assert complete.result == "/data/a b/ü_5Hz"
 
 
-def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
+def test_chain_of_programs_runs_to_its_end(jobs, step):
     first = step("import time\nfrom tg4mm.core import events\nfor i in range(3):\n"
                  "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
                  "events.say('warning', 'floor far wider')\nevents.emit('complete', path='/data/a b/mic')")  # fmt: skip
@@ -124,15 +123,13 @@ def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) 
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),
     ],
 )  # fmt: skip
-def test_failure_is_one_line(jobs: Any, step: Callable[..., Any], code: str, message: str) -> None:
+def test_failure_is_one_line(jobs, step, code, message):
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
     run(job)
     assert (job.state, job.message) == (jobs.runner.State.FAILED, message)
 
 
-def test_flood_of_lines_does_not_hold_up_a_poll(
-    jobs: Any, step: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flood_of_lines_does_not_hold_up_a_poll(jobs, step, monkeypatch):
     read: list[str] = []
     read_line = jobs.runner.read_line
     monkeypatch.setattr(jobs.runner, "read_line", lambda text: read.append(text) or read_line(text))
@@ -147,9 +144,7 @@ def test_flood_of_lines_does_not_hold_up_a_poll(
     assert 0 < most <= 2000
 
 
-def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(
-    jobs: Any, step: Callable[..., Any]
-) -> None:
+def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(jobs, step):
     code = (
         "import time\nfrom tg4mm.core import events\nevents.emit('progress', label='ready', done=1, total=2)\n"
         "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
@@ -179,9 +174,7 @@ time.sleep(99)
 
 
 @pytest.mark.parametrize("how", ["cancel", "close"])
-def test_program_that_will_not_end_is_killed_with_what_it_started(
-    jobs: Any, step: Callable[..., Any], how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_program_that_will_not_end_is_killed_with_what_it_started(jobs, step, how, monkeypatch):
     monkeypatch.setattr(jobs.runner, "PATIENCE_S", 0.1)
     job = jobs.runner.Job([step(STUBBORN)], environment(jobs))
     run(job, until=lambda: job.progress.label == "pids")
@@ -196,16 +189,14 @@ def test_program_that_will_not_end_is_killed_with_what_it_started(
         time.sleep(0.01)
 
 
-def test_child_that_outlives_its_parent_does_not_hold_the_job(jobs: Any, step: Callable[..., Any]) -> None:
+def test_child_that_outlives_its_parent_does_not_hold_the_job(jobs, step):
     code = "import subprocess, sys\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(4)'])"
     job = jobs.runner.Job([step(code)], environment(jobs))
     run(job, limit_s=3.5)
     assert job.state is jobs.runner.State.DONE
 
 
-def test_environment_takes_nothing_from_the_folder_a_program_runs_in(
-    jobs: Any, step: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_environment_takes_nothing_from_the_folder_a_program_runs_in(jobs, step, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONHOME", "/blender/python")
     (tmp_path / "planted.py").write_text("print('planted')")
     monkeypatch.chdir(tmp_path)

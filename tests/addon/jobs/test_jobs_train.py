@@ -2,9 +2,6 @@
 
 import importlib.util
 import sys
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -41,7 +38,7 @@ print(out)
 
 
 @pytest.fixture
-def core(extension: ModuleType, splat_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def core(extension, splat_path, tmp_path, monkeypatch):
     """The folder of a stand-in for the core's Python, named in the preferences; and settings to train with."""
     folder = tmp_path / "the core"
     folder.mkdir()
@@ -59,7 +56,7 @@ def core(extension: ModuleType, splat_path: Path, tmp_path: Path, monkeypatch: p
     return folder
 
 
-def test_dataset_becomes_splats_in_the_scene(extension: ModuleType, core: Path, tmp_path: Path) -> None:
+def test_dataset_becomes_splats_in_the_scene(extension, core, tmp_path):
     bpy.context.scene.tg4mm_train.settings = "space.iterations=3 motion.iterations=2"
     assert bpy.ops.tg4mm.train() == {"FINISHED"}
     assert "tg4mm.cancel_job" in drawn(extension, "Train")
@@ -81,7 +78,7 @@ def test_dataset_becomes_splats_in_the_scene(extension: ModuleType, core: Path, 
 
 
 @pytest.mark.parametrize("command", ["train", "export"])
-def test_failure_is_one_line_and_imports_nothing(extension: ModuleType, core: Path, command: str) -> None:
+def test_failure_is_one_line_and_imports_nothing(extension, core, command):
     (core / "fails").write_text(command)
     bpy.ops.tg4mm.train()
     job = wait(extension, KIND, limit_s=30)
@@ -91,7 +88,7 @@ def test_failure_is_one_line_and_imports_nothing(extension: ModuleType, core: Pa
     assert "tg4mm.train" in drawn(extension, "Train")
 
 
-def test_training_can_be_stopped(extension: ModuleType, core: Path) -> None:
+def test_training_can_be_stopped(extension, core):
     (core / "fails").write_text("hang")
     bpy.ops.tg4mm.train()
     wait(extension, KIND, lambda job: job.progress.text.startswith("motion stage 2/2"), limit_s=30)
@@ -111,7 +108,7 @@ def test_training_can_be_stopped(extension: ModuleType, core: Path) -> None:
         ({"run": "DATASET/run"}, "lies in the dataset"),
     ],
 )
-def test_refusals(extension: ModuleType, core: Path, values: dict[str, Any], message: str) -> None:
+def test_refusals(extension, core, values, message):
     for name, value in values.items():
         settings = bpy.context.scene.tg4mm_train
         setattr(settings, name, value.replace("DATASET", settings.dataset))
@@ -121,9 +118,7 @@ def test_refusals(extension: ModuleType, core: Path, values: dict[str, Any], mes
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs tg4mm's extra core")
-def test_generated_trained_imported_by_the_real_core(
-    extension: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_generated_trained_imported_by_the_real_core(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", sys.executable)
     bpy.ops.mesh.primitive_cube_add(size=1)
     bpy.ops.object.light_add(type="SUN")

@@ -1,9 +1,7 @@
 """Apply Transform and its relatives: what is seen in the world before is seen after."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -45,7 +43,7 @@ class Seen(NamedTuple):
     colours: np.ndarray  # [N, 3]
 
 
-def seen(obj: Any) -> Seen:
+def seen(obj):
     """What the object's modifier draws at the frame of the test."""
     geometry, world = evaluated(obj, FRAME), np.array(obj.matrix_world, float)
     cloud, instances = geometry.pointcloud, geometry.instances_pointcloud()
@@ -68,7 +66,7 @@ def seen(obj: Any) -> Seen:
     return Seen(places, size[:, None, None] ** 2 * np.eye(3), read(cloud, "colour", "color", 4)[:, :3])
 
 
-def assert_alike(after: Seen, before: Seen) -> None:
+def assert_alike(after, before):
     """To the rounding of float32."""
     extent = np.ptp(before.places, axis=0).max()
     assert after.places.shape == before.places.shape
@@ -78,31 +76,31 @@ def assert_alike(after: Seen, before: Seen) -> None:
     np.testing.assert_allclose(after.colours, before.colours, atol=2e-5)
 
 
-def only(*objects: Any) -> None:
+def only(*objects):
     """Select these alone; the first is active."""
     for obj in bpy.context.view_layer.objects:
         obj.select_set(obj in objects)
     bpy.context.view_layer.objects.active = objects[0]
 
 
-def apply(obj: Any) -> None:
+def apply(obj):
     only(obj)
     assert bpy.ops.object.transform_apply(location=True, rotation=True, scale=True) == {"FINISHED"}
     bpy.context.view_layer.update()
 
 
-def place(obj: Any, case: str) -> None:
+def place(obj, case):
     for name, value in CASES[case].items():
         setattr(obj, name, value)
     bpy.context.view_layer.update()
 
 
-def warnings(obj: Any) -> list[str]:
+def warnings(obj):
     return [warning.message for warning in obj.modifiers[0].node_warnings]
 
 
 @pytest.fixture
-def moving(extension: ModuleType, tmp_path: Path) -> Any:
+def moving(extension, tmp_path):
     """Forty opaque Gaussians, magnified, drawn whole."""
     splat = some_splat(40)
     write_splat(tmp_path / "bell.ply", replace(splat, opacities=0.2 + 0.8 * splat.opacities))
@@ -114,7 +112,7 @@ def moving(extension: ModuleType, tmp_path: Path) -> Any:
 
 @pytest.mark.parametrize("case", ["scale", "uneven", "mirror, uneven"])
 @pytest.mark.parametrize("draw", DRAWN)
-def test_apply_changes_nothing_that_is_seen(extension: ModuleType, moving: Any, draw: str, case: str) -> None:
+def test_apply_changes_nothing_that_is_seen(extension, moving, draw, case):
     put, names = setter(extension, moving), extension.names
     put(names.DRAW, draw)
     put(names.VIEW_COLOUR, True)
@@ -132,7 +130,7 @@ def test_apply_changes_nothing_that_is_seen(extension: ModuleType, moving: Any, 
         assert_alike(seen(moving), before)
 
 
-def test_apply_again_and_after_a_parent_is_cleared(extension: ModuleType, moving: Any) -> None:
+def test_apply_again_and_after_a_parent_is_cleared(extension, moving):
     parent = bpy.data.objects.new("parent", None)
     bpy.context.collection.objects.link(parent)
     parent.rotation_euler, parent.scale = (0.3, 0.2, 0.1), (2.0, 2.0, 2.0)
@@ -149,9 +147,7 @@ def test_apply_again_and_after_a_parent_is_cleared(extension: ModuleType, moving
     assert_alike(seen(moving), before)
 
 
-def test_a_blend_plays_without_the_extension_after_apply_and_when_it_is_appended(
-    extension: ModuleType, moving: Any, tmp_path: Path
-) -> None:
+def test_a_blend_plays_without_the_extension_after_apply_and_when_it_is_appended(extension, moving, tmp_path):
     place(moving, "uneven")
     before, path = seen(moving), tmp_path / "applied.blend"
     apply(moving)
@@ -173,9 +169,7 @@ def test_a_blend_plays_without_the_extension_after_apply_and_when_it_is_appended
 
 
 @pytest.mark.parametrize("applied_before", [False, True])
-def test_joined_objects_move_as_they_did(
-    extension: ModuleType, moving: Any, tmp_path: Path, applied_before: bool
-) -> None:
+def test_joined_objects_move_as_they_did(extension, moving, tmp_path, applied_before):
     place(moving, "uneven")
     only(moving)
     bpy.ops.object.duplicate(linked=False)
@@ -195,7 +189,7 @@ def test_joined_objects_move_as_they_did(
     assert_alike(seen(moving), Seen(*map(np.concatenate, zip(*both, strict=True))))
 
 
-def edit(obj: Any, chosen: np.ndarray, operator: Any, **options: Any) -> None:
+def edit(obj, chosen, operator, **options):
     """Run an operator of Edit Mode on the chosen vertices."""
     only(obj)
     obj.data.vertices.foreach_set("select", chosen)
@@ -206,7 +200,7 @@ def edit(obj: Any, chosen: np.ndarray, operator: Any, **options: Any) -> None:
     bpy.context.view_layer.update()
 
 
-def test_deleted_gaussians_are_missed_by_nobody(extension: ModuleType, moving: Any) -> None:
+def test_deleted_gaussians_are_missed_by_nobody(extension, moving):
     place(moving, "uneven")
     before, gone = seen(moving), np.arange(44) % 3 == 0
     gone[40:] = False
@@ -216,7 +210,7 @@ def test_deleted_gaussians_are_missed_by_nobody(extension: ModuleType, moving: A
     assert warnings(moving) == []
 
 
-def test_what_was_applied_is_read_from_the_mesh(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
+def test_what_was_applied_is_read_from_the_mesh(extension, moving, tmp_path):
     """Rows of Gaussians alone, and the map from the file's places to theirs."""
     points, splat = extension.nodes.points, read_splat(tmp_path / "bell.ply")
     place(moving, "uneven")
@@ -245,7 +239,7 @@ def test_what_was_applied_is_read_from_the_mesh(extension: ModuleType, moving: A
     assert unit_for(bpy.context, moving).text(0.01) == "1 mm"
 
 
-def test_a_sequence_stays_where_it_is(extension: ModuleType, tmp_path: Path) -> None:
+def test_a_sequence_stays_where_it_is(extension, tmp_path):
     paths = [tmp_path / f"beat_{i:04d}.ply" for i in range(12)]
     for i, path in enumerate(paths):
         write_splat(path, some_splat(5 + i, (), degree=0))

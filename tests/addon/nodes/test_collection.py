@@ -1,9 +1,5 @@
 """What is imported can be seen, whatever collection is the active one."""
 
-from pathlib import Path
-from types import ModuleType
-from typing import Any
-
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
@@ -11,7 +7,7 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import import_splat  # noqa: E402
 
 
-def hide(layer: Any, how: str) -> None:
+def hide(layer, how):
     """Leave a layer collection out, shut its eye, or take it from all views."""
     setattr(
         layer.collection if how == "disable" else layer,
@@ -20,7 +16,7 @@ def hide(layer: Any, how: str) -> None:
     )
 
 
-def nested(*names: str) -> list[Any]:
+def nested(*names):
     """The scene's layer collection and those of new collections, each in the one before; the last is active."""
     layers = [bpy.context.view_layer.layer_collection]
     for name in names:
@@ -30,7 +26,7 @@ def nested(*names: str) -> list[Any]:
     return layers
 
 
-def holders(path: Path, collection: Any) -> list[Any]:
+def holders(path, collection):
     """The collections that hold what was imported while `collection` was the context's; it is seen."""
     with bpy.context.temp_override(collection=collection):
         obj = import_splat(path)
@@ -47,16 +43,14 @@ def holders(path: Path, collection: Any) -> list[Any]:
         *(([(how, 1)], 0) for how in ("shut", "disable")),  # what lies in a hidden one is hidden
     ],
 )
-def test_the_nearest_visible_collection_takes_the_import(
-    extension: ModuleType, splat_path: Path, hidden: list[tuple[str, int]], takes: int
-) -> None:
+def test_the_nearest_visible_collection_takes_the_import(extension, splat_path, hidden, takes):
     layers = nested("outer", "inner")
     for how, number in hidden:
         hide(layers[number], how)
     assert holders(splat_path, layers[2].collection) == [layers[takes].collection]
 
 
-def test_one_that_is_seen_elsewhere_takes_it(extension: ModuleType, splat_path: Path) -> None:
+def test_one_that_is_seen_elsewhere_takes_it(extension, splat_path):
     _, outer, inner = nested("outer", "inner")
     bpy.context.scene.collection.children.link(inner.collection)
     hide(outer, "shut")
@@ -64,9 +58,7 @@ def test_one_that_is_seen_elsewhere_takes_it(extension: ModuleType, splat_path: 
 
 
 @pytest.mark.parametrize("linked", [False, True])
-def test_one_of_no_scene_or_of_a_library_does_not_take_it(
-    extension: ModuleType, splat_path: Path, tmp_path: Path, linked: bool
-) -> None:
+def test_one_of_no_scene_or_of_a_library_does_not_take_it(extension, splat_path, tmp_path, linked):
     other = bpy.data.collections.new("theirs")
     if linked:
         bpy.data.libraries.write(str(tmp_path / "library.blend"), {other})

@@ -1,9 +1,5 @@
 """What is drawn: shapes, colours by amplitude and phase, arrows, and colours that depend on the view."""
 
-from pathlib import Path
-from types import ModuleType
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -27,36 +23,34 @@ from tests.addon.playing import (  # noqa: E402
 TURNS = np.arange(0, 2 * np.pi, 2 * np.pi / 3600)
 
 
-def largest_excursion(phasors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def largest_excursion(phasors):
     """[N] the longest of Re[m exp(iθ)] over a turn, by trying, and the θ where it is reached."""
     paths = (phasors[:, None] * np.exp(1j * TURNS)[None, :, None]).real
     lengths = np.linalg.norm(paths, axis=2)
     return lengths.max(axis=1), TURNS[lengths.argmax(axis=1)]
 
 
-def sampled(rows: np.ndarray, parts: np.ndarray) -> np.ndarray:
+def sampled(rows, parts):
     """Linear interpolation of rows at equal steps from 0 to 1."""
     places = np.linspace(0, 1, len(rows))
     return np.stack([np.interp(parts, places, rows[:, c]) for c in range(3)], axis=1)
 
 
 @pytest.fixture
-def moving(extension: ModuleType, splat_path: Path) -> Any:
+def moving(extension, splat_path):
     """The imported object, every Gaussian drawn."""
     obj = import_splat(splat_path)
     drawn_whole(extension, obj)
     return obj
 
 
-def test_amplitude_is_the_longest_excursion(extension: ModuleType, splat_path: Path) -> None:
+def test_amplitude_is_the_longest_excursion(extension, splat_path):
     for phasors in read_splat(splat_path).displacement:
         amplitude, _ = extension.nodes.points.strength(phasors, extension.nodes.points.main_axis(phasors))
         np.testing.assert_allclose(amplitude, largest_excursion(phasors)[0], rtol=1e-5)
 
 
-def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(
-    extension: ModuleType, splat_path: Path
-) -> None:
+def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(extension, splat_path):
     for phasors in read_splat(splat_path).displacement:
         axis = extension.nodes.points.main_axis(phasors)
         _, phase = extension.nodes.points.strength(phasors, axis)
@@ -66,7 +60,7 @@ def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(
         assert ((phase >= 0) & (phase < 1)).all()
 
 
-def test_colours_show_the_amplitude_of_the_band(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_colours_show_the_amplitude_of_the_band(extension, moving, splat_path):
     put, names = setter(extension, moving), extension.names
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     each = [largest_excursion(phasors)[0] for phasors in read_splat(splat_path).displacement]
@@ -82,9 +76,7 @@ def test_colours_show_the_amplitude_of_the_band(extension: ModuleType, moving: A
         np.testing.assert_allclose(shown_colours(moving), rows, atol=2e-3)
 
 
-def test_colours_show_the_phase_of_the_largest_mode(
-    extension: ModuleType, moving: Any, splat_path: Path
-) -> None:
+def test_colours_show_the_phase_of_the_largest_mode(extension, moving, splat_path):
     put, names = setter(extension, moving), extension.names
     put(names.COLOUR_BY, names.PHASE_COLOUR)
     put(names.COLOUR_RANGE, 0.01)  # everything moves far enough to have a phase
@@ -99,9 +91,7 @@ def test_colours_show_the_phase_of_the_largest_mode(
     np.testing.assert_allclose(shown_colours(moving), extension.nodes.colours.still(), atol=1e-6)
 
 
-def test_arrows_run_from_rest_along_the_magnified_displacement(
-    extension: ModuleType, moving: Any, splat_path: Path
-) -> None:
+def test_arrows_run_from_rest_along_the_magnified_displacement(extension, moving, splat_path):
     put, names = setter(extension, moving), extension.names
     for name, value in ((names.DRAW, "Arrows"), (names.ALPHA, 4.0), (names.ARROW_LENGTH, 2.0)):
         put(name, value)
@@ -118,9 +108,7 @@ def test_arrows_run_from_rest_along_the_magnified_displacement(
     assert still is None or len(still.points) == 0
 
 
-def test_solid_view_has_a_mesh_with_an_active_colour(
-    extension: ModuleType, moving: Any, splat_path: Path
-) -> None:
+def test_solid_view_has_a_mesh_with_an_active_colour(extension, moving, splat_path):
     assert bpy.ops.tg4mm.solid_colours() == {"FINISHED"}
     geometry = evaluated(moving, 1)
     mesh = geometry.mesh
@@ -131,9 +119,7 @@ def test_solid_view_has_a_mesh_with_an_active_colour(
     assert np.abs(colours[:, None] - expected[None]).sum(axis=2).min(axis=1).max() < 1e-4
 
 
-def test_points_are_coloured_balls_in_solid_view(
-    extension: ModuleType, moving: Any, splat_path: Path
-) -> None:
+def test_points_are_coloured_balls_in_solid_view(extension, moving, splat_path):
     put, names = setter(extension, moving), extension.names
     put(names.DRAW, "Points")
     assert bpy.ops.tg4mm.solid_colours() == {"FINISHED"}
@@ -159,9 +145,7 @@ def test_points_are_coloured_balls_in_solid_view(
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_colours_seen_by_the_camera_are_those_of_the_harmonics(
-    extension: ModuleType, tmp_path: Path, degree: int
-) -> None:
+def test_colours_seen_by_the_camera_are_those_of_the_harmonics(extension, tmp_path, degree):
     splat = some_splat(60, degree=degree)
     write_splat(tmp_path / "seen.ply", splat)
     obj = import_splat(tmp_path / "seen.ply")

@@ -1,8 +1,5 @@
 """Blender 5.3's own splats: what they are given, and that a Blender without them is told so."""
 
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
 
@@ -17,7 +14,7 @@ needs_native = pytest.mark.skipif(
 )
 
 
-def test_native_is_offered_where_blender_has_it_only(extension: ModuleType, splat_path: Path) -> None:
+def test_native_is_offered_where_blender_has_it_only(extension, splat_path):
     obj, names = import_splat(splat_path), extension.names
     assert extension.compat.native_splats() == (bpy.app.version >= (5, 3, 0))
     if not extension.compat.native_splats():
@@ -25,9 +22,7 @@ def test_native_is_offered_where_blender_has_it_only(extension: ModuleType, spla
             setter(extension, obj)(names.DRAW, "Native")
 
 
-def test_native_attributes_are_the_raw_coefficients_and_the_opacity(
-    extension: ModuleType, splat_path: Path
-) -> None:
+def test_native_attributes_are_the_raw_coefficients_and_the_opacity(extension, splat_path):
     splat = read_splat(splat_path)
     made = extension.nodes.points.native_attributes(splat)
     assert list(made) == ["radiance:base", "radiance:sh_0", "radiance:sh_1", "radiance:sh_2"]
@@ -39,9 +34,7 @@ def test_native_attributes_are_the_raw_coefficients_and_the_opacity(
 @needs_native
 @pytest.mark.parametrize("alpha", [0.0, 20.0])
 @pytest.mark.parametrize("frame", [1, 8.5])
-def test_native_splats_are_where_the_formula_puts_them(
-    extension: ModuleType, splat_path: Path, alpha: float, frame: float
-) -> None:
+def test_native_splats_are_where_the_formula_puts_them(extension, splat_path, alpha, frame):
     obj, names, splat = import_splat(splat_path), extension.names, read_splat(splat_path)
     put = setter(extension, obj)
     put(names.DRAW, "Native")
@@ -59,9 +52,7 @@ def test_native_splats_are_where_the_formula_puts_them(
     np.testing.assert_array_equal(base[:, 3], splat.opacities)
 
 
-def test_a_node_that_is_missing_is_one_line_and_nothing_is_left(
-    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_is_missing_is_one_line_and_nothing_is_left(extension, splat_path, monkeypatch):
     monkeypatch.setattr(
         extension.nodes.scene,
         "build_player",

@@ -1,8 +1,5 @@
 """Numbered static files play one after another, whatever their numbers of Gaussians."""
 
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
 
@@ -17,7 +14,7 @@ COUNTS = (7, 12, 3, 9)
 
 
 @pytest.fixture
-def frames(tmp_path: Path) -> list[Path]:
+def frames(tmp_path):
     """beat_0008.ply … beat_0011.ply, of different sizes, and neighbours that are no part of them."""
     paths = [tmp_path / f"beat_{i + 8:04d}.ply" for i in range(len(COUNTS))]
     for i, (path, n) in enumerate(zip(paths, COUNTS, strict=True)):
@@ -29,12 +26,12 @@ def frames(tmp_path: Path) -> list[Path]:
     return paths
 
 
-def check(obj, paths: list[Path], shown: dict[float, int]) -> None:
+def check(obj, paths, shown):
     for frame, i in shown.items():
         np.testing.assert_allclose(places(obj, frame), read_splat(paths[i]).means, atol=1e-6)
 
 
-def test_one_file_brings_its_run(extension: ModuleType, frames: list[Path]) -> None:
+def test_one_file_brings_its_run(extension, frames):
     obj = import_splat(frames[2])
     drawn_whole(extension, obj)
     check(obj, frames, {1: 0, 2: 1, 3: 2, 4: 3, 2.75: 1, 0: 0, 9: 3})
@@ -44,13 +41,13 @@ def test_one_file_brings_its_run(extension: ModuleType, frames: list[Path]) -> N
     assert not [other for other in scene.objects if other is not obj]
 
 
-def test_chosen_files_play_in_the_order_of_their_numbers(extension: ModuleType, frames: list[Path]) -> None:
+def test_chosen_files_play_in_the_order_of_their_numbers(extension, frames):
     obj = import_files([frames[3], frames[0]])
     drawn_whole(extension, obj)
     check(obj, [frames[0], frames[3]], {1: 0, 2: 1})
 
 
-def test_speed_first_frame_and_loop(extension: ModuleType, frames: list[Path]) -> None:
+def test_speed_first_frame_and_loop(extension, frames):
     obj = import_splat(frames[0])
     drawn_whole(extension, obj)
     put, names = setter(extension, obj), extension.names
@@ -61,7 +58,7 @@ def test_speed_first_frame_and_loop(extension: ModuleType, frames: list[Path]) -
     check(obj, frames, {11: 0, 19: 0, 21: 1, 10: 3})
 
 
-def test_files_that_move_are_no_frames(extension: ModuleType, tmp_path: Path) -> None:
+def test_files_that_move_are_no_frames(extension, tmp_path):
     paths = [tmp_path / f"bell_{i}.ply" for i in range(2)]
     for path in paths:
         write_splat(path, some_splat())
@@ -71,7 +68,7 @@ def test_files_that_move_are_no_frames(extension: ModuleType, tmp_path: Path) ->
     assert len(bpy.context.scene.objects) == 3
 
 
-def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames: list[Path]) -> None:
+def test_an_import_tells_which_numbers_are_missing(extension, frames):
     missing = extension.io.loading.missing_beside
     assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
     frames[0].with_name("beat_0013.ply").unlink()

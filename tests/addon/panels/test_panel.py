@@ -1,9 +1,7 @@
 """The sidebar, drawn on a stand-in for Blender's layout: what it offers for each kind of file."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import Layout, import_splat, setter  # noqa: E402
 
 
-def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layout:
+def laid_out(extension, obj, shading="MATERIAL"):
     """Everything the panels show for an object in a view with this shading, in order."""
     layout = Layout()
     context = SimpleNamespace(
@@ -31,12 +29,12 @@ def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layo
     return layout
 
 
-def drawn(extension: ModuleType, obj: Any) -> list[str]:
+def drawn(extension, obj):
     """The same without the pictures."""
     return laid_out(extension, obj).drawn
 
 
-def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) -> None:
+def test_moving_file_has_every_control(extension, splat_path):
     obj = import_splat(splat_path, colours=False)
     names, put = extension.names, setter(extension, obj)
     shown = drawn(extension, obj)
@@ -54,8 +52,8 @@ def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) 
     ("scale", "label", "factor"), [(0.1, "Range (mm)", 100.0), (None, "Range (units)", 1.0)]
 )
 def test_colour_range_is_shown_in_its_unit_with_four_digits(
-    extension: ModuleType, tmp_path: Path, splat_path: Path, scale: float | None, label: str, factor: float
-) -> None:
+    extension, tmp_path, splat_path, scale, label, factor
+):
     write_splat(tmp_path / "a.ply", SplatFile(**{**vars(read_splat(splat_path)), "unit_scale_m": scale}))
     obj, names = import_splat(tmp_path / "a.ply"), extension.names
     put, module = setter(extension, obj), extension.panels.colour_range
@@ -70,9 +68,7 @@ def test_colour_range_is_shown_in_its_unit_with_four_digits(
     assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == pytest.approx(2 * shown / factor)
 
 
-def test_colours_by_motion_come_with_a_legend(
-    extension: ModuleType, tmp_path: Path, splat_path: Path
-) -> None:
+def test_colours_by_motion_come_with_a_legend(extension, tmp_path, splat_path):
     known = SplatFile(**{**vars(read_splat(splat_path)), "unit_scale_m": 0.1})
     write_splat(tmp_path / "known.ply", known)
     obj, names = import_splat(tmp_path / "known.ply"), extension.names
@@ -94,7 +90,7 @@ def test_colours_by_motion_come_with_a_legend(
     assert (function, still, rows) == (plots.phase_legend, pytest.approx(0.05), plots.STANDARD_PHASE)
 
 
-def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path: Path) -> None:
+def test_probe_shows_rows_a_curve_and_exports(extension, splat_path):
     obj = import_splat(splat_path)
     assert "Nothing probed yet" in drawn(extension, obj)
     assert "tg4mm.export_probe" not in drawn(extension, obj)
@@ -109,9 +105,7 @@ def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path:
     assert "Nothing probed yet" in drawn(extension, obj)
 
 
-def test_what_makes_native_splats_coarse_is_told_and_goes(
-    extension: ModuleType, splat_path: Path, tmp_path: Path
-) -> None:
+def test_what_makes_native_splats_coarse_is_told_and_goes(extension, splat_path, tmp_path):
     if not extension.compat.native_splats():
         pytest.skip("this Blender has no splats of its own")
     splat = read_splat(splat_path)

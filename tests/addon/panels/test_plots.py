@@ -1,9 +1,5 @@
 """Pictures of the panels: ticks, curves, legends, the spectrum beside the band and when it is drawn anew."""
 
-from pathlib import Path
-from types import ModuleType
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,7 +10,7 @@ bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[gen
 from tests.addon.playing import import_splat  # noqa: E402
 
 
-def test_the_curve_goes_through_its_values(extension: ModuleType) -> None:
+def test_the_curve_goes_through_its_values(extension):
     plots = extension.panels.plots
     seconds = np.linspace(0, 2, 200)
     moved = np.stack([np.sin(3 * seconds), np.zeros(200), np.zeros(200)], axis=1)
@@ -32,18 +28,18 @@ def test_the_curve_goes_through_its_values(extension: ModuleType) -> None:
 TURNS = np.exp(2j * np.pi * np.arange(3600) / 3600)
 
 
-def amplitudes(path: Path) -> np.ndarray:
+def amplitudes(path):
     """[M, N] the longest excursion of every Gaussian at each frequency, by trying."""
     phasors = read_splat(path).displacement
     paths = (phasors[:, :, None, :] * TURNS[None, None, :, None]).real
     return np.linalg.norm(paths, axis=3).max(axis=2)
 
 
-def picture_of(extension: ModuleType, obj: Any) -> tuple[Any, ...]:
+def picture_of(extension, obj):
     return extension.panels.panel.spectrum_picture(bpy.context, obj)
 
 
-def test_strength_is_the_rms_by_opacity_or_the_largest(extension: ModuleType, splat_path: Path) -> None:
+def test_strength_is_the_rms_by_opacity_or_the_largest(extension, splat_path):
     obj = import_splat(splat_path)
     a, w = amplitudes(splat_path), read_splat(splat_path).opacities
     expected = np.sqrt((w * a**2).sum(axis=1) / w.sum())
@@ -71,13 +67,11 @@ def test_strength_is_the_rms_by_opacity_or_the_largest(extension: ModuleType, sp
         ((4, 5, 6, 7), (5.0, 10.0, 2.0, 4.5), 1.0, (5, 7)),
     ],
 )
-def test_peaks_are_apart_by_a_dip_or_an_empty_bin(
-    extension: ModuleType, freqs: tuple[float], strengths: tuple[float], bin_hz: float, expected: tuple[float]
-) -> None:
+def test_peaks_are_apart_by_a_dip_or_an_empty_bin(extension, freqs, strengths, bin_hz, expected):
     assert tuple(freqs[k] for k in extension.nodes.clock.peaks(freqs, strengths, bin_hz)) == expected
 
 
-def test_band_around_a_peak_is_set_by_its_button(extension: ModuleType, splat_path: Path) -> None:
+def test_band_around_a_peak_is_set_by_its_button(extension, splat_path):
     obj = import_splat(splat_path)
     assert extension.panels.analysis.band(obj) == (0.0, 12.0)  # half of 24 Hz
     for width, frequency, expected in (
@@ -92,7 +86,7 @@ def test_band_around_a_peak_is_set_by_its_button(extension: ModuleType, splat_pa
     assert extension.panels.analysis.band(obj) == (0.0, 12.0)
 
 
-def test_bars_are_as_high_as_the_modes_are_strong(extension: ModuleType) -> None:
+def test_bars_are_as_high_as_the_modes_are_strong(extension):
     plots, unit = extension.panels.plots, extension.units.unit_of(None)
     freqs, strengths = (2.0, 5.0, 8.0), (0.5, 2.0, 1.0)
     picture = plots.spectrum(freqs, strengths, (4.0, 6.0), 10.0, "Amplitude", unit)
@@ -108,9 +102,7 @@ def test_bars_are_as_high_as_the_modes_are_strong(extension: ModuleType) -> None
     assert colours[0] == colours[2] != colours[1]  # inside the band and outside
 
 
-def test_the_picture_is_drawn_once_for_each_band(
-    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_picture_is_drawn_once_for_each_band(extension, splat_path, monkeypatch):
     obj, pictures = import_splat(splat_path), extension.panels.pictures.shared()
     drawn, draw = [], extension.panels.plots.spectrum
     monkeypatch.setattr(extension.panels.plots, "spectrum", lambda *a: drawn.append(a) or draw(*a))

@@ -2,9 +2,6 @@
 
 import csv
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,29 +17,29 @@ TURNS = np.arange(3600) * 2 * np.pi / 3600
 
 
 @pytest.fixture
-def moving(extension: ModuleType, splat_path: Path) -> Any:
+def moving(extension, splat_path):
     return import_splat(splat_path)
 
 
-def mean_of(path: Path, chosen: list[int]) -> np.ndarray:
+def mean_of(path, chosen):
     """[M, 3] the mean phasor by opacity."""
     splat = read_splat(path)
     w = splat.opacities[chosen].astype(float)
     return (splat.displacement[:, chosen] * w[None, :, None]).sum(axis=1) / w.sum()
 
 
-def select(obj: Any, chosen: list[int]) -> None:
+def select(obj, chosen):
     flags = np.zeros(len(obj.data.vertices), bool)
     flags[chosen] = True
     obj.data.vertices.foreach_set("select", flags)
 
 
-def reading(extension: ModuleType, obj: Any, source: str) -> Any:
+def reading(extension, obj, source):
     assert bpy.ops.tg4mm.probe(source=source) == {"FINISHED"}
     return extension.probe.picking.stored(obj)
 
 
-def test_a_selected_point_is_read(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_a_selected_point_is_read(extension, moving, splat_path):
     select(moving, [7])
     found = reading(extension, moving, "SELECTION")
     np.testing.assert_allclose(found.phasors, read_splat(splat_path).displacement[:, 7], rtol=1e-6)
@@ -50,7 +47,7 @@ def test_a_selected_point_is_read(extension: ModuleType, moving: Any, splat_path
     assert found.deviations is None  # the file does not say them
 
 
-def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_in_edit_mode_too(extension, moving, splat_path):
     import bmesh
 
     meshes = len(bpy.data.meshes)
@@ -71,9 +68,7 @@ def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) 
     np.testing.assert_array_equal(again.phasors, found.phasors)
 
 
-def test_the_nearest_drawn_gaussian_to_the_cursor(
-    extension: ModuleType, moving: Any, splat_path: Path
-) -> None:
+def test_the_nearest_drawn_gaussian_to_the_cursor(extension, moving, splat_path):
     splat = read_splat(splat_path)
     moving.location, moving.rotation_euler, moving.scale = (1.0, -2.0, 0.5), (0.3, 0.5, -1.0), (2.0, 1.0, 0.5)
     bpy.context.view_layer.update()
@@ -90,7 +85,7 @@ def test_the_nearest_drawn_gaussian_to_the_cursor(
         assert (found.label == f"Point {i}") is not faint[i]
 
 
-def test_all_gaussians_in_a_sphere(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_all_gaussians_in_a_sphere(extension, moving, splat_path):
     splat = read_splat(splat_path)
     moving.location = (0.5, 0.0, 0.0)
     bpy.context.scene.cursor.location = (0.7, 0.2, 0.1)
@@ -115,7 +110,7 @@ def test_all_gaussians_in_a_sphere(extension: ModuleType, moving: Any, splat_pat
     np.testing.assert_array_equal(extension.probe.picking.stored(moving).phasors, found.phasors)  # as it was
 
 
-def test_ellipse_is_the_path(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_ellipse_is_the_path(extension, moving, splat_path):
     select(moving, [3])
     found = reading(extension, moving, "SELECTION")
     for k, e in enumerate(extension.probe.probe.ellipses(found)):
@@ -132,7 +127,7 @@ def test_ellipse_is_the_path(extension: ModuleType, moving: Any, splat_path: Pat
         np.testing.assert_allclose(along, path, atol=1e-12)
 
 
-def test_direction_and_phase_of_a_line(extension: ModuleType) -> None:
+def test_direction_and_phase_of_a_line(extension):
     m = 0.3 * np.array([0.6, 0.0, -0.8]) * np.exp(0.5j)
     e = extension.probe.probe.ellipse(4.0, m, np.array([1.0, 0.0, 0.0]))
     assert (e.amplitude, e.phase_deg) == (pytest.approx(0.3), pytest.approx(np.degrees(0.5)))
@@ -145,7 +140,7 @@ def test_direction_and_phase_of_a_line(extension: ModuleType) -> None:
     assert (still.amplitude, still.phase_deg, still.direction) == (0.0, 0.0, (0.0, 0.0, 0.0))
 
 
-def test_series_is_the_motion_that_was_measured(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+def test_series_is_the_motion_that_was_measured(extension, moving, splat_path):
     setter(extension, moving)(extension.names.ALPHA, 30.0)
     bpy.ops.tg4mm.band(frequency=5.0)
     select(moving, [6])
@@ -161,7 +156,7 @@ def test_series_is_the_motion_that_was_measured(extension: ModuleType, moving: A
     np.testing.assert_allclose(between[5], (positions_at(splat, 1.25) - splat.means)[6], atol=1e-6)
 
 
-def table(path: Path) -> tuple[list[str], list[dict[str, float]]]:
+def table(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
     rows = list(csv.DictReader(lines[len(head) :]))
@@ -169,9 +164,7 @@ def table(path: Path) -> tuple[list[str], list[dict[str, float]]]:
 
 
 @pytest.mark.parametrize(("scale", "unit", "factor"), [(None, "scene_units", 1.0), (0.25, "mm", 250.0)])
-def test_csv_holds_the_series_and_the_phasors(
-    extension: ModuleType, tmp_path: Path, splat_path: Path, scale: float | None, unit: str, factor: float
-) -> None:
+def test_csv_holds_the_series_and_the_phasors(extension, tmp_path, splat_path, scale, unit, factor):
     splat = replace(read_splat(splat_path), unit_scale_m=scale)
     write_splat(tmp_path / "scaled.ply", splat)
     obj = import_splat(tmp_path / "scaled.ply")
@@ -204,7 +197,7 @@ def test_csv_holds_the_series_and_the_phasors(
     assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
 
-def test_export_without_a_reading_or_a_folder(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
+def test_export_without_a_reading_or_a_folder(extension, moving, tmp_path):
     with pytest.raises(RuntimeError, match="Nothing is probed yet"):
         bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"))
     select(moving, [1])
@@ -214,14 +207,14 @@ def test_export_without_a_reading_or_a_folder(extension: ModuleType, moving: Any
     assert not (tmp_path / "none").exists()
 
 
-def test_a_lost_attribute_is_said(extension: ModuleType, moving: Any) -> None:
+def test_a_lost_attribute_is_said(extension, moving):
     select(moving, [1])
     moving.data.attributes.remove(moving.data.attributes["mode_1_im"])
     with pytest.raises(RuntimeError, match="Attribute 'mode_1_im' of the points is gone"):
         bpy.ops.tg4mm.probe(source="SELECTION")
 
 
-def test_a_reading_is_saved_with_the_file(extension: ModuleType, sure: Any, tmp_path: Path) -> None:
+def test_a_reading_is_saved_with_the_file(extension, sure, tmp_path):
     select(sure[0], [2, 3])
     found = reading(extension, sure[0], "SELECTION")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "probe.blend"))
@@ -237,7 +230,7 @@ def test_a_reading_is_saved_with_the_file(extension: ModuleType, sure: Any, tmp_
 
 
 @pytest.fixture
-def sure(extension: ModuleType, tmp_path: Path) -> Any:
+def sure(extension, tmp_path):
     """A file that says how sure its amplitudes are."""
     splat = some_splat()
     deviation = np.random.default_rng(1).uniform(0.001, 0.01, (3, len(splat))).astype(np.float32)
@@ -245,7 +238,7 @@ def sure(extension: ModuleType, tmp_path: Path) -> Any:
     return import_splat(tmp_path / "sure.ply"), splat, deviation
 
 
-def test_the_deviation_of_a_point_and_of_a_region(extension: ModuleType, sure: Any) -> None:
+def test_the_deviation_of_a_point_and_of_a_region(extension, sure):
     """Of a region the mean by opacity, since neighbours err alike; it is not divided by √n."""
     obj, splat, deviation = sure
     select(obj, [7])
@@ -258,7 +251,7 @@ def test_the_deviation_of_a_point_and_of_a_region(extension: ModuleType, sure: A
     assert [e.deviation for e in extension.probe.probe.ellipses(found)] == found.deviations.tolist()
 
 
-def test_the_panel_and_the_table_show_it(extension: ModuleType, sure: Any, tmp_path: Path) -> None:
+def test_the_panel_and_the_table_show_it(extension, sure, tmp_path):
     obj, _, deviation = sure
     select(obj, [7])
     found = reading(extension, obj, "SELECTION")

@@ -1,7 +1,5 @@
 """What a codec takes from a known tone is told by the file alone, within its ±."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ REGION = np.zeros((120, 160), bool)
 REGION[36:84, 46:114] = True
 
 
-def film(path: Path, hz: float, codec: str, noise: float = 3.0, **options: str) -> Path:
+def film(path, hz, codec, noise=3.0, **options):
     """Noisy pictures whose middle moves to the right by AMPLITUDE pixels at `hz`, zero to peak."""
     rng, base = np.random.default_rng(0), texture()
     slope = np.gradient(base, axis=1)
@@ -26,7 +24,7 @@ def film(path: Path, hz: float, codec: str, noise: float = 3.0, **options: str) 
     return encoded(path, frames, codec, **options)
 
 
-def measured(path: Path, hz: float) -> tuple[complex, float]:
+def measured(path, hz):
     """The amplitude that is left, pixels, and its standard error."""
     made = probe(path, 0.0, N)
     assert made is not None
@@ -45,7 +43,7 @@ def measured(path: Path, hz: float) -> tuple[complex, float]:
         ("libx265", {"b": "500000", "x265-params": "log-level=none"}),
     ],
 )
-def test_what_is_lost_is_told_blind(tmp_path: Path, codec: str, options: dict[str, str], hz: float) -> None:
+def test_what_is_lost_is_told_blind(tmp_path, codec, options, hz):
     path = film(tmp_path / "a.mp4", hz, codec, **options)
     amplitude, error = measured(path, hz)
     (loss,) = codec_losses(path, [REGION], [[Tone(hz, np.array([amplitude, 0]))]], FPS)[0]
@@ -54,27 +52,27 @@ def test_what_is_lost_is_told_blind(tmp_path: Path, codec: str, options: dict[st
     assert bool(loss.why) == (loss.gain < 0.5)
 
 
-def test_pictures_coded_by_themselves_lose_nothing(tmp_path: Path) -> None:
+def test_pictures_coded_by_themselves_lose_nothing(tmp_path):
     path = encoded(tmp_path / "a.mp4", [texture().astype(np.uint8)] * 8, "libx264", gop=1, crf="18")
     (loss,) = codec_losses(path, [REGION], [[Tone(2.5, np.array([0.04, 0]))]], FPS)[0]
     assert (loss.gain, loss.deviation, loss.why) == (1.0, 0.0, "")
 
 
-def test_an_encoder_that_is_not_named_is_judged_by_the_pictures(tmp_path: Path) -> None:
+def test_an_encoder_that_is_not_named_is_judged_by_the_pictures(tmp_path):
     path = film(tmp_path / "a.mp4", 9.0, "mpeg4", b="500000")
     (loss,) = codec_losses(path, [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "% of its pixels repeat the frame before" in loss.why
 
 
-def test_a_video_that_cannot_be_read_is_marked(tmp_path: Path) -> None:
+def test_a_video_that_cannot_be_read_is_marked(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"nothing of a video")
     (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "cannot be tested" in loss.why
 
 
-def test_directions_turn_with_the_picture() -> None:
+def test_directions_turn_with_the_picture():
     """A picture with a gradient to the right, stored turned, has it where the turned tone points."""
     upright = np.tile(np.arange(5.0), (4, 1))
     for turns in range(4):

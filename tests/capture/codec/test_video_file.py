@@ -1,7 +1,6 @@
 """The video that a dataset keeps: what scene.json says of it is checked."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +10,7 @@ from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
 
 
-def test_a_flat_dataset_keeps_its_video(tmp_path: Path) -> None:
+def test_a_flat_dataset_keeps_its_video(tmp_path):
     path = write_video(tmp_path / "a.mp4", still(20))
     assert main(["sfm", str(path), "--kind", "flat", "--out", str(tmp_path / "set"), "--from", "0.2"]) == 0
     kept = video_file(tmp_path / "set")
@@ -32,7 +31,7 @@ def test_a_flat_dataset_keeps_its_video(tmp_path: Path) -> None:
         ({"file": "a.mp4", "from_s": "soon"}, "from_s is 'soon'; expected a finite number"),
     ],
 )
-def test_what_is_no_video_is_refused(tmp_path: Path, video: object, said: str) -> None:
+def test_what_is_no_video_is_refused(tmp_path, video, said):
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "a.mp4").touch()
     (tmp_path / "set" / "scene.json").write_text(json.dumps({"fps": 30, "video": video}))

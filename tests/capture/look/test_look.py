@@ -1,25 +1,23 @@
 """A look at films whose truth is exact: what vibrates, where, how much; nothing where nothing vibrates."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import Coding, Film, Layer, Mode, Motion, texture, write_video
-from tg4mm.capture.look import Look, Picture, look, look_at_pictures
+from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from tg4mm.capture.look import Picture, look, look_at_pictures
 from tg4mm.core.errors import CaptureError
 
 WIDTH, HEIGHT, FPS, FRAMES = 160, 112, 30, 180
 PLATE = (48, 32, 112, 80)
 
 
-def film(amplitude_px: tuple[float, float], motion: Motion, noise: float = 3.0, seed: int = 0) -> Film:
+def film(amplitude_px, motion, noise=3.0, seed=0):
     """A plate before a wall that is still."""
     rng = np.random.default_rng(seed)
 
-    def cloth() -> np.ndarray:
+    def cloth():
         return texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0))
 
     shape = np.broadcast_to(np.array(amplitude_px), (HEIGHT, WIDTH, 2))
@@ -27,25 +25,25 @@ def film(amplitude_px: tuple[float, float], motion: Motion, noise: float = 3.0, 
     return Film(layers, FPS, FRAMES, noise, seed=seed)
 
 
-def tone(hz: float) -> Motion:
+def tone(hz):
     return lambda t: float(np.cos(2 * np.pi * hz * t + 0.7))
 
 
-def pictures(made: Film) -> Iterator[Picture]:
+def pictures(made):
     for k, grey in enumerate(made.pictures()):
         yield Picture(grey, k / FPS)
 
 
-def seen(made: Film) -> Look:
+def seen(made):
     return look_at_pictures(pictures(made), "a film")
 
 
-def inside(line_box: tuple[int, int, int, int], centre: tuple[float, float]) -> bool:
+def inside(line_box, centre):
     left, upper, right, lower = line_box
     return left <= centre[0] <= right and upper <= centre[1] <= lower
 
 
-def test_a_plate_that_vibrates_is_found_where_it_is_with_its_frequency_amplitude_and_direction() -> None:
+def test_a_plate_that_vibrates_is_found_where_it_is_with_its_frequency_amplitude_and_direction():
     found = seen(film((0.06, -0.08), tone(5.137)))
     assert len(found.vibrations) == 1
     line = found.vibrations[0]
@@ -59,28 +57,28 @@ def test_a_plate_that_vibrates_is_found_where_it_is_with_its_frequency_amplitude
     assert found.composite[np.argmin(np.abs(found.hz - 5.137))] > found.composite_floor
 
 
-def test_of_noise_nothing_is_named() -> None:
+def test_of_noise_nothing_is_named():
     found = seen(film((0.0, 0.0), tone(5.0), noise=5.0, seed=1))
     assert found.lines == ()
     assert found.movers == ()
     assert found.composite[2:].mean() == pytest.approx(1, abs=0.2)
 
 
-def test_flicker_is_light_and_no_vibration() -> None:
+def test_flicker_is_light_and_no_vibration():
     still = film((0.0, 0.0), tone(5.0), seed=2)
     found = seen(replace(still, light=lambda t: 1 + 0.03 * float(np.cos(2 * np.pi * 7.3 * t))))
     assert found.vibrations == ()
     assert found.light[0].hz == pytest.approx(7.3, abs=0.05)
 
 
-def test_a_plate_that_vibrates_is_no_light() -> None:
+def test_a_plate_that_vibrates_is_no_light():
     found = seen(film((0.0, 0.3), tone(4.3), noise=1.0, seed=3))
     assert found.light == ()
     assert found.vibrations[0].hz == pytest.approx(4.3, abs=0.01)
     assert found.vibrations[0].amplitude_px == pytest.approx(0.3, rel=0.05)
 
 
-def test_what_rings_down_is_one_line_with_its_damping() -> None:
+def test_what_rings_down_is_one_line_with_its_damping():
     decay = 0.02 * 2 * np.pi * 6.2
     found = seen(film((0.0, 0.3), lambda t: float(np.exp(-decay * t) * np.sin(2 * np.pi * 6.2 * t)), seed=4))
     assert len(found.vibrations) == 1
@@ -92,11 +90,11 @@ def test_what_rings_down_is_one_line_with_its_damping() -> None:
     assert abs(line.amplitude_px - 0.3) < 3 * line.amplitude_deviation_px
 
 
-def test_what_turns_is_masked_and_does_not_hide_what_vibrates() -> None:
+def test_what_turns_is_masked_and_does_not_hide_what_vibrates():
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     disc, angle = np.hypot(x - 136, y - 24) < 16, np.arctan2(y - 24, x - 136)
 
-    def wheel(picture: np.ndarray, t: float, k: int) -> np.ndarray:
+    def wheel(picture, t, k):
         return np.where(disc, 0.3 + 0.25 * np.sign(np.cos(3 * (angle - 2 * np.pi * 2.7 * t))), picture)
 
     found = seen(replace(film((0.1, 0.0), tone(5.6), seed=5), painters=[wheel]))
@@ -107,7 +105,7 @@ def test_what_turns_is_masked_and_does_not_hide_what_vibrates() -> None:
     assert found.movers[0].hz == pytest.approx(8.1, abs=0.05)
 
 
-def test_the_wall_is_the_background_though_the_plate_has_more_texture() -> None:
+def test_the_wall_is_the_background_though_the_plate_has_more_texture():
     """Weighted by texture, half of the motion would be taken for the camera's."""
     rng = np.random.default_rng(6)
     plain = Layer(texture(HEIGHT, WIDTH, rng, 0.08, 0.3, (4.0,)), None, [], 0.6)
@@ -117,7 +115,7 @@ def test_the_wall_is_the_background_though_the_plate_has_more_texture() -> None:
     assert inside(PLATE, found.vibrations[0].centre_px)
 
 
-def test_a_coded_video_needs_nothing_else(tmp_path: Path) -> None:
+def test_a_coded_video_needs_nothing_else(tmp_path):
     made, video = film((0.15, 0.0), tone(5.2), seed=7), tmp_path / "plate.mp4"
     write_video(video, made.pictures(), FPS, Coding("libx264", 1_500_000))
     line = look(video).vibrations[0]
@@ -128,9 +126,7 @@ def test_a_coded_video_needs_nothing_else(tmp_path: Path) -> None:
     assert slow.vibrations[0].hz == pytest.approx(4 * line.hz, rel=1e-3)
 
 
-def test_pictures_that_are_shown_again_are_left_out_and_the_others_have_their_true_times(
-    tmp_path: Path,
-) -> None:
+def test_pictures_that_are_shown_again_are_left_out_and_the_others_have_their_true_times(tmp_path):
     """25 pictures a second stored as 30."""
     made = replace(film((0.2, 0.0), tone(5.2), seed=8), fps=25)
     shown = np.repeat(made.pictures(), np.where(np.arange(FRAMES) % 5 == 2, 2, 1), axis=0)
@@ -141,7 +137,7 @@ def test_pictures_that_are_shown_again_are_left_out_and_the_others_have_their_tr
     assert [round(line.hz, 1) for line in found.vibrations] == [5.2]
 
 
-def test_what_cannot_be_looked_at_is_said() -> None:
+def test_what_cannot_be_looked_at_is_said():
     few = [Picture(np.zeros((32, 32), np.uint8), k / FPS) for k in range(10)]
     with pytest.raises(CaptureError, match="a film: holds 10 pictures; at least 24 are needed"):
         look_at_pictures(few, "a film")
@@ -150,7 +146,7 @@ def test_what_cannot_be_looked_at_is_said() -> None:
         look_at_pictures(other, "a film")
 
 
-def test_a_picture_without_texture_or_light_names_nothing() -> None:
+def test_a_picture_without_texture_or_light_names_nothing():
     black = [Picture(np.zeros((64, 64), np.uint8), k / FPS) for k in range(60)]
     found = look_at_pictures(black, "a film")
     assert found.lines == ()

@@ -13,7 +13,7 @@ from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
 FPS = 30.0
 
 
-def test_shifts_of_cells_are_exact_up_to_a_quarter_of_a_pixel() -> None:
+def test_shifts_of_cells_are_exact_up_to_a_quarter_of_a_pixel():
     cloth = texture(64, 64, np.random.default_rng(0), 0.3, 0.4, (1.6, 4.0))
     shape = np.broadcast_to([1.0, -0.5], (64, 64, 2))
     t = np.arange(60) / FPS
@@ -30,7 +30,7 @@ def test_shifts_of_cells_are_exact_up_to_a_quarter_of_a_pixel() -> None:
         assert misfit[inner].max() < 0.1
 
 
-def test_the_covariance_of_a_shift_is_what_noise_does() -> None:
+def test_the_covariance_of_a_shift_is_what_noise_does():
     rng = np.random.default_rng(1)
     mean = (255 * texture(32, 32, rng, 0.3, 0.4, (1.6,)).reshape(32, 3, 32, 3).mean((1, 3))).astype(
         np.float32
@@ -43,7 +43,7 @@ def test_the_covariance_of_a_shift_is_what_noise_does() -> None:
         assert np.cov(shift[cell].T) == pytest.approx(4 * template.covariance[cell], rel=0.2, abs=3e-5)
 
 
-def test_a_floor_is_the_noises_mean_power_and_lines_do_not_raise_it() -> None:
+def test_a_floor_is_the_noises_mean_power_and_lines_do_not_raise_it():
     rng, t = np.random.default_rng(2), np.arange(300) / FPS
     noise = rng.normal(size=(300, 60)) * np.linspace(1, 3, 60)
     floor, freedom = noise_floor(np.abs(spectrum(noise, t)[1]) ** 2)
@@ -56,7 +56,7 @@ def test_a_floor_is_the_noises_mean_power_and_lines_do_not_raise_it() -> None:
     assert np.median(raised[20:-20] / floor[20:-20]) == pytest.approx(1, abs=0.1)
 
 
-def test_lines_of_noise_are_seldom_and_a_tone_is_one() -> None:
+def test_lines_of_noise_are_seldom_and_a_tone_is_one():
     rng, t = np.random.default_rng(3), np.arange(240) / FPS
     flat = np.stack([np.ones(240), t], 1)
     assert sum(bool(tones_of(rng.normal(size=240), t, flat)) for _ in range(60)) <= 1
@@ -65,7 +65,7 @@ def test_lines_of_noise_are_seldom_and_a_tone_is_one() -> None:
     assert size == pytest.approx(1.5, abs=0.3)
 
 
-def test_a_knock_is_a_step_that_stays() -> None:
+def test_a_knock_is_a_step_that_stays():
     rng = np.random.default_rng(4)
     still = 0.02 * rng.normal(size=(200, 2))
     assert knocks(still) == []
@@ -75,7 +75,7 @@ def test_a_knock_is_a_step_that_stays() -> None:
     assert knocks(bumped) == []
 
 
-def test_a_hit_is_one_though_few_pictures_keep_small_motion() -> None:
+def test_a_hit_is_one_though_few_pictures_keep_small_motion():
     rng, t = np.random.default_rng(5), np.arange(200) / FPS
     x = t - 2.2
     hit = np.where(x >= 0, np.exp(-0.5 * x) * np.sin(2 * np.pi * 3.1 * x), 0.0)
@@ -86,7 +86,7 @@ def test_a_hit_is_one_though_few_pictures_keep_small_motion() -> None:
     assert abs(line.decay - 0.5) < 3 * line.decay_deviation
 
 
-def test_key_frames_with_more_noise_do_not_look_like_something_that_passes() -> None:
+def test_key_frames_with_more_noise_do_not_look_like_something_that_passes():
     rng, (frames, rows, columns) = np.random.default_rng(6), (120, 6, 8)
     kinds = np.where(
         np.arange(frames) % 12 == 0, INTRA, np.where(np.arange(frames) % 3 == 0, FORWARD, BETWEEN)

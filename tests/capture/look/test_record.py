@@ -10,7 +10,7 @@ from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.record import from_record, to_record
 
 
-def test_a_record_is_plain_and_read_back_the_same() -> None:
+def test_a_record_is_plain_and_read_back_the_same():
     first = found()
     again = from_record(json.loads(json.dumps(to_record(first))))
     assert to_record(again) == to_record(first)
@@ -20,14 +20,14 @@ def test_a_record_is_plain_and_read_back_the_same() -> None:
     assert again.light == first.light
 
 
-def test_the_mask_is_of_whole_cells_and_leaves_the_edge_that_no_cell_covers() -> None:
+def test_the_mask_is_of_whole_cells_and_leaves_the_edge_that_no_cell_covers():
     mask = found().mask()
     assert mask.shape == (50, 64)
     assert mask[:16, :16].all()
     assert mask.sum() == 256
 
 
-def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_is_not() -> None:
+def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_is_not():
     line = found().lines[0]
     wide = np.zeros_like(line.region)
     wide[1, 2:] = True

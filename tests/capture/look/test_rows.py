@@ -1,6 +1,5 @@
 """How long rows take to be read: told by phases and by light, with a ± that is true, offered and never applied."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.film import Film, Layer, Mode, texture
 from tests.helpers.look import found
-from tg4mm.capture.look import Look, Picture, look_at_pictures
+from tg4mm.capture.look import Picture, look_at_pictures
 from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.record import from_record, to_record
 from tg4mm.capture.look.rows import by_light, by_phases, readout_of, row_note, with_rows
@@ -17,7 +16,7 @@ WIDTH, HEIGHT, FPS, FRAMES, HZ, READOUT_S = 96, 128, 30, 120, 6.3, 0.02
 POST = (32, 8, 64, 120)
 
 
-def swaying(readout_s: float) -> Iterator[Picture]:
+def swaying(readout_s):
     """A rigid post; every sixteen rows are read at the time of their middle."""
     films = []
     for top in range(0, HEIGHT, 16):
@@ -35,11 +34,11 @@ def swaying(readout_s: float) -> Iterator[Picture]:
 
 
 @pytest.fixture(scope="module")
-def post() -> Look:
+def post():
     return look_at_pictures(swaying(READOUT_S), "a post")
 
 
-def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post: Look) -> None:
+def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post):
     told = readout_of(post)
     assert told is not None
     assert abs(told.seconds - READOUT_S) < 2.5 * told.deviation_s < 0.006
@@ -51,14 +50,14 @@ def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post: Look) ->
     assert "other than the readout that was given" in row_note(with_rows(post, READOUT_S - 0.012))
 
 
-def test_a_phase_is_that_of_the_frames_time_where_the_readout_is_given(post: Look) -> None:
+def test_a_phase_is_that_of_the_frames_time_where_the_readout_is_given(post):
     (line,) = post.vibrations
     upper = replace(line, centre_px=(48.0, 16.0), phase_rad=-2 * np.pi * HZ * READOUT_S * 0.375)
     (given,) = with_rows(replace(post, lines=(upper,)), READOUT_S).lines
     assert given.phase_rad == pytest.approx(0, abs=0.01)
 
 
-def test_deviations_by_phases_cover_the_truth() -> None:
+def test_deviations_by_phases_cover_the_truth():
     rng, off, answered = np.random.default_rng(1), [], 0
     for _ in range(200):
         hz, readout, weight = rng.uniform(2, 20), rng.uniform(0.006, 0.03), np.exp(rng.uniform(3.5, 6))
@@ -74,7 +73,7 @@ def test_deviations_by_phases_cover_the_truth() -> None:
     assert np.mean(np.array(off) < 1) < 0.95  # and not by being far too wide
 
 
-def bands_of_light(rate: float, mains: float, depth: float, rng: np.random.Generator) -> np.ndarray:
+def bands_of_light(rate, mains, depth, rng):
     times, rows = np.arange(int(4 * rate)) / rate, 0.015 * (np.arange(120) + 0.5) / 120
     level = 100 + 20 * np.sin(np.arange(120) / 9)
     turns = mains * (times[:, None] + rows) + 0.3
@@ -82,7 +81,7 @@ def bands_of_light(rate: float, mains: float, depth: float, rng: np.random.Gener
 
 
 @pytest.mark.parametrize(("rate", "mains"), [(30, 100), (24, 100.02), (60, 99.97), (25, 120), (50, 120)])
-def test_a_lamp_tells_the_readout(rate: float, mains: float) -> None:
+def test_a_lamp_tells_the_readout(rate, mains):
     rows = bands_of_light(rate, mains, 0.01, np.random.default_rng(2))
     told = by_light(rows, np.arange(len(rows)) / rate)
     assert told is not None
@@ -94,13 +93,13 @@ def test_a_lamp_tells_the_readout(rate: float, mains: float) -> None:
 
 
 @pytest.mark.parametrize(("rate", "mains", "depth"), [(30, 120, 0.05), (25, 100, 0.05), (30, 100, 0.0)])
-def test_light_that_stands_or_is_steady_tells_nothing(rate: float, mains: float, depth: float) -> None:
+def test_light_that_stands_or_is_steady_tells_nothing(rate, mains, depth):
     rows = bands_of_light(rate, mains, depth, np.random.default_rng(3))
     assert by_light(rows, np.arange(len(rows)) / rate) is None
 
 
 @pytest.mark.parametrize("seconds", [-0.012, 0.06])
-def test_what_no_readout_explains_is_offered_none(seconds: float) -> None:
+def test_what_no_readout_explains_is_offered_none(seconds):
     note = row_note(replace(found(), light_readout=Readout(seconds, 0.001)))
     assert "which no readout of 0 to 33.33 ms from top to bottom explains" in note
     assert "--readout" not in note

@@ -1,7 +1,6 @@
 """Recordings that are frozen, or of which only a part can be used: found, and what to use instead."""
 
 import warnings
-from pathlib import Path
 
 import av
 import numpy as np
@@ -31,13 +30,13 @@ BLACK = np.full((SIZE[1], SIZE[0], 3), 2, np.uint8)
 ELSEWHERE = [np.roll(frame[:, ::-1], 40, axis=0) for frame in still(40)]
 
 
-def times(frames: list[np.ndarray], start: int, stop: int) -> list[np.ndarray]:
+def times(frames, start, stop):
     return [*frames[:start], *[frames[start - 1]] * (stop - start), *frames[stop:]]
 
 
 class TestFrozen:
     @pytest.mark.parametrize("name", ENCODERS)
-    def test_one_picture_is_found_whatever_the_codec_makes_of_it(self, tmp_path: Path, name: str) -> None:
+    def test_one_picture_is_found_whatever_the_codec_makes_of_it(self, tmp_path, name):
         codec, options = ENCODERS[name]
         if codec not in av.codecs_available:
             pytest.skip(f"no {codec}")
@@ -46,7 +45,7 @@ class TestFrozen:
             looked(path)
 
     @pytest.mark.parametrize("name", UNSURE)
-    def test_what_may_be_frozen_is_said(self, tmp_path: Path, name: str) -> None:
+    def test_what_may_be_frozen_is_said(self, tmp_path, name):
         codec, options = UNSURE[name]
         if codec not in av.codecs_available:
             pytest.skip(f"no {codec}")
@@ -56,12 +55,10 @@ class TestFrozen:
 
     @pytest.mark.parametrize("crf", [18, 23])
     @pytest.mark.parametrize("noise", [1, 2])
-    def test_a_still_scene_with_a_sensors_noise_is_not_frozen(
-        self, tmp_path: Path, noise: int, crf: int
-    ) -> None:
+    def test_a_still_scene_with_a_sensors_noise_is_not_frozen(self, tmp_path, noise, crf):
         assert is_fixed(looked(write_video(tmp_path / "a.mp4", still(60, noise=noise), crf=crf)))
 
-    def test_a_small_thing_that_moves_without_noise_is_not_frozen(self, tmp_path: Path) -> None:
+    def test_a_small_thing_that_moves_without_noise_is_not_frozen(self, tmp_path):
         from scipy.ndimage import shift
 
         frames, thing = [], texture((40, 40), seed=9)
@@ -102,9 +99,7 @@ SPOILT = {
 
 class TestPartly:
     @pytest.mark.parametrize("name", SPOILT)
-    def test_the_part_to_use_is_named(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-    ) -> None:
+    def test_the_part_to_use_is_named(self, tmp_path, capsys, name):
         frames, expected = SPOILT[name]
         path = write_video(tmp_path / "a.mp4", frames)
         options = ["--kind", "flat"] if "knock" in name else []
@@ -116,7 +111,7 @@ class TestPartly:
         if "--" in last:
             assert main(["sfm", str(path), "--out", str(tmp_path / "out2"), *options, *advice]) == 0
 
-    def test_a_bump_is_said_with_its_time(self, tmp_path: Path) -> None:
+    def test_a_bump_is_said_with_its_time(self, tmp_path):
         shifts = [0] * 30 + [6] * 3 + [0] * 27
         survey = looked(write_video(tmp_path / "a.mp4", still(60, shifts=shifts)))
         check_usable([survey], True)
@@ -125,7 +120,7 @@ class TestPartly:
         ):
             warn_bumps([survey])
 
-    def test_trembling_vibration_knocks_and_drift_are_no_bumps(self) -> None:
+    def test_trembling_vibration_knocks_and_drift_are_no_bumps(self):
         at = np.arange(120) / 30
         rng = np.random.default_rng(0)
         for shifts in (
@@ -136,7 +131,7 @@ class TestPartly:
         ):
             assert find_bumps(np.stack([shifts, 0 * at], axis=1), at) == []
 
-    def test_another_rate_than_the_files_is_said(self, tmp_path: Path) -> None:
+    def test_another_rate_than_the_files_is_said(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))
         with pytest.warns(
             UserWarning, match=r"a\.mp4: the file says 30 frames per second, --fps 300: .* divided by 10"
@@ -147,7 +142,7 @@ class TestPartly:
             warn_clocks([survey], 30.0)
 
 
-def _bad(name: str, path: Path) -> tuple[Path, str]:
+def _bad(name, path):
     """A bad recording and what is said of it."""
     if name == "no video":
         path.write_bytes(b"nothing of a video" * 50)
@@ -174,9 +169,7 @@ def _bad(name: str, path: Path) -> tuple[Path, str]:
     "name",
     ["no video", "cut off", "spoilt", "black", "frozen", "knocked", "five frames", "one frame", "no overlap"],
 )
-def test_a_bad_recording_is_one_line_and_nothing_else(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_bad_recording_is_one_line_and_nothing_else(tmp_path, capsys, name):
     path, said = _bad(name, tmp_path / "a.mp4")
     assert main(["sfm", str(path), "--out", str(tmp_path / "out")]) == 2
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tg4mm: ")]

@@ -3,13 +3,12 @@
 import json
 import shutil
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import SIZE, still, write_video
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main
@@ -19,23 +18,23 @@ T = 12
 
 
 @pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def video(tmp_path_factory):
     return write_video(tmp_path_factory.mktemp("in") / "bridge.mp4", still(T), Fraction(30000, 1001))
 
 
 @pytest.fixture(scope="module")
-def dataset(video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(video, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "bridge"
     assert main(["sfm", str(video), "--out", str(out)]) == 0
     return out
 
 
 @pytest.fixture(scope="module")
-def capture(dataset: Path) -> Capture:
+def capture(dataset):
     return load_capture(dataset)
 
 
-def test_it_is_a_capture_of_one_camera_with_exact_times(dataset: Path, capture: Capture) -> None:
+def test_it_is_a_capture_of_one_camera_with_exact_times(dataset, capture):
     assert (capture.kind, capture.n_timesteps, capture.unit_scale_m) == ("flat", T, None)
     assert capture.fps == float(Fraction(30000, 1001))
     assert json.loads((dataset / "scene.json").read_text())["fps"] == float(Fraction(30000, 1001))
@@ -45,7 +44,7 @@ def test_it_is_a_capture_of_one_camera_with_exact_times(dataset: Path, capture: 
     assert not list(dataset.glob("*/train"))
 
 
-def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture) -> None:
+def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture):
     viewmat, K = capture.viewmats[0], capture.Ks[0]
     focal = max(SIZE)
     np.testing.assert_allclose(K, [[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
@@ -59,7 +58,7 @@ def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture)
     assert json.loads((capture.root / "scene.json").read_text())["pixels_per_unit"] == focal
 
 
-def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, tmp_path: Path) -> None:
+def test_slow_motion_gets_the_rate_it_was_filmed_at(video, dataset, tmp_path):
     out = tmp_path / "bridge"
     shutil.copytree(dataset, out)
     reconstruct(video, out, SfmConfig(fps=240.0))
@@ -68,9 +67,7 @@ def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, 
     np.testing.assert_allclose(capture.times_s, np.arange(T) / 240)
 
 
-def test_the_readout_of_rows_is_written_without_the_dataset_made_again(
-    video: Path, dataset: Path, tmp_path: Path
-) -> None:
+def test_the_readout_of_rows_is_written_without_the_dataset_made_again(video, dataset, tmp_path):
     out = tmp_path / "bridge"
     shutil.copytree(dataset, out)
     before = (out / "video" / "bridge.mp4").stat().st_mtime_ns
@@ -91,14 +88,12 @@ def test_the_readout_of_rows_is_written_without_the_dataset_made_again(
         (["--readout", "12", "--kind", "handheld"], "--readout is for fixed cameras, but"),
     ],
 )
-def test_a_readout_that_cannot_be_is_refused(
-    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
-) -> None:
+def test_a_readout_that_cannot_be_is_refused(video, tmp_path, capsys, options, said):
     assert main(["sfm", str(video), "--out", str(tmp_path / "out"), *options]) == 2
     assert said in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_rows_of_a_turned_video_have_no_readout(tmp_path: Path) -> None:
+def test_rows_of_a_turned_video_have_no_readout(tmp_path):
     turned = write_video(tmp_path / "phone.mp4", still(T), 30, rotation=90)
     with pytest.raises(
         Tg4mmError, match=r"rows are read from top to bottom, but those of phone\.mp4 are turned"
@@ -106,7 +101,7 @@ def test_rows_of_a_turned_video_have_no_readout(tmp_path: Path) -> None:
         reconstruct(turned, tmp_path / "out", SfmConfig(readout_s=0.0125))
 
 
-def test_what_makes_no_sense_is_refused(video: Path, tmp_path: Path) -> None:
+def test_what_makes_no_sense_is_refused(video, tmp_path):
     with pytest.raises(Tg4mmError, match="a flat capture is measured in pixels"):
         reconstruct(video, tmp_path / "a", SfmConfig(unit_scale_m=1.0))
     with pytest.raises(Tg4mmError, match="--test-every is 4, but flat has no camera to hold out"):

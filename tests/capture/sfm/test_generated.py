@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,7 @@ from tg4mm.show.result import result_of
 pytestmark = pytest.mark.slow
 
 
-def generated(out: Path, repo_root: Path, options: str) -> Path:
+def generated(out, repo_root, options):
     """The lego scene by `python -m dataset_gen`, with one test camera."""
     pytest.importorskip("bpy")
     pytest.importorskip("pycolmap")
@@ -25,7 +24,7 @@ def generated(out: Path, repo_root: Path, options: str) -> Path:
     return next(out.glob("lego_*"))
 
 
-def test_the_video_of_a_tripod_tells_the_frequency(tmp_path: Path, repo_root: Path) -> None:
+def test_the_video_of_a_tripod_tells_the_frequency(tmp_path, repo_root):
     """From H.264 and photographs without poses, as a person has them, to the scene's 3 Hz."""
     options = (
         "--cameras sweep --views 40 --size 256 --samples 6 --timesteps 24 --fps 24 --amplitude-px 0.8 --frequency 3 "

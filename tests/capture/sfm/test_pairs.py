@@ -1,7 +1,5 @@
 """Which pictures are matched: those that look alike, whole groups tied together, lonely ones with all others."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,7 +12,7 @@ from tg4mm.capture.sfm.pairs import most_alike
 
 
 @pytest.fixture
-def photographs(tmp_path: Path) -> Path:
+def photographs(tmp_path):
     """Twelve of a box, and one of something else."""
     size = (240, 180)
     for i, viewmat in enumerate(orbit(12, turn=2.4)):
@@ -24,16 +22,14 @@ def photographs(tmp_path: Path) -> Path:
     return tmp_path / "in"
 
 
-def test_of_many_photographs_the_likely_pairs_place_all(
-    photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_photographs_the_likely_pairs_place_all(photographs, tmp_path, monkeypatch):
     """The one that is like none is tried with all others, the rest with their nearest alone."""
     pytest.importorskip("pycolmap")
     monkeypatch.setattr(reconstruct, "CHOSEN_FROM", 6)
     monkeypatch.setattr(pairs, "most_alike", lambda alike: most_alike(alike, most=4))
     asked: list[list[pairs.Pair]] = []
 
-    def counting(database: Path, some: list[pairs.Pair], *rest: int) -> int:
+    def counting(database, some, *rest):
         asked.append(some)
         return engine.match(database, some, *rest)
 

@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from PIL import Image
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, surface_distance, umeyama
 from tests.capture.sfm.videos import still
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.cameras import optical_axes
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
@@ -24,17 +23,17 @@ SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
 N = 12
 
 
-def shoot(path: Path, viewmat: np.ndarray, k1: float = BEND, plain: bool = False) -> None:
+def shoot(path, viewmat, k1=BEND, plain=False):
     save(path, picture(viewmat, intrinsics(*SIZE, FOCAL), SIZE, k1, plain))
 
 
 @pytest.fixture(scope="module")
-def cameras() -> np.ndarray:
+def cameras():
     return orbit(N, turn=2.4)
 
 
 @pytest.fixture(scope="module")
-def photographs(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path:
+def photographs(tmp_path_factory, cameras):
     folder = tmp_path_factory.mktemp("photographs")
     for i, viewmat in enumerate(cameras):
         shoot(folder / f"p_{i}.png", viewmat)
@@ -42,14 +41,14 @@ def photographs(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory, photographs: Path) -> Path:
+def dataset(tmp_path_factory, photographs):
     out = tmp_path_factory.mktemp("sfm") / "box"
     report = reconstruct(photographs, out, SfmConfig(), threads=1)
     assert (report["pictures"], report["placed"]) == (N, N)
     return out
 
 
-def aligned(capture: Capture, cameras: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, float]:
+def aligned(capture, cameras):
     """The similarity from the dataset's world to the true one, and the largest error of a camera's place."""
     ours, _ = optical_axes(capture.viewmats)
     true, _ = optical_axes(cameras)
@@ -62,7 +61,7 @@ def aligned(capture: Capture, cameras: np.ndarray) -> tuple[float, np.ndarray, n
     )
 
 
-def test_cameras_come_back_up_to_a_similarity(dataset: Path, cameras: np.ndarray) -> None:
+def test_cameras_come_back_up_to_a_similarity(dataset, cameras):
     capture = load_capture(dataset)
     assert [path.name for path in capture.paths] == [f"p_{i}.png" for i in range(N)]
     _, rotation, _, error = aligned(capture, cameras)
@@ -74,7 +73,7 @@ def test_cameras_come_back_up_to_a_similarity(dataset: Path, cameras: np.ndarray
     assert aligned(capture, cameras[::-1])[3] > 0.5
 
 
-def test_points_lie_on_the_surface(dataset: Path, cameras: np.ndarray) -> None:
+def test_points_lie_on_the_surface(dataset, cameras):
     capture = load_capture(dataset)
     assert capture.points is not None
     scale, rotation, shift, _ = aligned(capture, cameras)
@@ -84,7 +83,7 @@ def test_points_lie_on_the_surface(dataset: Path, cameras: np.ndarray) -> None:
     assert np.quantile(distance, 0.9) < 0.05
 
 
-def test_the_lens_is_found_and_the_pictures_are_straight(dataset: Path, cameras: np.ndarray) -> None:
+def test_the_lens_is_found_and_the_pictures_are_straight(dataset, cameras):
     """A pinhole with the written intrinsics sees at the true pose what the written picture shows."""
     capture = load_capture(dataset)
     K = capture.Ks[0]
@@ -100,7 +99,7 @@ def test_the_lens_is_found_and_the_pictures_are_straight(dataset: Path, cameras:
         assert difference.mean() < 0.5 * np.abs(bent - true[..., :3])[solid].mean()
 
 
-def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+def test_a_stopped_one_goes_on_to_the_same_dataset(dataset, photographs, tmp_path):
     out = tmp_path / "box"
     shutil.copytree(dataset, out)
     for path in ("scene.json", "transforms_train.json", "points3d.ply", "train/p_3.png"):
@@ -113,9 +112,7 @@ def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: P
         assert (out / path).read_bytes() == expected, path  # one thread, one seed: bit for bit
 
 
-def test_another_request_in_the_same_folder_is_refused(
-    dataset: Path, photographs: Path, tmp_path: Path
-) -> None:
+def test_another_request_in_the_same_folder_is_refused(dataset, photographs, tmp_path):
     with pytest.raises(CaptureError, match='was made with camera_model = "SIMPLE_RADIAL", asked is "OPENCV"'):
         reconstruct(photographs, dataset, SfmConfig(camera_model="OPENCV"))
     other = tmp_path / "other"
@@ -126,7 +123,7 @@ def test_another_request_in_the_same_folder_is_refused(
         reconstruct(photographs, other)
 
 
-def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
     out = tmp_path / "box"
     shutil.copytree(dataset, out)
     reconstruct(photographs, out, SfmConfig(baseline=("p_0", "p_3.png", 2.0)), threads=1)
@@ -156,15 +153,13 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),
     ],
 )
-def test_bad_settings_are_refused_before_anything_is_made(
-    photographs: Path, tmp_path: Path, config: SfmConfig, match: str
-) -> None:
+def test_bad_settings_are_refused_before_anything_is_made(photographs, tmp_path, config, match):
     with pytest.raises(Tg4mmError, match=match):
         reconstruct(photographs, tmp_path / "out", config)
     assert not (tmp_path / "out").exists()
 
 
-def test_pictures_without_texture_are_refused(tmp_path: Path, cameras: np.ndarray) -> None:
+def test_pictures_without_texture_are_refused(tmp_path, cameras):
     for i in range(4):
         save(tmp_path / "in" / f"{i}.png", np.full((60, 80, 4), 90, np.uint8))
     with pytest.raises(
@@ -173,9 +168,7 @@ def test_pictures_without_texture_are_refused(tmp_path: Path, cameras: np.ndarra
         reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
 
 
-def test_a_picture_of_something_else_is_left_out_and_named(
-    tmp_path: Path, photographs: Path, cameras: np.ndarray
-) -> None:
+def test_a_picture_of_something_else_is_left_out_and_named(tmp_path, photographs, cameras):
     folder = tmp_path / "in"
     folder.mkdir()
     for i in range(6):
@@ -192,7 +185,7 @@ def test_a_picture_of_something_else_is_left_out_and_named(
 
 
 @pytest.fixture(scope="module")
-def fixed(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path:
+def fixed(tmp_path_factory, cameras):
     """Three fixed cameras far apart, six frames each, and a sweep between them."""
     folder = tmp_path_factory.mktemp("fixed")
     for k, i in enumerate((0, 5, 10)):
@@ -206,9 +199,7 @@ def fixed(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path
     return folder
 
 
-def test_fixed_cameras_become_a_tree_with_one_pose_each(
-    fixed: Path, tmp_path: Path, cameras: np.ndarray
-) -> None:
+def test_fixed_cameras_become_a_tree_with_one_pose_each(fixed, tmp_path, cameras):
     out = tmp_path / "box_5Hz"
     arguments = ["sfm", str(fixed), "--out", str(out), "--fps", "30", "--threads", "1"]
     arguments += ["--camera-model", "SIMPLE_PINHOLE", "--focal-px", "240", "--unit-scale-m", "0.5"]
@@ -233,13 +224,13 @@ def test_fixed_cameras_become_a_tree_with_one_pose_each(
     assert ratio[0] == pytest.approx(ratio[1], rel=0.01)
 
 
-def other_things(folder: Path, camera: str) -> None:
+def other_things(folder, camera):
     """Let a camera of six frames see something else."""
     for t, pixels in enumerate(still(6, size=SIZE)):
         Image.fromarray(pixels).save(folder / camera / f"{t:04d}.png")
 
 
-def test_too_few_fixed_cameras_that_can_be_placed_are_an_error(fixed: Path, tmp_path: Path) -> None:
+def test_too_few_fixed_cameras_that_can_be_placed_are_an_error(fixed, tmp_path):
     folder = tmp_path / "in"
     shutil.copytree(fixed, folder)
     shutil.rmtree(folder / "cam_0")
@@ -249,7 +240,7 @@ def test_too_few_fixed_cameras_that_can_be_placed_are_an_error(fixed: Path, tmp_
         reconstruct(folder, tmp_path / "out", SfmConfig(fps=30.0), threads=1)
 
 
-def test_a_test_split_is_held_out(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+def test_a_test_split_is_held_out(dataset, photographs, tmp_path):
     out = tmp_path / "box"
     shutil.copytree(dataset / "sfm", out / "sfm")
     request = json.loads((out / "sfm/request.json").read_text())
@@ -260,7 +251,7 @@ def test_a_test_split_is_held_out(dataset: Path, photographs: Path, tmp_path: Pa
     assert len(load_capture(out)) == N - 3
 
 
-def test_two_processes_do_not_make_one_dataset(photographs: Path, tmp_path: Path) -> None:
+def test_two_processes_do_not_make_one_dataset(photographs, tmp_path):
     sources = find_sources(photographs)
     work = open_request(tmp_path / "out", sources, asdict(SfmConfig()))
     with work.owned.held("busy"), pytest.raises(RunError, match="in use: another process makes this"):

@@ -2,7 +2,6 @@
 
 import json
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from PIL import Image
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, umeyama
 from tests.capture.sfm.videos import write_video
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.capture.cameras import optical_axes
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.reconstruct import reconstruct
@@ -23,7 +22,7 @@ NTSC = Fraction(30000, 1001)
 CAMERAS = orbit(12, turn=2.4)
 
 
-def filmed(viewmats: np.ndarray, seed: int = 0, size: tuple[int, int] = SIZE) -> list[np.ndarray]:
+def filmed(viewmats, seed=0, size=SIZE):
     """What a camera at each pose sees, with a sensor's noise, over grey."""
     rng = np.random.default_rng(seed)
     K = intrinsics(*size, FOCAL * size[0] / SIZE[0])
@@ -37,13 +36,13 @@ def filmed(viewmats: np.ndarray, seed: int = 0, size: tuple[int, int] = SIZE) ->
     return frames
 
 
-def shoot_sweep(folder: Path, size: tuple[int, int] = SIZE) -> None:
+def shoot_sweep(folder, size=SIZE):
     for i, viewmat in enumerate(CAMERAS):
         K = intrinsics(*size, FOCAL * max(size) / max(SIZE))
         save(folder / f"{i:03d}.png", picture(viewmat, K, size))
 
 
-def place_error(capture: Capture, rows: list[int], true: np.ndarray) -> float:
+def place_error(capture, rows, true):
     """The largest error of a camera's place after alignment; the true distance from the scene is 4."""
     ours, _ = optical_axes(capture.viewmats[rows])
     expected, _ = optical_axes(true)
@@ -51,13 +50,13 @@ def place_error(capture: Capture, rows: list[int], true: np.ndarray) -> float:
     return float(np.linalg.norm(scale * ours @ rotation.T + shift - expected, axis=1).max())
 
 
-def rows_of(capture: Capture, timestep: int) -> dict[str, int]:
+def rows_of(capture, timestep):
     """Row of each picture of a timestep by its stem."""
     return {capture.paths[i].stem: int(i) for i in np.flatnonzero(capture.timesteps == timestep)}
 
 
 @pytest.fixture(scope="module")
-def tripod(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tripod(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tripod")
     shoot_sweep(folder / "sweep")
     fixed = np.repeat(CAMERAS[5][None] + 1e-3, 9, axis=0)
@@ -66,13 +65,13 @@ def tripod(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tripod_dataset(tripod: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tripod_dataset(tripod, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "tripod"
     reconstruct(tripod, out, threads=1)
     return out
 
 
-def test_a_tripod_is_one_fixed_camera_and_pictures_at_rest(tripod_dataset: Path) -> None:
+def test_a_tripod_is_one_fixed_camera_and_pictures_at_rest(tripod_dataset):
     capture = load_capture(tripod_dataset)
     assert (capture.kind, capture.n_timesteps, capture.fps) == ("tripod", 9, float(NTSC))
     first = rows_of(capture, 0)
@@ -86,7 +85,7 @@ def test_a_tripod_is_one_fixed_camera_and_pictures_at_rest(tripod_dataset: Path)
     assert ["time" in frame for frame in frames] == [True] + [False] * 12
 
 
-def test_photographs_stored_sideways_are_set_upright(tmp_path: Path) -> None:
+def test_photographs_stored_sideways_are_set_upright(tmp_path):
     """As phones store them: the sensor's picture, and how to turn it in EXIF."""
     exif = Image.Exif()
     exif[0x0112] = 6
@@ -107,12 +106,12 @@ def test_photographs_stored_sideways_are_set_upright(tmp_path: Path) -> None:
     assert ups.min() > 0.5
 
 
-def filmed_over_grey(rgba: np.ndarray) -> np.ndarray:
+def filmed_over_grey(rgba):
     alpha = rgba[..., 3:] / 255
     return (rgba[..., :3] * alpha + 128 * (1 - alpha)).astype(np.uint8)
 
 
-def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path: Path) -> None:
+def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path):
     places = orbit(5, turn=0.7, low=0.6, high=0.7)
     for k, viewmat in enumerate(places[:4]):
         frames = filmed(np.repeat(viewmat[None], 8 + k, axis=0), seed=k)
@@ -131,7 +130,7 @@ def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path: Path) -> None:
     assert place_error(capture, list(rows.values()), places[:4]) < 0.06
 
 
-def test_cameras_of_two_frame_rates_are_refused(tmp_path: Path) -> None:
+def test_cameras_of_two_frame_rates_are_refused(tmp_path):
     for name, rate in (("a", 30), ("b", 60)):
         write_video(tmp_path / "in" / f"{name}.mp4", filmed(np.repeat(CAMERAS[:1], 8, axis=0)), rate)
     with pytest.raises(
@@ -141,7 +140,7 @@ def test_cameras_of_two_frame_rates_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def walk() -> np.ndarray:
+def walk():
     """[24, 4, 4] a camera carried past the scene, trembling."""
     viewmats = orbit(24, turn=1.4, low=0.6, high=0.6)
     tremor = np.random.default_rng(3).normal(0, 0.01, (24, 2))
@@ -149,7 +148,7 @@ def walk() -> np.ndarray:
     return viewmats
 
 
-def test_every_frame_of_a_handheld_camera_gets_its_own_pose(walk: np.ndarray, tmp_path: Path) -> None:
+def test_every_frame_of_a_handheld_camera_gets_its_own_pose(walk, tmp_path):
     path = write_video(tmp_path / "walk.mp4", filmed(walk), NTSC, crf=8)
     report = reconstruct(path, tmp_path / "out", SfmConfig(frames=10), threads=1)
     assert (report["kind"], report["pictures"], report["placed"]) == ("handheld", 24, 24)
@@ -163,9 +162,7 @@ def test_every_frame_of_a_handheld_camera_gets_its_own_pose(walk: np.ndarray, tm
 
 
 @pytest.mark.slow
-def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(
-    walk: np.ndarray, tmp_path: Path
-) -> None:
+def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(walk, tmp_path):
     frames = filmed(walk)
     rng = np.random.default_rng(0)
     for t in (7, 8):  # something else held before the lens
@@ -183,7 +180,7 @@ def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(
     assert place_error(capture, list(range(22)), walk[kept]) < 0.05
 
 
-def test_two_cameras_that_stay_put_are_named_as_such(tmp_path: Path) -> None:
+def test_two_cameras_that_stay_put_are_named_as_such(tmp_path):
     """Two views are no start for poses; said with what to add, and what works as it is."""
     for i in (0, 1):
         write_video(tmp_path / "two" / f"cam_{i:02d}.mp4", filmed(np.stack([CAMERAS[i]] * 8), seed=i))

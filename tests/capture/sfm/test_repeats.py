@@ -1,8 +1,6 @@
 """Pictures shown twice, mains flicker and vibrations that stand still at their turning points: told apart."""
 
-from collections.abc import Callable
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ SHARES = [Fraction(5, 6), Fraction(1, 6), Fraction(2, 5), Fraction(4, 5), Fracti
 GREY = texture((96, 64))[..., 1]
 
 
-def met(pictures: list[np.ndarray]) -> NoveltyMeter:
+def met(pictures):
     """A meter that has seen these pictures [h, w], as if each were coded by itself."""
     meter = NoveltyMeter()
     for picture in pictures:
@@ -24,9 +22,7 @@ def met(pictures: list[np.ndarray]) -> NoveltyMeter:
     return meter
 
 
-def noisy(
-    n: int, shown: Callable[[int], int], noise: float, level: Callable[[int], float]
-) -> list[np.ndarray]:
+def noisy(n, shown, noise, level):
     """GREY times level(k), as shown(i) says which picture k frame i is."""
     rng = np.random.default_rng(0)
     taken = [GREY * level(k) + rng.normal(0, noise, GREY.shape) for k in range(max(map(shown, range(n))) + 1)]
@@ -37,9 +33,7 @@ def noisy(
 @pytest.mark.parametrize("depth", [0.005, 0.03, 0.1])
 @pytest.mark.parametrize("mains", [50, 60])
 @pytest.mark.parametrize("fps", RATES)
-def test_flickering_light_is_neither_frozen_nor_repeated(
-    fps: float, mains: int, depth: float, noise: float
-) -> None:
+def test_flickering_light_is_neither_frozen_nor_repeated(fps, mains, depth, noise):
     pictures = noisy(120, int, noise, lambda k: 1 + depth * np.cos(4 * np.pi * mains * k / fps + 0.3))
     meter = met(pictures)
     assert meter.repeats is None
@@ -49,7 +43,7 @@ def test_flickering_light_is_neither_frozen_nor_repeated(
 
 @pytest.mark.parametrize("share", SHARES)
 @pytest.mark.parametrize("depth", [0, 0.03])
-def test_repeats_are_found_in_light_that_flickers_too(share: Fraction, depth: float) -> None:
+def test_repeats_are_found_in_light_that_flickers_too(share, depth):
     pictures = noisy(
         120, lambda i: int(i * share), 2.0, lambda k: 1 + depth * np.cos(4 * np.pi * 50 * k / (30 * share))
     )
@@ -60,7 +54,7 @@ def test_repeats_are_found_in_light_that_flickers_too(share: Fraction, depth: fl
     assert found.times(Fraction(30))[-1] == int(119 * share) / (30 * share)
 
 
-def test_a_vibration_of_whole_frames_is_no_repeat() -> None:
+def test_a_vibration_of_whole_frames_is_no_repeat():
     slope = np.gradient(GREY, axis=1)
     for period in (4, 6, 8):
         moved = [GREY + 2 * np.sin(2 * np.pi * (k + 0.5) / period) * slope for k in range(120)]
@@ -69,7 +63,7 @@ def test_a_vibration_of_whole_frames_is_no_repeat() -> None:
 
 
 @pytest.mark.parametrize("share", [Fraction(5, 6), Fraction(1, 6)])
-def test_a_video_keeps_new_pictures_and_their_times(tmp_path: Path, share: Fraction) -> None:
+def test_a_video_keeps_new_pictures_and_their_times(tmp_path, share):
     rng, base = np.random.default_rng(0), texture()
     slope = np.gradient(base, axis=1)
     taken = [
@@ -86,7 +80,7 @@ def test_a_video_keeps_new_pictures_and_their_times(tmp_path: Path, share: Fract
         warn_clocks([survey], None)
 
 
-def test_a_rate_that_jitters_is_kept(tmp_path: Path) -> None:
+def test_a_rate_that_jitters_is_kept(tmp_path):
     rng = np.random.default_rng(0)
     ticks = np.round(np.arange(100) * 3000 + rng.normal(0, 135, 100)).astype(int)  # 1.5 ms of 90 kHz
     ticks = np.delete(ticks - ticks[0], [20, 21, 60])  # and dropped frames

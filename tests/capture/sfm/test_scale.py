@@ -1,7 +1,6 @@
 """A known length on the thing itself gives metres: where its ends are, and how well that is known."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -13,7 +12,7 @@ from tests.capture.sfm.scenes import orbit
 from tg4mm.capture.sfm.config import SfmConfig, checked
 from tg4mm.capture.sfm.depth import CLICK_PX, triangulated
 from tg4mm.capture.sfm.points import Similarity
-from tg4mm.capture.sfm.scale import Length, MeasuredLength, measured_length, read_length
+from tg4mm.capture.sfm.scale import Length, measured_length, read_length
 from tg4mm.capture.sfm.staging import Shot
 from tg4mm.core.errors import Tg4mmError
 
@@ -28,7 +27,7 @@ HALF = 2.0  # units in metres of the world that the similarity leads to
 class Scene:
     """Cameras around the floor z = 0, with known points on it."""
 
-    def __init__(self, noise: float = 0.0, points: int = 600, spread: float = 1.0) -> None:
+    def __init__(self, noise=0.0, points=600, spread=1.0):
         rng = np.random.default_rng(0)
         self.model = pycolmap.Reconstruction()
         camera = pycolmap.Camera(
@@ -49,30 +48,30 @@ class Scene:
             self.placed[name] = self.model.images[i]
         self.taken.append(Shot("sweep/lost.jpg", Path("sweep/lost.jpg"), "shared", "sweep"))
 
-    def seen(self, viewmat: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, viewmat, xyz):
         cam = xyz @ viewmat[:3, :3].T + viewmat[:3, 3]
         pixels = np.asarray(self.model.cameras[1].img_from_cam(cam))
         inside = (pixels > 0).all(1) & (pixels < SIZE).all(1)
         return pixels, inside
 
-    def at(self, name: str, xyz: np.ndarray) -> tuple[str, float, float]:
+    def at(self, name, xyz):
         """The pixel of a point in a picture."""
         pose = np.eye(4)
         pose[:3] = self.placed[f"sweep/{name}.jpg"].cam_from_world().matrix()
         x, y = self.seen(pose, xyz[None])[0][0]
         return name, float(x), float(y)
 
-    def measure(self, *ends: tuple, metres: float = 0.6) -> MeasuredLength:
+    def measure(self, *ends, metres=0.6):
         world = Similarity(np.eye(3)[[1, 2, 0]], HALF, np.array([0.3, 0.2, 0.1]))
         return measured_length(Length(ends, metres), self.taken, self.placed, self.model, world)
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return Scene()
 
 
-def test_two_pictures_of_each_end_give_its_place(scene: Scene) -> None:
+def test_two_pictures_of_each_end_give_its_place(scene):
     found = scene.measure(*(tuple(scene.at(name, end) for name in ("001", "004", "006")) for end in ENDS))
     assert found.units == pytest.approx(1.2 * HALF, rel=1e-6)
     assert found.unit_scale_m == pytest.approx(0.6 / (1.2 * HALF), rel=1e-6)
@@ -80,7 +79,7 @@ def test_two_pictures_of_each_end_give_its_place(scene: Scene) -> None:
     np.testing.assert_allclose(found.points, expected, atol=1e-6)
 
 
-def test_a_point_behind_the_pictures_is_refused() -> None:
+def test_a_point_behind_the_pictures_is_refused():
     """Two clicks swapped between two pictures side by side meet behind them."""
     poses = [np.hstack([np.eye(3), [[-x], [0], [0]]]) for x in (-0.5, 0.5)]
     rays = [np.array([x, 0, 1.0]) for x in (-0.2, 0.2)]
@@ -95,17 +94,17 @@ def test_a_point_behind_the_pictures_is_refused() -> None:
     np.testing.assert_allclose(triangulated(sights).xyz, [0, 0, 2.5], atol=1e-9)
 
 
-def test_one_picture_takes_the_depth_from_the_points_around(scene: Scene) -> None:
+def test_one_picture_takes_the_depth_from_the_points_around(scene):
     found = scene.measure(*((scene.at("002", end),) for end in ENDS))
     assert found.units == pytest.approx(1.2 * HALF, rel=1e-3)
     assert found.uncertainty_percent < 2
 
 
-def test_the_uncertainty_is_that_of_clicks_a_pixel_off(scene: Scene) -> None:
+def test_the_uncertainty_is_that_of_clicks_a_pixel_off(scene):
     """The spread of many measurements with misplaced clicks is what a single one says of itself."""
     rng = np.random.default_rng(2)
 
-    def clicked() -> MeasuredLength:
+    def clicked():
         ends = []
         for end in ENDS:
             pixels = [scene.at(name, end) for name in ("001", "003", "005")]
@@ -121,14 +120,14 @@ def test_the_uncertainty_is_that_of_clicks_a_pixel_off(scene: Scene) -> None:
     assert 0.6 * spread < said < 1.8 * spread
 
 
-def test_places_are_those_of_the_picture_set_upright(scene: Scene) -> None:
+def test_places_are_those_of_the_picture_set_upright(scene):
     """A photograph that is stored sideways is looked at, and pointed into, upright."""
     import dataclasses
 
     sideways = Scene()
     sideways.taken = [dataclasses.replace(shot, turns=3) for shot in sideways.taken]
 
-    def upright(pixel: tuple[str, float, float]) -> tuple[str, float, float]:
+    def upright(pixel):
         name, x, y = pixel
         return name, SIZE[1] - y, x  # np.rot90(…, 3): clockwise
 
@@ -151,18 +150,18 @@ def test_places_are_those_of_the_picture_set_upright(scene: Scene) -> None:
         (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are one point"),
     ],
 )
-def test_ends_that_are_refused(scene: Scene, first: Callable[[Scene], tuple], match: str) -> None:
+def test_ends_that_are_refused(scene, first, match):
     with pytest.raises(Tg4mmError, match=match):
         scene.measure(first(scene), (scene.at("001", ENDS[1]), scene.at("004", ENDS[1])))
 
 
-def test_no_points_around() -> None:
+def test_no_points_around():
     few = Scene(points=3)
     with pytest.raises(Tg4mmError, match=r"points are known within 51 pixels of .* at least 6 are needed"):
         few.measure(*((few.at("002", end),) for end in ENDS))
 
 
-def test_a_length_of_nothing_and_two_lengths() -> None:
+def test_a_length_of_nothing_and_two_lengths():
     end = (("a", 1.0, 1.0),)
     with pytest.raises(Tg4mmError, match=r"--length is 0\.0 m, expected a length above 0 m"):
         checked(SfmConfig(length=Length((end, end), 0.0)))
@@ -181,7 +180,7 @@ class TestFile:
         ((("000.jpg", 210.0, 345.5), ("008.jpg", 180.0, 350.0)), (("000.jpg", 410.0, 350.0),)), 0.35
     )
 
-    def test_json_and_yaml(self, tmp_path: Path) -> None:
+    def test_json_and_yaml(self, tmp_path):
         (tmp_path / "a.json").write_text(json.dumps(self.values))
         assert read_length(tmp_path / "a.json") == self.expected
         (tmp_path / "a.yaml").write_text(

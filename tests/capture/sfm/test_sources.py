@@ -15,19 +15,19 @@ from tg4mm.core.errors import CaptureError
 PIXELS = np.full((6, 8, 4), 200, np.uint8)
 
 
-def fill(folder: Path, n: int, shape: tuple[int, int] = (6, 8)) -> None:
+def fill(folder, n, shape=(6, 8)):
     for i in range(n):
         save(folder / f"f_{i}.png", np.full((*shape, 4), 100 + i, np.uint8))
 
 
-def videos(folder: Path, *names: str) -> None:
+def videos(folder, *names):
     """Files that are videos by name; what lies on disk is told without opening them."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         (folder / name).write_bytes(b"")
 
 
-def test_photographs(tmp_path: Path) -> None:
+def test_photographs(tmp_path):
     fill(tmp_path, 12)
     (tmp_path / "notes.txt").write_text("x")
     (tmp_path / ".hidden.png").write_text("x")
@@ -48,14 +48,14 @@ def test_photographs(tmp_path: Path) -> None:
         (["a.mp4", "b.mp4", "sweep.mp4"], ("rig", "clips")),
     ],
 )
-def test_what_recordings_can_be(tmp_path: Path, names: list[str], kinds: tuple[str, ...]) -> None:
+def test_what_recordings_can_be(tmp_path, names, kinds):
     videos(tmp_path / "in", *names)
     sources = find_sources(tmp_path / "in")
     assert possible_kinds(sources) == kinds
     assert [clip.name for clip in sources.clips] == [Path(n).stem for n in names if "sweep" not in n]
 
 
-def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
+def test_folders_of_frames_are_recordings_too(tmp_path):
     for name, n in (("cam_0", 3), ("cam_1", 2), ("sweep", 5)):
         fill(tmp_path / name, n)
     (tmp_path / "empty").mkdir()
@@ -65,14 +65,14 @@ def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
     assert len(sources.sweep.pictures) == 5
 
 
-def test_pictures_with_a_rate_are_a_recording(tmp_path: Path) -> None:
+def test_pictures_with_a_rate_are_a_recording(tmp_path):
     fill(tmp_path / "cam", 4)
     sources = find_sources(tmp_path / "cam", timed=True)
     assert sources.photographs is None
     assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam", 4)]
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_what_is_refused(tmp_path):
     with pytest.raises(CaptureError, match="nowhere: does not exist"):
         find_sources(tmp_path / "nowhere")
     (tmp_path / "a.txt").write_text("x")
@@ -114,7 +114,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         "sparse/0/images.bin",
     ],
 )
-def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str) -> None:
+def test_a_dataset_is_said_to_be_one(tmp_path, capsys, file):
     path = tmp_path / "in it" / file
     path.parent.mkdir(parents=True)
     path.write_text("{}")
@@ -125,9 +125,7 @@ def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
 
 
-def test_training_on_them_says_the_command_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_on_them_says_the_command_in_one_line(tmp_path, capsys):
     videos(tmp_path / "my films", "cam.mp4")
     fill(tmp_path / "photos", 4)
     for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
@@ -138,7 +136,7 @@ def test_training_on_them_says_the_command_in_one_line(
         assert not (tmp_path / "run").exists()
 
 
-def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
+def test_sizes_may_differ_only_where_intrinsics_do(tmp_path):
     fill(tmp_path, 2)
     fill(tmp_path / "other", 1, (8, 6))
     (tmp_path / "other" / "f_0.png").rename(tmp_path / "g.png")
@@ -148,7 +146,7 @@ def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
         check_sizes(photograph_shots(photographs, each=False))
 
 
-def find_sources_of(folder: Path):
+def find_sources_of(folder):
     """The photographs of a folder, whatever folders lie beside them."""
     for path in folder.iterdir():
         if path.is_dir():
@@ -158,7 +156,7 @@ def find_sources_of(folder: Path):
     return photographs
 
 
-def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) -> None:
+def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path):
     from PIL import Image
 
     half = PIXELS.copy()

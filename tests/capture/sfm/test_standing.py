@@ -1,7 +1,5 @@
 """A video that walks and stands is told from one that does either."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,17 +7,17 @@ from tests.capture.sfm.videos import SIZE, looked, texture, write_video
 from tg4mm.capture.sfm.clip import Clip
 from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig
 from tg4mm.capture.sfm.sources import SWEEP, Sources
-from tg4mm.capture.sfm.standing import Divided, divided
+from tg4mm.capture.sfm.standing import divided
 
 WALK, STAND = 60, 75  # frames at 30 Hz
 HAND = 3.0  # pixels
 
 
-def walked(n: int, at: int = 0) -> list[int]:
+def walked(n, at=0):
     return [at + 4 * k for k in range(n)]
 
 
-def video(path: Path, starts: list[int], jitter: float = 0.0) -> Path:
+def video(path, starts, jitter=0.0):
     """Cuts of one wide texture: frame i begins `starts[i]` pixels to the right, and a hand moves it by `jitter`."""
     rng, wide = np.random.default_rng(2), texture((SIZE[0] + 400, SIZE[1] + 40))
     frames = []
@@ -30,7 +28,7 @@ def video(path: Path, starts: list[int], jitter: float = 0.0) -> Path:
     return write_video(path, frames)
 
 
-def found(path: Path, config: SfmConfig = DEFAULTS) -> Divided | None:
+def found(path, config=DEFAULTS):
     clip = Clip("cam", path, repeats=frozenset({1}))
     return divided(Sources(path, clips=(clip,)), [looked(path)], config)
 
@@ -42,9 +40,7 @@ def found(path: Path, config: SfmConfig = DEFAULTS) -> Divided | None:
         (STAND * [0] + walked(WALK), (0.0, 2.5), (2.5, 4.5)),
     ],
 )
-def test_both_parts_are_found_in_either_order(
-    tmp_path: Path, starts: list[int], stands: tuple[float, float], walks: tuple[float, float]
-) -> None:
+def test_both_parts_are_found_in_either_order(tmp_path, starts, stands, walks):
     both = found(video(tmp_path / "one.mp4", starts))
     assert both is not None
     window = both.config.window
@@ -68,14 +64,14 @@ def test_both_parts_are_found_in_either_order(
         (walked(8) + STAND * [32], 0.0),  # is put down, no walk
     ],
 )
-def test_one_without_the_other_is_left_as_it_is(tmp_path: Path, starts: list[int], jitter: float) -> None:
+def test_one_without_the_other_is_left_as_it_is(tmp_path, starts, jitter):
     assert found(video(tmp_path / "one.mp4", starts, jitter)) is None
 
 
 @pytest.mark.parametrize(
     "own", [SfmConfig(kind="handheld"), SfmConfig(start_s=0.5), SfmConfig(stop_s=3.0)], ids=str
 )
-def test_what_the_user_says_overrules(tmp_path: Path, own: SfmConfig) -> None:
+def test_what_the_user_says_overrules(tmp_path, own):
     path = video(tmp_path / "one.mp4", walked(WALK) + STAND * [4 * WALK])
     assert found(path) is not None
     assert found(path, own) is None

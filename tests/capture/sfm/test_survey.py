@@ -1,7 +1,5 @@
 """One look through a recording: what its camera does, and what is wrong with it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -18,7 +16,7 @@ from tg4mm.core.errors import CaptureError
 
 class TestShift:
     @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.2), (5.4, 3.0), (-17.0, 8.5)])
-    def test_a_shifted_picture_is_found_to_a_tenth_of_a_pixel(self, shift: tuple[float, float]) -> None:
+    def test_a_shifted_picture_is_found_to_a_tenth_of_a_pixel(self, shift):
         from scipy.ndimage import shift as moved
 
         picture = texture((256, 192))[..., 1].astype(np.float32)
@@ -26,11 +24,11 @@ class TestShift:
         found = ShiftMeter(picture).shift(other)
         np.testing.assert_allclose(found, shift, atol=0.1)
 
-    def test_a_change_of_exposure_is_no_shift(self) -> None:
+    def test_a_change_of_exposure_is_no_shift(self):
         picture = texture((256, 192))[..., 1].astype(np.float32)
         np.testing.assert_allclose(ShiftMeter(picture).shift(1.2 * picture + 10), (0, 0), atol=0.01)
 
-    def test_a_thing_that_moves_before_the_camera_is_no_shift_of_it(self) -> None:
+    def test_a_thing_that_moves_before_the_camera_is_no_shift_of_it(self):
         picture = texture((256, 192))[..., 1].astype(np.float32)
         other = picture.copy()
         other[40:120, 60:140] = picture[40:120, 57:137]
@@ -38,7 +36,7 @@ class TestShift:
 
 
 class TestFaults:
-    def test_a_camera_that_moves_is_not_fixed(self, tmp_path: Path) -> None:
+    def test_a_camera_that_moves_is_not_fixed(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))
         with pytest.raises(
             CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by (1|2)\d pixels"
@@ -47,14 +45,14 @@ class TestFaults:
 
 
 class TestSurvey:
-    def test_the_mean_is_that_of_all_frames(self, tmp_path: Path) -> None:
+    def test_the_mean_is_that_of_all_frames(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(30, noise=12), crf=5))
         mean = np.asarray(Image.open(survey.mean)).astype(float)
         true = np.mean(still(1, noise=0), axis=0)
         single = np.abs(still(1, noise=12)[0] - true).mean()
         assert np.abs(mean - true).mean() < 0.6 * single
 
-    def test_transparent_frames_have_a_transparent_mean_of_their_own_colour(self, tmp_path: Path) -> None:
+    def test_transparent_frames_have_a_transparent_mean_of_their_own_colour(self, tmp_path):
         for i in range(3):
             pixels = np.full((40, 60, 4), (200, 100 + 10 * i, 50, 255), np.uint8)
             pixels[:, :30] = (0, 0, 0, 0)
@@ -65,7 +63,7 @@ class TestSurvey:
         assert (mean[:, 30:, 3] == 255).all()
         np.testing.assert_allclose(mean[1, 45], (200, 110, 50, 255), atol=1)
 
-    def test_frames_of_two_sizes_are_refused(self, tmp_path: Path) -> None:
+    def test_frames_of_two_sizes_are_refused(self, tmp_path):
         for i, shape in enumerate([(40, 60), (40, 60), (30, 60)]):
             save(tmp_path / "cam" / f"{i}.png", np.full((*shape, 4), 90 + i, np.uint8))
         with pytest.raises(CaptureError, match=r"2\.png: frame 2 is 60×30 pixels, the first is 60×40"):
@@ -73,7 +71,7 @@ class TestSurvey:
 
 
 class TestKind:
-    def kind(self, tmp_path: Path, sweep: bool, **videos: dict) -> tuple[str, str]:
+    def kind(self, tmp_path, sweep, **videos):
         clips, surveys = [], []
         for name, options in videos.items():
             path = write_video(tmp_path / f"{name}.mp4", **options)
@@ -83,19 +81,19 @@ class TestKind:
         assert kind_of(sources, surveys, "clips")[0] == "clips"
         return kind_of(sources, surveys, None)
 
-    def test_one_recording_is_told_by_how_its_camera_moves(self, tmp_path: Path) -> None:
+    def test_one_recording_is_told_by_how_its_camera_moves(self, tmp_path):
         put = {"frames": still(20)}
         walked = {"frames": still(40, shifts=list(range(40)))}
         assert self.kind(tmp_path, False, a=put) == ("flat", "holds one recording; the camera stays put")
         assert self.kind(tmp_path, True, b=put)[0] == "tripod"
         assert self.kind(tmp_path, False, c=walked) == ("handheld", "holds one recording; the camera moves")
 
-    def test_several_are_a_rig_and_clips_are_named(self, tmp_path: Path) -> None:
+    def test_several_are_a_rig_and_clips_are_named(self, tmp_path):
         put = {"frames": still(20)}
         name, reason = self.kind(tmp_path, False, a=put, b=put)
         assert (name, "--kind clips" in reason) == ("rig", True)
 
-    def test_recordings_begun_after_each_others_end_are_clips(self, tmp_path: Path) -> None:
+    def test_recordings_begun_after_each_others_end_are_clips(self, tmp_path):
         a = {"frames": still(20), "created": "2026-05-01T10:00:00Z"}
         b = {"frames": still(20), "created": "2026-05-01T10:00:40Z"}
         name, reason = self.kind(tmp_path, False, a=a, b=b)
@@ -104,7 +102,7 @@ class TestKind:
 
 
 @pytest.mark.parametrize(("between", "period"), [(3, 4), (1, 2), (0, None)])
-def test_the_period_of_the_compression_is_known(tmp_path: Path, between: int, period: int | None) -> None:
+def test_the_period_of_the_compression_is_known(tmp_path, between, period):
     path = write_video(tmp_path / "cam.mp4", still(25), between=between)
     assert looked(path).codec_period == period
     assert looked(path).codec_period == period  # as it was kept

@@ -5,9 +5,9 @@ import pytest
 
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, surface_distance
 from tests.fit.space.scenes import views_of
-from tg4mm.capture.sfm import SfmPoints, triangulate_views
+from tg4mm.capture.sfm import triangulate_views
 from tg4mm.capture.sfm.points import outside_masks
-from tg4mm.fit.space import RestViews, initial
+from tg4mm.fit.space import initial
 from tg4mm.fit.space.initial import initial_points
 
 SIZE = (180, 180)
@@ -15,7 +15,7 @@ K = intrinsics(*SIZE, 200.0)
 PIXEL = 4 / 200.0  # scene units at the object
 
 
-def views(n: int = 12, plain: bool = False, floor: bool = True) -> RestViews:
+def views(n=12, plain=False, floor=True):
     viewmats = orbit(n, turn=np.pi)
     pixels = np.stack([picture(v, K, SIZE, plain=plain, floor=floor) for v in viewmats]) / 255
     alpha = pixels[..., 3]
@@ -23,18 +23,18 @@ def views(n: int = 12, plain: bool = False, floor: bool = True) -> RestViews:
 
 
 @pytest.fixture(scope="module")
-def box() -> RestViews:
+def box():
     """The box without its floor, transparent around."""
     return views(floor=False)
 
 
 @pytest.fixture(scope="module")
-def found(box: RestViews) -> SfmPoints:
+def found(box):
     pytest.importorskip("pycolmap")
     return triangulate_views(box)
 
 
-def test_points_lie_on_the_surface(found: SfmPoints) -> None:
+def test_points_lie_on_the_surface(found):
     distance = surface_distance(found.xyz)
     assert len(found) > 150
     assert np.median(distance) < 0.5 * PIXEL
@@ -43,13 +43,13 @@ def test_points_lie_on_the_surface(found: SfmPoints) -> None:
     assert np.median(surface_distance(found.xyz + [0.05, 0.05, 0.05])) > PIXEL
 
 
-def test_no_point_is_where_a_picture_shows_background(box: RestViews, found: SfmPoints) -> None:
+def test_no_point_is_where_a_picture_shows_background(box, found):
     masks = box.alpha > 0.5
     assert not outside_masks(found.xyz, box.viewmats, box.Ks, masks).any()
     assert outside_masks(found.xyz + [0, 0, 3], box.viewmats, box.Ks, masks).all()
 
 
-def test_a_second_run_finds_the_same_points(box: RestViews, found: SfmPoints) -> None:
+def test_a_second_run_finds_the_same_points(box, found):
     again = triangulate_views(box)
     for name in ("xyz", "rgb", "errors_px", "n_views"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
@@ -58,7 +58,7 @@ def test_a_second_run_finds_the_same_points(box: RestViews, found: SfmPoints) ->
 class TestStart:
     """space.init=sfm."""
 
-    def test_the_space_stage_starts_from_the_points(self, box: RestViews) -> None:
+    def test_the_space_stage_starts_from_the_points(self, box):
         pytest.importorskip("pycolmap")
         first = initial_points(box, None, "sfm", 10_000, np.random.default_rng(0))
         assert first.source == f"sfm ({len(first.xyz)} points)"
@@ -66,7 +66,7 @@ class TestStart:
         few = initial_points(box, None, "sfm", 60, np.random.default_rng(0))
         assert len(few.xyz) == 60
 
-    def test_without_texture_the_hull_takes_over_with_a_warning(self) -> None:
+    def test_without_texture_the_hull_takes_over_with_a_warning(self):
         pytest.importorskip("pycolmap")
         plain = views(5, plain=True, floor=False)
         with pytest.warns(

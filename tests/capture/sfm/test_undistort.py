@@ -11,7 +11,7 @@ SIZE = (160, 120)
 FOCAL = 170.0
 
 
-def camera(k1: float = 0.12, size: tuple[int, int] = SIZE, model: str = "SIMPLE_RADIAL"):
+def camera(k1=0.12, size=SIZE, model="SIMPLE_RADIAL"):
     width, height = size
     params = {
         "SIMPLE_RADIAL": [FOCAL, width / 2, height / 2, k1],
@@ -20,16 +20,16 @@ def camera(k1: float = 0.12, size: tuple[int, int] = SIZE, model: str = "SIMPLE_
     return pycolmap.Camera(model=model, width=width, height=height, params=params, camera_id=1)
 
 
-def lens_of(camera, turns: int = 0) -> Lens:
+def lens_of(camera, turns=0):
     return lenses({(1, turns): camera})[1, turns]
 
 
 @pytest.fixture(scope="module")
-def bent() -> np.ndarray:
+def bent():
     return picture(orbit(8)[1], intrinsics(*SIZE, FOCAL), SIZE, k1=0.12)
 
 
-def test_the_same_as_colmaps_own_pictures(bent: np.ndarray) -> None:
+def test_the_same_as_colmaps_own_pictures(bent):
     bent = bent.copy()
     bent[..., 3] = 255
     lens = lens_of(camera())
@@ -41,7 +41,7 @@ def test_the_same_as_colmaps_own_pictures(bent: np.ndarray) -> None:
     assert np.quantile(difference, 0.99) <= 2
 
 
-def test_colour_does_not_bleed_in_from_the_transparent() -> None:
+def test_colour_does_not_bleed_in_from_the_transparent():
     """Red on fully transparent green: half-covered pixels stay red."""
     image = np.zeros((120, 160, 4), np.uint8)
     image[..., 1] = 255
@@ -53,7 +53,7 @@ def test_colour_does_not_bleed_in_from_the_transparent() -> None:
     assert out[edge][:, 1].max() < 15
 
 
-def test_cameras_get_one_size_and_their_principal_points_move_along() -> None:
+def test_cameras_get_one_size_and_their_principal_points_move_along():
     one, two = (1, 0), (2, 0)
     both: dict[Key, Lens] = lenses({one: camera(), two: camera(model="PINHOLE")})
     assert both[one].size == both[two].size
@@ -66,7 +66,7 @@ def test_cameras_get_one_size_and_their_principal_points_move_along() -> None:
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "PINHOLE"])
-def test_a_turned_picture_is_what_a_turned_pinhole_sees(turns: int, model: str) -> None:
+def test_a_turned_picture_is_what_a_turned_pinhole_sees(turns, model):
     viewmat = orbit(8)[1]
     shown = picture(viewmat, intrinsics(*SIZE, FOCAL), SIZE, k1=0.12 if model == "SIMPLE_RADIAL" else 0.0)
     lens = lens_of(camera(model=model), turns)
@@ -80,9 +80,7 @@ def test_a_turned_picture_is_what_a_turned_pinhole_sees(turns: int, model: str) 
 
 
 @pytest.mark.parametrize(("size", "block"), [((400, 300), 2), ((170, 100), 1), ((90, 300), 1)])
-def test_other_pictures_are_scaled_and_cut_to_the_size_of_the_main_ones(
-    size: tuple[int, int], block: int
-) -> None:
+def test_other_pictures_are_scaled_and_cut_to_the_size_of_the_main_ones(size, block):
     width, height = size
     params = [1.1 * max(size), width / 2, height / 2, 0.1]
     other = pycolmap.Camera(model="SIMPLE_RADIAL", width=width, height=height, params=params, camera_id=2)

@@ -1,7 +1,5 @@
 """A tone in a band that is given: right on average, and off by what its ± says, over random records of few periods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,9 +7,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.lines.band import tone_in
 
 
-def record(
-    rng: np.random.Generator, n: int, fps: float, band: tuple[float, float], drift: float, noise: float
-):
+def record(rng, n, fps, band, drift, noise):
     """A tone of amplitude 1 anywhere in the band, a slower one of rms `drift` at random, white noise."""
     t, hz, slow = np.arange(n) / fps, rng.uniform(*band), rng.uniform(0, band[0])
     phase, other = rng.uniform(0, 2 * np.pi, 2)
@@ -24,7 +20,7 @@ def record(
     [(30, 30, (0.8, 1.2)), (15, 15, (0.5, 1.5)), (60, 30, (0.1, 1.1)), (90, 30, (3.0, 4.0))],
 )
 @pytest.mark.parametrize(("drift", "noise"), [(0.0, 0.02), (0.3, 0.3), (1.0, 0.1)])
-def test_amplitudes_and_frequencies_are_off_by_what_is_said(n, fps, band, drift, noise) -> None:
+def test_amplitudes_and_frequencies_are_off_by_what_is_said(n, fps, band, drift, noise):
     rng = np.random.default_rng(0)
     off, hz_off, found, beside = [], [], [], []
     for _ in range(60):
@@ -42,7 +38,7 @@ def test_amplitudes_and_frequencies_are_off_by_what_is_said(n, fps, band, drift,
     assert np.median(np.abs(beside)) < 0.3
 
 
-def test_one_period_is_told_less_than_many() -> None:
+def test_one_period_is_told_less_than_many():
     rng = np.random.default_rng(1)
     sure = []
     for n in (30, 90, 300):
@@ -52,7 +48,7 @@ def test_one_period_is_told_less_than_many() -> None:
     assert sure[0] > sure[1] > sure[2]
 
 
-def test_components_share_a_frequency_and_a_still_one_is_zero() -> None:
+def test_components_share_a_frequency_and_a_still_one_is_zero():
     t = np.arange(40) / 20
     y = np.stack([np.cos(2 * np.pi * t), 2 * np.sin(2 * np.pi * t), np.zeros(40)], 1)
     tone = tone_in(y, t, (0.7, 1.3))
@@ -60,14 +56,14 @@ def test_components_share_a_frequency_and_a_still_one_is_zero() -> None:
     assert tone.hz == pytest.approx(1, abs=0.05)
 
 
-def test_records_that_tell_nothing_are_refused() -> None:
+def test_records_that_tell_nothing_are_refused():
     with pytest.raises(Tg4mmError, match="5 samples are too few to tell anything at 1 to 2 Hz"):
         tone_in(np.zeros(5), np.arange(5) / 10, (1, 2))
     with pytest.raises(Tg4mmError, match="9 Hz is not below half the rate of 10 Hz"):
         tone_in(np.zeros(20), np.arange(20) / 10, (1, 9))
 
 
-def test_a_long_record_is_averaged_where_the_band_allows_it() -> None:
+def test_a_long_record_is_averaged_where_the_band_allows_it():
     t = np.arange(9000) / 300
     tone = tone_in(np.cos(2 * np.pi * 0.03 * t), t, (0.02, 0.05), 1e-3)
     assert abs(tone.phasor[0]) == pytest.approx(1, abs=4 * tone.amplitude_deviation[0])

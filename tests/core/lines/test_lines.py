@@ -4,31 +4,31 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tg4mm.core.lines import Line, find_lines, fit_lines
+from tg4mm.core.lines import find_lines, fit_lines
 
 FPS = 30.0
 
 
-def ring(t: np.ndarray, hz: float, ratio: float, begin: float = 0.0) -> np.ndarray:
+def ring(t, hz, ratio, begin=0.0):
     """Free decay of unit size that begins at `begin`; hz: of the oscillation, damped."""
     decay = 2 * np.pi * hz * ratio / np.sqrt(1 - ratio**2)
     own = np.exp(-decay * (t - begin)) * np.sin(2 * np.pi * hz * (t - begin))
     return np.where(t >= begin, own, 0.0)
 
 
-def noise(rng: np.random.Generator, n: int, width: int, colour: str) -> np.ndarray:
+def noise(rng, n, width, colour):
     """[n, width] of unit rms: white; red, by an autoregression of .8."""
     white = rng.normal(size=(n + 200, width))
     own = white if colour == "white" else lfilter([1], [1, -0.8], white, axis=0)
     return own[200:] / (1 if colour == "white" else 1 / 0.6)
 
 
-def one(values: np.ndarray, t: np.ndarray) -> Line:
+def one(values, t):
     (line,) = find_lines(values, t).lines
     return line
 
 
-def test_a_tone_half_way_between_bins_has_its_frequency_amplitude_and_phase() -> None:
+def test_a_tone_half_way_between_bins_has_its_frequency_amplitude_and_phase():
     t = np.arange(254) / 60
     rng = np.random.default_rng(1)
     line = one(0.6 * np.cos(2 * np.pi * 28.004 * t + 0.4) + 0.05 * rng.normal(size=254), t)
@@ -40,7 +40,7 @@ def test_a_tone_half_way_between_bins_has_its_frequency_amplitude_and_phase() ->
     assert line.damping is None
 
 
-def test_what_rings_down_is_one_line() -> None:
+def test_what_rings_down_is_one_line():
     t = np.arange(300) / 60
     values = 0.22 * ring(t, 9.1, 0.02) + 0.004 * np.random.default_rng(0).normal(size=300)
     line = one(values, t)
@@ -52,7 +52,7 @@ def test_what_rings_down_is_one_line() -> None:
     assert np.abs(line.at(t)[:, 0] - 0.22 * ring(t, 9.1, 0.02)).max() < 0.004
 
 
-def test_three_modes_of_a_blow_in_the_record_begin_with_it() -> None:
+def test_three_modes_of_a_blow_in_the_record_begin_with_it():
     t = np.arange(480) / 120
     modes = ((7.9, 0.012, 0.4), (27.0, 0.009, 0.18), (53.0, 0.007, 0.06))
     clean = sum(a * ring(t, f, z, 0.4) for f, z, a in modes)
@@ -67,9 +67,7 @@ def test_three_modes_of_a_blow_in_the_record_begin_with_it() -> None:
         assert line.start_s == pytest.approx(0.4, abs=0.02)
 
 
-def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_not_called_so_unless_told() -> (
-    None
-):
+def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_not_called_so_unless_told():
     rng, t = np.random.default_rng(0), np.arange(360) / FPS
     first = 0.1 * np.cos(2 * np.pi * 8.4 * t + 0.2)
     values = first + 0.01 * np.cos(2 * np.pi * 8.62 * t + 1.2) + 0.004 * rng.normal(size=360)
@@ -78,7 +76,7 @@ def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_no
     assert len(find_lines(near, t).lines) == 1
 
 
-def test_a_strength_that_changes_is_no_second_line() -> None:
+def test_a_strength_that_changes_is_no_second_line():
     """A slow modulation of the amplitude has sidebands on both sides."""
     rng, t = np.random.default_rng(2), np.arange(360) / FPS
     slow = 1 + 0.1 * np.cos(2 * np.pi * 0.15 * t + 1) + 0.05 * np.cos(2 * np.pi * 0.27 * t + 2)
@@ -89,7 +87,7 @@ def test_a_strength_that_changes_is_no_second_line() -> None:
 
 
 @pytest.mark.parametrize("decay", [0.0, -1.0])
-def test_what_stays_or_grows_has_no_damping_and_says_which(decay: float) -> None:
+def test_what_stays_or_grows_has_no_damping_and_says_which(decay):
     t = np.arange(120) / FPS
     values = np.exp(-decay * t) * np.cos(2 * np.pi * 5.2 * t) + 0.02 * np.random.default_rng(3).normal(
         size=120
@@ -99,13 +97,13 @@ def test_what_stays_or_grows_has_no_damping_and_says_which(decay: float) -> None
     assert line.change == ("steady" if decay == 0 else "grows")
 
 
-def test_a_faint_tone_is_not_called_steady() -> None:
+def test_a_faint_tone_is_not_called_steady():
     t = np.arange(240) / FPS
     rng = np.random.default_rng(5)
     assert one(0.7 * np.cos(2 * np.pi * 5.2 * t) + rng.normal(size=240), t).change == "untold"
 
 
-def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated_noise() -> None:
+def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated_noise():
     rng, t = np.random.default_rng(4), np.arange(300) / FPS
     phasors = np.array([1.0, 0.5j, 0.02])
     own = rng.normal(size=(300, 3)) @ np.array([[0.3, 0.25, 0], [0, 0.1, 0], [0, 0, 3.0]])
@@ -115,7 +113,7 @@ def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated
     assert line.amplitude_deviation[2] > 5 * line.amplitude_deviation[1]
 
 
-def test_pictures_that_lose_small_motion_do_not_count() -> None:
+def test_pictures_that_lose_small_motion_do_not_count():
     """Three of four keep a share of a ring-down that falls with its size: a false decay and a line at rate/2 − f."""
     t, rng = np.arange(300) / 60, np.random.default_rng(8)
     between = np.arange(300) % 4 != 0
@@ -133,7 +131,7 @@ def test_pictures_that_lose_small_motion_do_not_count() -> None:
     assert abs(line.hz - 9.1) < 3 * line.hz_deviation
 
 
-def test_a_loss_too_small_to_be_seen_makes_no_amplitude_wrong() -> None:
+def test_a_loss_too_small_to_be_seen_makes_no_amplitude_wrong():
     """Three of four pictures keep 0.9 to 1 of a tone: by all, one amplitude in twenty lies within 2 deviations."""
     t, rng = np.arange(200) / 30, np.random.default_rng(9)
     between, errors = np.arange(200) % 4 != 0, []
@@ -146,7 +144,7 @@ def test_a_loss_too_small_to_be_seen_makes_no_amplitude_wrong() -> None:
     assert 0.5 < np.mean(np.abs(errors) < 1) < 0.85
 
 
-def test_a_tone_that_the_other_pictures_cannot_tell_from_its_mirror_image_is_that_of_all() -> None:
+def test_a_tone_that_the_other_pictures_cannot_tell_from_its_mirror_image_is_that_of_all():
     t, rng = np.arange(200) / 30, np.random.default_rng(9)
     values = np.cos(2 * np.pi * 3.72 * t) + 0.1 * rng.normal(
         size=200
@@ -154,7 +152,7 @@ def test_a_tone_that_the_other_pictures_cannot_tell_from_its_mirror_image_is_tha
     assert find_lines(values, t, between=np.arange(200) % 4 != 0).lines[0].hz == one(values, t).hz
 
 
-def test_frequencies_lie_between_the_ends_and_known_ones_are_refined() -> None:
+def test_frequencies_lie_between_the_ends_and_known_ones_are_refined():
     t = np.arange(200) / FPS
     rng = np.random.default_rng(6)
     values = np.cos(2 * np.pi * 14.98 * t) + np.cos(2 * np.pi * 6.1 * t) + 0.1 * rng.normal(size=200)
@@ -166,7 +164,7 @@ def test_frequencies_lie_between_the_ends_and_known_ones_are_refined() -> None:
         fit_lines(values[:8], t[:8], [6.0])
 
 
-def test_missing_and_jittered_frames_do_no_harm() -> None:
+def test_missing_and_jittered_frames_do_no_harm():
     rng = np.random.default_rng(7)
     t = np.delete(np.arange(300) / FPS + rng.normal(0, 0.0015, 300), rng.permutation(290)[:20])
     line = one(np.cos(2 * np.pi * 11.3 * t) + 0.1 * rng.normal(size=len(t)), t)
@@ -175,7 +173,7 @@ def test_missing_and_jittered_frames_do_no_harm() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", ["white", "red"])
-def test_deviations_hold_what_they_say(colour: str) -> None:
+def test_deviations_hold_what_they_say(colour):
     """Monte Carlo over random tones, half of them decaying: 1 and 2 deviations hold what they should."""
     rng = np.random.default_rng(11)
     off: dict[str, list[float]] = {"hz": [], "amplitude": [], "decay": []}
@@ -205,7 +203,7 @@ def test_deviations_hold_what_they_say(colour: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", ["white", "red"])
-def test_noise_alone_makes_a_line_in_few_records(colour: str) -> None:
+def test_noise_alone_makes_a_line_in_few_records(colour):
     rng = np.random.default_rng(12)
     found = sum(bool(find_lines(noise(rng, 240, 2, colour), np.arange(240) / FPS).lines) for _ in range(150))
     assert found <= 7  # 1 % of 150, and chance

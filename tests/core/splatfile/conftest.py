@@ -7,9 +7,7 @@ import numpy as np
 from tg4mm.core.splatfile import SplatFile
 
 
-def random_splat(
-    seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5, deviation=False
-) -> SplatFile:
+def random_splat(seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5, deviation=False):
     """A moving scene of N Gaussians and M modes."""
     rng = np.random.default_rng(seed)
 
@@ -36,7 +34,7 @@ def random_splat(
     )
 
 
-def assert_same(a: SplatFile, b: SplatFile) -> None:
+def assert_same(a, b):
     """Every field equal: to the bit, but scales to 1e-5 of their size and opacities to 1e-7."""
     for name in (field.name for field in fields(SplatFile)):
         one, other = getattr(a, name), getattr(b, name)
@@ -55,9 +53,7 @@ NAMES = [*"xyz", *(f"f_dc_{i}" for i in range(3)), "opacity"]
 NAMES += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 
-def plain_ply(
-    properties=None, count=2, data=None, before=(), after=(), head="binary_little_endian 1.0"
-) -> bytes:
+def plain_ply(properties=None, count=2, data=None, before=(), after=(), head="binary_little_endian 1.0"):
     """A PLY by hand: vertex properties {name: (type, numpy type)}, header lines `before` and `after` them."""
     if properties is None:
         properties = dict.fromkeys(NAMES, ("float", "<f4"))

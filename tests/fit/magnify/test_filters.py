@@ -11,7 +11,7 @@ FPS = 30.0
 BANDS = {3.0: (1.5, 4.5), 5.0: (3.5, 6.5)}
 
 
-def filtered(kind: str, frequency: float, n: int = 30, taps: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def filtered(kind, frequency, n=30, taps=0):
     """(a cosine of unit amplitude, what the filter makes of it) over n timesteps."""
     x = np.cos(2 * np.pi * frequency * np.arange(n) / FPS)
     response = TemporalFilter(kind, taps).response(BANDS[frequency], bins(n, FPS), FPS)

@@ -13,7 +13,7 @@ FPS = 30.0
 IDEAL = TemporalFilter("ideal")
 
 
-def motion(freqs: list[float], n_timesteps: int, seed: int = 0) -> ModalMotion:
+def motion(freqs, n_timesteps, seed=0):
     rng = np.random.default_rng(seed)
     shape = (2, len(freqs), 7, 3)
     phasors = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)

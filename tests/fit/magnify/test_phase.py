@@ -16,16 +16,16 @@ WAVELENGTH = 16.0  # cells
 SMOOTH = PyramidConfig(twidth=1.0)
 
 
-def response(alpha: float, kind: str = "ideal", n: int = T) -> np.ndarray:
+def response(alpha, kind="ideal", n=T):
     return alpha * TemporalFilter(kind).response(BAND, bins(n, FPS), FPS)
 
 
-def shift(amplitude: float, frequency: float = 5.0, n: int = T) -> np.ndarray:
+def shift(amplitude, frequency=5.0, n=T):
     """[T] cells, zero at timestep 0."""
     return amplitude * np.sin(2 * np.pi * frequency * np.arange(n) / FPS)
 
 
-def pattern(dx: np.ndarray, oblique: bool = False) -> np.ndarray:
+def pattern(dx, oblique=False):
     """[T, SIZE, SIZE] float32: a grating within a Gaussian window, moved along x by dx [T] cells."""
     y, x = np.mgrid[:SIZE, :SIZE] - SIZE / 2
     moved = x[None] - dx[:, None, None]
@@ -33,11 +33,11 @@ def pattern(dx: np.ndarray, oblique: bool = False) -> np.ndarray:
     return (np.exp(-(moved**2 + y[None] ** 2) / (2 * 12.0**2)) * wave).astype(np.float32)
 
 
-def linear(video: np.ndarray, factors: np.ndarray) -> np.ndarray:
+def linear(video, factors):
     return video + apply_response(video - video[:1], factors)
 
 
-def error(video: np.ndarray, truth: np.ndarray, rest: np.ndarray) -> float:
+def error(video, truth, rest):
     """rms/rms of the change since rest."""
     return float(np.linalg.norm(video - truth) / np.linalg.norm(truth - rest))
 

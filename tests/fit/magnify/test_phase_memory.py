@@ -27,7 +27,7 @@ print(peak_memory_mib() - before)
 """
 
 
-def peak_mib(n: int) -> float:
+def peak_mib(n):
     """Above what the filters hold, the video itself included."""
     command = [sys.executable, "-c", MAGNIFY, str(n), str(SIZE)]
     # glibc keeps freed blocks of up to 32 MB unless its threshold is fixed; the stated size has larger ones only.
@@ -40,7 +40,7 @@ def peak_mib(n: int) -> float:
 
 
 @pytest.mark.slow
-def test_peak_memory_is_within_20_bytes_a_cell_and_100_mb() -> None:
+def test_peak_memory_is_within_20_bytes_a_cell_and_100_mb():
     few, many = 100, 300
     cells = many * SIZE**2
     bound = (20 * cells + 100e6) / 2**20

@@ -9,20 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.motion_animate import FPS, N, gaussians, motion
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate, rotated
-from tg4mm.fit.motion.modes import ModalMotion
 
 TIMES = (0, 1, 7, 12.5)
 
 
-def one(m: ModalMotion, k: int) -> ModalMotion:
+def one(m, k):
     return replace(m, freqs_hz=m.freqs_hz[[k]], displacement=m.displacement[[k]], rotation=m.rotation[[k]])
 
 
 class TestRotated:
     @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0, 10.0])
-    def test_it_is_scipys_rotation(self, size: float) -> None:
+    def test_it_is_scipys_rotation(self, size):
         """Applied from the left: about the world's axes, not the Gaussian's own."""
         q = gaussians(torch.float64).quats
         r = size * np.random.default_rng(2).normal(size=(N, 3))
@@ -34,7 +32,7 @@ class TestRotated:
             np.linalg.norm(found, axis=1), torch.linalg.vector_norm(q, dim=1), rtol=1e-12
         )
 
-    def test_no_rotation_changes_nothing_and_has_a_gradient(self) -> None:
+    def test_no_rotation_changes_nothing_and_has_a_gradient(self):
         q, r = gaussians(torch.float64).quats, torch.zeros(N, 3, dtype=torch.float64, requires_grad=True)
         turned = rotated(q, r)
         assert torch.equal(turned.detach(), q)
@@ -46,7 +44,7 @@ class TestRotated:
 class TestMoved:
     @pytest.mark.parametrize("band", [None, (4.0, 6.0)])
     @pytest.mark.parametrize("t", TIMES)
-    def test_it_agrees_with_the_splat_file(self, t: float, band: tuple[float, float] | None) -> None:
+    def test_it_agrees_with_the_splat_file(self, t, band):
         g, m = gaussians(), motion()
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, FPS, 30)
@@ -55,17 +53,17 @@ class TestMoved:
         quats = torch.nn.functional.normalize(found.quats, dim=1).numpy()
         np.testing.assert_allclose(quats, rotations_at(splat, t, 4.0, band), atol=3e-6)
 
-    def test_a_rigid_motion_of_the_whole_scene_commutes_with_magnification(self) -> None:
+    def test_a_rigid_motion_of_the_whole_scene_commutes_with_magnification(self):
         turn, shift = Rotation.from_rotvec([0.5, -1.0, 0.3]), np.array([1.0, 2.0, -3.0])
 
-        def placed(g: Gaussians) -> Gaussians:
+        def placed(g):
             quats = turn * Rotation.from_quat(g.quats.numpy()[:, [1, 2, 3, 0]])
             means = turn.apply(g.means.numpy()) + shift
             return replace(
                 g, means=torch.from_numpy(means), quats=torch.from_numpy(quats.as_quat()[:, [3, 0, 1, 2]])
             )
 
-        def turned(phasors: np.ndarray) -> np.ndarray:
+        def turned(phasors):
             return phasors @ turn.as_matrix().T
 
         g, m = gaussians(torch.float64), motion()
@@ -75,7 +73,7 @@ class TestMoved:
         same = Rotation.from_quat(one.quats.numpy()[:, [1, 2, 3, 0]])
         assert (same * Rotation.from_quat(two.quats.numpy()[:, [1, 2, 3, 0]]).inv()).magnitude().max() < 1e-5
 
-    def test_a_motion_of_other_gaussians_is_refused(self) -> None:
+    def test_a_motion_of_other_gaussians_is_refused(self):
         m = motion()
         m = replace(m, displacement=m.displacement[:, :-1], rotation=m.rotation[:, :-1])
         with pytest.raises(ValueError, match="the motion has 19 Gaussians, the scene 20"):

@@ -1,7 +1,6 @@
 """Changes of colour: how pictures answer to them, that noise is none, and that they are limited."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,13 +18,12 @@ from tg4mm.fit.motion.appearance import (
     HARMONIC,
     AppearanceFit,
     AppearanceProblem,
-    AppearanceView,
     MotionResidual,
     appearance_views,
 )
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import LIMIT, AppearanceModes, ModalMotion
+from tg4mm.fit.motion.modes import LIMIT
 from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior.graph import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
@@ -35,7 +33,7 @@ from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
-def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
+def view_of_colours(name, tilts, mean=20.0):
     """Of Gaussians whose first coefficient is `mean` in all channels."""
     scene = SCENES[name]
     camera = camera_of(scene)
@@ -47,9 +45,7 @@ def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceVie
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("tilts", [True, False])
-def test_a_change_shows_as_spherical_harmonics_do(
-    name: str, tilts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_shows_as_spherical_harmonics_do(name, tilts, monkeypatch):
     """Against the dense twin in float64. Colours far above 0, where they are not clamped."""
     monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
     scene = SCENES[name]
@@ -69,7 +65,7 @@ def test_a_change_shows_as_spherical_harmonics_do(
     assert_close("picture", torch.from_numpy(shown.copy()), (pictures[0] - pictures[1]) / 2, 2e-4)
 
 
-def test_a_colour_below_zero_does_not_answer() -> None:
+def test_a_colour_below_zero_does_not_answer():
     """It is clamped, so that no small change of it shows."""
     name = next(iter(SCENES))
     change = change_of(len(SCENES[name].means))
@@ -82,7 +78,7 @@ def test_a_colour_below_zero_does_not_answer() -> None:
 
 
 @pytest.mark.parametrize("tilts", [True, False])
-def test_the_vjp_is_the_transpose_and_the_product_both(tilts: bool) -> None:
+def test_the_vjp_is_the_transpose_and_the_product_both(tilts):
     view, rng = view_of_colours("crowded", tilts), np.random.default_rng(1)
     x = change_of(120, 2, tilts)
     shown = view.jvp(x, Buffers()).copy()
@@ -100,7 +96,7 @@ def test_the_vjp_is_the_transpose_and_the_product_both(tilts: bool) -> None:
 class Lab:
     """Eight cameras around the synthetic scene, and two components: the images of each are made up."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root):
         self.gaussians, _ = make_synthetic_dataset(
             root, n_views=8, n_timesteps=2, size=48, alphas=(), n_test=0
         )
@@ -113,9 +109,7 @@ class Lab:
         self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
         self.shapes[0, :, 1] = 0.003
 
-    def fitted(
-        self, pictures: np.ndarray, shapes: np.ndarray | None = None, rows: tuple[int, ...] = (0, 1)
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def fitted(self, pictures, shapes=None, rows=(0, 1)):
         problem = AppearanceProblem.of(self.colours, None, self.graph)
         folds = [Fold(np.arange(0, 8, 2)), Fold(np.arange(1, 8, 2))]
         shapes = self.shapes if shapes is None else shapes
@@ -123,11 +117,11 @@ class Lab:
         residual = MotionResidual(motion, pictures, np.array(rows, np.int64), shapes[list(rows)])
         return AppearanceFit(problem, folds, self.graph.knn).fitted(residual)
 
-    def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    def shown(self, x, shapes):
         both = zip(self.views, self.colours, strict=True)
         return np.stack([view.jvp(shapes) + colours.jvp(x, Buffers()) for view, colours in both])
 
-    def patch(self) -> np.ndarray:
+    def patch(self):
         """[2, N, 4, 3]: a shadow on the floor in the first component, that looks darker from one side."""
         x = np.zeros((2, len(self.means), 4, 3), np.float32)
         size = 0.02 * np.exp(-8 * ((self.means - [0.3, -0.5, 0.0]) ** 2).sum(1))
@@ -137,16 +131,16 @@ class Lab:
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+def lab(tmp_path_factory):
     return Lab(tmp_path_factory.mktemp("light") / "data")
 
 
-def noise(lab: Lab, size: float) -> np.ndarray:
+def noise(lab, size):
     rng = np.random.default_rng(3)
     return (size * rng.normal(size=(8, 2, 48, 48, 3))).astype(np.float32)
 
 
-def test_a_change_of_colour_is_told_from_motion_and_noise(lab: Lab) -> None:
+def test_a_change_of_colour_is_told_from_motion_and_noise(lab):
     """Noise of a tenth of the patch's peak in every pixel; only the first component holds a change."""
     x = lab.patch()
     pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
@@ -161,23 +155,23 @@ def test_a_change_of_colour_is_told_from_motion_and_noise(lab: Lab) -> None:
     assert np.abs(found[0][far]).max() < 0.1 * np.abs(found[0]).max()
 
 
-def test_noise_alone_has_none(lab: Lab) -> None:
+def test_noise_alone_has_none(lab):
     found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes) + noise(lab, 0.01))
     assert not gains.any()
     assert not found.any()
 
 
-def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:
+def change_at(m, t, alpha, band=None):
     g = gaussians()
     return (animate(g, m, t, alpha, band).sh - g.sh).numpy()
 
 
-def by_hand(own: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
+def by_hand(own, t, factors):
     turn = np.exp(2j * np.pi * FREQS * t / 30) * factors
     return np.einsum("r,rnkc->nkc", (turn @ own.series).real, own.shapes)
 
 
-def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
+def test_magnified_it_has_a_limit_and_keeps_its_direction():
     m = replace(motion(), appearance=appearance(0.1))
     change, plain = change_at(m, 3, 1e6), by_hand(m.appearance, 3, [1e6 + 1] * 3)
     sizes = np.linalg.norm(change.reshape(N, -1), axis=1) * HARMONIC

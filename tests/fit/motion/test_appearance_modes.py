@@ -1,7 +1,6 @@
 """AppearanceModes in a run's motion file: beside the motion, optional, and only where it fits."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +13,13 @@ from tg4mm.run import Run
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     run = Run.create(tmp_path / "run", tmp_path, "modal", {})
     run.save_space(gaussians(), {})
     return run
 
 
-def test_what_is_read_back_equals_that_written(run: Run) -> None:
+def test_what_is_read_back_equals_that_written(run):
     m = replace(motion(), appearance=appearance())
     run.save_motion(m, {})
     back = run.load_motion()
@@ -47,7 +46,7 @@ def test_what_is_read_back_equals_that_written(run: Run) -> None:
         AppearanceModes(change_of(N, 2), appearance().series.real),
     ],
 )
-def test_what_does_not_fit_is_refused(run: Run, bad: AppearanceModes) -> None:
+def test_what_does_not_fit_is_refused(run, bad):
     with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
         run.save_motion(replace(motion(), appearance=bad), {})
     assert not run.has_motion

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tg4mm.fit.motion.nuisance.camera_path import CameraPath, Reading
+from tg4mm.fit.motion.nuisance.camera_path import CameraPath
 
 FPS, N_FRAMES, HZ = 30.0, 150, 3.4
 TIMES = np.arange(N_FRAMES) / FPS
@@ -14,7 +14,7 @@ SHIFT, TURN = np.array([0.01, 0.0, 0.005]), np.array([0.0, 0.004, 0.0])
 FIELD = np.where(MOVES[:, None], SHIFT + np.cross(TURN, MEANS), 0.0).astype(complex)
 
 
-def viewmats(tremor: float, line: float, seed: int = 0) -> np.ndarray:
+def viewmats(tremor, line, seed=0):
     """[F, 4, 4] of a walk around the scene with `tremor` of white noise; the scene seems to move by `line` · FIELD.
 
     The noise is of turns and shifts before the camera, at every frequency alike.
@@ -33,17 +33,17 @@ def viewmats(tremor: float, line: float, seed: int = 0) -> np.ndarray:
     return np.array(out)
 
 
-def path_of(poses: np.ndarray) -> CameraPath:
+def path_of(poses):
     return CameraPath.of(TIMES, poses, np.zeros((N_FRAMES, 6)), MEANS, np.ones(400))
 
 
-def reading(poses: np.ndarray, hz: float = HZ, others: tuple[float, ...] = ()) -> Reading:
+def reading(poses, hz=HZ, others=()):
     path = path_of(poses)
     return path.reading(path.moved, FIELD, MOVES, hz, np.array(others), 1.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_hand_without_a_line_at_the_frequency_says_that_the_rest_stands_still(seed: int) -> None:
+def test_a_hand_without_a_line_at_the_frequency_says_that_the_rest_stands_still(seed):
     found = reading(viewmats(1e-4, 0.0, seed))
     assert found.rigid is None
     assert found.doubt < 0.01
@@ -52,7 +52,7 @@ def test_a_hand_without_a_line_at_the_frequency_says_that_the_rest_stands_still(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_line_in_the_path_says_that_what_was_found_to_move_stands_still(seed: int) -> None:
+def test_a_line_in_the_path_says_that_what_was_found_to_move_stands_still(seed):
     found = reading(viewmats(1e-4, -1.0, seed))
     assert found.doubt < 0.01
     assert found.is_determined
@@ -63,13 +63,13 @@ def test_a_line_in_the_path_says_that_what_was_found_to_move_stands_still(seed: 
     np.testing.assert_allclose(found.rigid[:, 3:], np.broadcast_to(TURN, (400, 3)), atol=1e-9)
 
 
-def test_a_hand_that_shakes_more_than_the_scene_leaves_the_share_of_what_moves() -> None:
+def test_a_hand_that_shakes_more_than_the_scene_leaves_the_share_of_what_moves():
     found = [reading(viewmats(0.15, 0.0, seed)) for seed in range(12)]
     assert np.median([r.doubt for r in found]) == pytest.approx(0.4, abs=0.1)
     assert sum(r.is_determined for r in found) < 4
 
 
-def test_a_line_that_neither_reading_explains_is_not_told() -> None:
+def test_a_line_that_neither_reading_explains_is_not_told():
     """The scene seems to move as a whole, across what moves in it."""
     poses = viewmats(1e-4, 0.0)
     poses[:, 1, 3] += 0.02 * np.cos(2 * np.pi * HZ * TIMES)
@@ -78,13 +78,13 @@ def test_a_line_that_neither_reading_explains_is_not_told() -> None:
     assert np.sqrt(np.median(found.squares)) == pytest.approx(0.02, rel=0.1)
 
 
-def test_where_no_frequencies_are_around_one_the_share_is_left() -> None:
+def test_where_no_frequencies_are_around_one_the_share_is_left():
     found = reading(viewmats(1e-4, 0.0), HZ, (1.0, 1.8, 2.4, 4.2, 4.8, 5.4))
     assert found.doubt == pytest.approx(0.4)
     assert not found.is_determined
 
 
-def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them() -> None:
+def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them():
     """Half of a motion in the poses, half in the pose columns' coefficients, is the whole."""
     still, half = path_of(viewmats(0.0, 0.0)), viewmats(0.0, 0.5)
     left = np.einsum("fab,fb->fa", np.linalg.inv(still.to_world), path_of(half).moved - still.moved)
@@ -94,7 +94,7 @@ def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them(
     np.testing.assert_allclose(both - both[0], whole - whole[0], atol=0.03 * scale)
 
 
-def test_the_doubt_is_as_often_right_as_it_says() -> None:
+def test_the_doubt_is_as_often_right_as_it_says():
     """Of hands that shake from a hundredth of the motion to ten times it, at random, wrong as often as said."""
     rng, still = np.random.default_rng(0), path_of(viewmats(0.0, 0.0))
     wave = np.cos(2 * np.pi * HZ * TIMES)[:, None] * np.concatenate([TURN, SHIFT])

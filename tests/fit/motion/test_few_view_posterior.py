@@ -7,25 +7,24 @@ from scipy.sparse.linalg import spsolve
 
 from tests.helpers.synthetic import exact_run
 from tg4mm.capture import load_capture, load_images
-from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.fit.motion.few_view_posterior import unseen_motion
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import along_and_across
 from tg4mm.fit.motion.jacobian.view import view_jacobian
-from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
+from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior.graph import stiffness_root
-from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY
 from tg4mm.run.stages.motion import train_motion
 
 BALL = 252  # the last Gaussians
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion, PosedFrames]:
+def trained(tmp_path_factory):
     """A run of one camera, the true motion, and the camera. The post sways across its line of sight, the ball moves
     mostly along it."""
     root = tmp_path_factory.mktemp("one")
@@ -35,7 +34,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion,
     return run, motion, fixed_cameras(capture)[0]
 
 
-def _errors(run: Run, true: ModalMotion, axis: np.ndarray) -> np.ndarray:
+def _errors(run, true, axis):
     """[N] rms over time of the error along `axis` [N, 3]."""
     found = run.load_motion()
     assert found is not None
@@ -44,18 +43,18 @@ def _errors(run: Run, true: ModalMotion, axis: np.ndarray) -> np.ndarray:
     return np.sqrt((along**2).mean(0))
 
 
-def _seen(run: Run, camera: PosedFrames) -> np.ndarray:
+def _seen(run, camera):
     view = view_jacobian(run.load_space(), camera, (48, 48))
     seen = np.zeros(len(run.load_space()), bool)
     seen[view.bins.order[: view.bins.n_visible]] = True
     return seen
 
 
-def _share_within_two(error: np.ndarray, deviation: np.ndarray) -> float:
+def _share_within_two(error, deviation):
     return float((error < 2 * deviation).mean())
 
 
-def test_the_truth_of_a_scene_lies_within_two_deviations(trained) -> None:
+def test_the_truth_of_a_scene_lies_within_two_deviations(trained):
     """Across, everywhere; along, of what is seen to move or stand still across."""
     run, true, camera = trained
     part, _ = run.load_part(UNCERTAINTY)
@@ -69,7 +68,7 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained) -> None:
     assert _share_within_two(error, said) > 0.85
 
 
-def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed: CpuOperator, trained) -> None:
+def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained):
     """Motion and fit are then all as they are taken to be, but for noise, of which the covariance has none: 95 %
     within two deviations, of this draw."""
     means, rng = trained[0].load_space().means.numpy(), np.random.default_rng(5)
@@ -91,14 +90,14 @@ def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed: CpuOperator, tr
 
 
 @pytest.fixture(scope="module")
-def posed(trained) -> CpuOperator:
+def posed(trained):
     run, _, camera = trained
     gaussians = run.load_space()
     problem = Problem.of([view_jacobian(gaussians, camera, (48, 48))], gaussians, MotionConfig(), "cpu")
     return problem.on_cpu(problem.everything, 300.0)
 
 
-def _fitted(operator: CpuOperator, size: float = 0.01) -> np.ndarray:
+def _fitted(operator, size=0.01):
     """x [1, 4N, 3] of a motion to and fro."""
     motion = np.zeros((1, operator.graph.n_gaussians, DOF), np.float32)
     motion[..., 1] = size
@@ -106,7 +105,7 @@ def _fitted(operator: CpuOperator, size: float = 0.01) -> np.ndarray:
     return operator.gradient_fields(pcg(operator, operator.right_hand_sides(shown), 30, 1e-6).theta)
 
 
-def test_what_it_counts_as_shown_is_what_the_pictures_determine(posed: CpuOperator) -> None:
+def test_what_it_counts_as_shown_is_what_the_pictures_determine(posed):
     """The trace of A⁻¹ JᵀJ, here by twenty other random pictures."""
     rng, found = np.random.default_rng(9), []
     for _ in range(20):

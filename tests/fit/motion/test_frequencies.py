@@ -5,23 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.temporal.frequencies import Frequencies, find_frequencies
+from tg4mm.fit.motion.temporal.frequencies import find_frequencies
 
 FPS, SERIES = 30.0, 80
 HZ = (3.437, 7.113)
 BAND = (0.7, 13.5)
 
 
-def times(n_frames: int = 90, dropped: int = 6, seed: int = 0) -> np.ndarray:
+def times(n_frames=90, dropped=6, seed=0):
     """Seconds, of a phone: some frames are missing, steps are not quite even."""
     rng = np.random.default_rng(seed)
     kept = np.sort(rng.choice(np.arange(1, n_frames - 1), n_frames - 2 - dropped, replace=False))
     return (np.array([0, *kept, n_frames - 1]) + 0.02 * rng.normal(size=n_frames - dropped)) / FPS
 
 
-def moving(
-    t: np.ndarray, seed: int, hz: tuple[float, ...] = HZ, strength: float = 1.0, noise: float = 1.0
-) -> np.ndarray:
+def moving(t, seed, hz=HZ, strength=1.0, noise=1.0):
     """[F, S]: noise of variance 1; half of the series move with the first frequency, a tenth with the second."""
     rng = np.random.default_rng(seed)
     y = noise * rng.normal(size=(len(t), SERIES))
@@ -32,7 +30,7 @@ def moving(
     return y
 
 
-def check(found: Frequencies, hz: tuple[float, ...]) -> None:
+def check(found, hz):
     """These, within three of the deviations that it states, which are small; and nothing else."""
     assert len(found.hz) == len(hz)
     for f in hz:
@@ -42,7 +40,7 @@ def check(found: Frequencies, hz: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_between_bins_are_found_and_nothing_else(seed: int) -> None:
+def test_two_between_bins_are_found_and_nothing_else(seed):
     """Three seconds: bins are a third of a Hz apart."""
     t = times(seed=seed)
     found = find_frequencies([moving(t, seed)], [t], *BAND)
@@ -51,27 +49,27 @@ def test_two_between_bins_are_found_and_nothing_else(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_in_noise_there_are_none(seed: int) -> None:
+def test_in_noise_there_are_none(seed):
     t = times(seed=seed)
     y = np.random.default_rng(seed).normal(size=(len(t), SERIES)) * np.geomspace(1, 100, SERIES)
     assert not len(find_frequencies([y], [t], *BAND).hz)
 
 
-def test_clips_with_phases_of_their_own_are_put_together() -> None:
+def test_clips_with_phases_of_their_own_are_put_together():
     """Four clips, of which no one series is like another's."""
     clocks = [times(60, 3, seed) + 17.3 * seed for seed in range(4)]
     series = [moving(t, seed, strength=0.6) for seed, t in enumerate(clocks)]
     check(find_frequencies(series, clocks, 1.1, 13.5), HZ)
 
 
-def test_a_drift_is_no_frequency() -> None:
+def test_a_drift_is_no_frequency():
     t = times()
     y = moving(t, 0) + np.linspace(0, 30, len(t))[:, None] + 4 * (t[:, None] - 1.2) ** 2
     check(find_frequencies([y], [t], *BAND), HZ)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_that_rises_to_low_frequencies_is_no_frequency(seed: int) -> None:
+def test_noise_that_rises_to_low_frequencies_is_no_frequency(seed):
     """Of which six tenths stay from frame to frame."""
     rng, t = np.random.default_rng(seed), times()
     y = rng.normal(size=(len(t), SERIES))
@@ -80,7 +78,7 @@ def test_noise_that_rises_to_low_frequencies_is_no_frequency(seed: int) -> None:
     assert not len(find_frequencies([y], [t], *BAND).hz)
 
 
-def test_the_deviation_is_that_of_the_errors() -> None:
+def test_the_deviation_is_that_of_the_errors():
     """Rms over twelve draws of error over deviation: about 1."""
     ratios = []
     for seed in range(12):
@@ -90,7 +88,7 @@ def test_the_deviation_is_that_of_the_errors() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.6
 
 
-def test_a_loud_one_in_a_short_record_is_found_in_spite_of_its_side_lobes() -> None:
+def test_a_loud_one_in_a_short_record_is_found_in_spite_of_its_side_lobes():
     """Shifts of 25 regions of the microphone, generated at 3.4 Hz, before eight cameras with clocks of their own."""
     stored = np.load(Path(__file__).parent / "data/rig_shifts.npz")
     series = list(stored["shifts"].astype(np.float64))
@@ -99,7 +97,7 @@ def test_a_loud_one_in_a_short_record_is_found_in_spite_of_its_side_lobes() -> N
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.05])
-def test_errors_of_clips_are_within_two_deviations(lag: float) -> None:
+def test_errors_of_clips_are_within_two_deviations(lag):
     """At least 17 of 20 draws: five clips, whose phase lags by `lag` radians more after the first half second."""
     t = np.arange(75) / FPS
     within, stated = [], []

@@ -1,7 +1,6 @@
 """Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,7 @@ from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
 from tg4mm.fit.space import SpaceConfig, rest_views
@@ -31,7 +29,7 @@ SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_
 LINEAR = 6  # steps of the linear fit
 
 
-def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run:
+def _scene(root, amplitude, size=64, detail=2):
     run, _ = exact_run(
         root, n_views=6, n_timesteps=5, size=size, freqs=(6.0,), amplitude=amplitude, detail=detail
     )
@@ -39,17 +37,17 @@ def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run
 
 
 @pytest.fixture(scope="module")
-def large(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def large(tmp_path_factory):
     """Two pixels; the Gaussians are exact."""
     return _scene(tmp_path_factory.mktemp("large"), 0.09)
 
 
-def _trained(run: Run, config: MotionConfig, device: str = "cpu") -> ModalMotion:
+def _trained(run, config, device="cpu"):
     capture = load_capture(run.dataset)
     return train_motion(run, capture, load_images(capture), config, device)
 
 
-def _error(run: Run) -> float:
+def _error(run):
     capture = load_capture(run.dataset)
     gaussians, motion = run.load_space(), run.load_motion()
     assert motion is not None
@@ -59,7 +57,7 @@ def _error(run: Run) -> float:
 
 
 @pytest.fixture(scope="module")
-def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
+def found(large, tmp_path_factory):
     """The linear fit alone, and Gauss-Newton."""
     root = tmp_path_factory.mktemp("found")
     runs = copied(large, root / "linear"), copied(large, root / "repeated")
@@ -69,7 +67,7 @@ def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Ru
 
 
 @pytest.mark.slow
-def test_two_pixels_are_found(found: tuple[Run, Run]) -> None:
+def test_two_pixels_are_found(found):
     """Error .18 after four iterations, .52 of the linear fit."""
     linear, after = (_error(run) for run in found)
     assert linear > 0.4
@@ -77,7 +75,7 @@ def test_two_pixels_are_found(found: tuple[Run, Run]) -> None:
 
 
 @pytest.mark.slow
-def test_every_iteration_leaves_less_of_the_pictures(found: tuple[Run, Run]) -> None:
+def test_every_iteration_leaves_less_of_the_pictures(found):
     log = found[1].log()["motion"]
     assert log["pixels_moved"] > ABOVE_PX
     assert len(log["misfits"]) == log["gauss_newton"] + 1
@@ -86,7 +84,7 @@ def test_every_iteration_leaves_less_of_the_pictures(found: tuple[Run, Run]) -> 
     assert found[0].log()["motion"]["gauss_newton"] == 0
 
 
-def _pictures_error(run: Run, gaussians: Gaussians) -> float:
+def _pictures_error(run, gaussians):
     """Mean squared error of the captured pictures, the Gaussians moved as the truth does."""
     capture = load_capture(run.dataset)
     images = load_images(capture)
@@ -102,7 +100,7 @@ def _pictures_error(run: Run, gaussians: Gaussians) -> float:
 
 
 @pytest.mark.slow
-def test_a_scene_blurred_by_its_motion_is_sharp_again(large: Run, tmp_path: Path) -> None:
+def test_a_scene_blurred_by_its_motion_is_sharp_again(large, tmp_path):
     """Fitted to the mean over time, as the space stage does, it is far from what one timestep shows."""
     capture = load_capture(large.dataset)
     run = Run.create(tmp_path / "run", large.dataset, "modal", {})
@@ -119,12 +117,12 @@ def test_a_scene_blurred_by_its_motion_is_sharp_again(large: Run, tmp_path: Path
     assert _pictures_error(run, sharp) < 0.6 * _pictures_error(run, blurred)
 
 
-def _equal(a: ModalMotion, b: ModalMotion) -> bool:
+def _equal(a, b):
     return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run, ModalMotion]:
+def quick(tmp_path_factory):
     """A small scene of large motion; a run of it that nobody killed, and what it found."""
     root = tmp_path_factory.mktemp("quick")
     scene = _scene(root, 0.2, size=32, detail=1)
@@ -133,9 +131,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run, ModalMoti
 
 
 @pytest.mark.parametrize("iterations", [0, 1])
-def test_killed_after_an_iteration_it_goes_on_after_it(
-    iterations: int, quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_after_an_iteration_it_goes_on_after_it(iterations, quick, tmp_path, monkeypatch):
     """To the bit, the scene at rest too; what was done is not done again."""
     scene, whole, expected = quick
     run = copied(scene, tmp_path / "run")
@@ -152,14 +148,12 @@ def test_killed_after_an_iteration_it_goes_on_after_it(
         assert run.log()["motion"][name] == whole.log()["motion"][name]
 
 
-def _same_scene(a: Run, b: Run) -> bool:
+def _same_scene(a, b):
     names = ("means", "quats", "scales", "opacities", "sh")
     return all(torch.equal(getattr(a.load_space(), n), getattr(b.load_space(), n)) for n in names)
 
 
-def test_what_only_gets_worse_is_not_taken(
-    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_only_gets_worse_is_not_taken(quick, tmp_path, monkeypatch):
     """An iteration whose motion points away leaves everything as the linear fit had it."""
     scene = quick[0]
     runs = [copied(scene, tmp_path / name) for name in ("linear", "wrong")]

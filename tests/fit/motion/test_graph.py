@@ -1,14 +1,11 @@
 """The prior on motion: what costs nothing, what does, and the rotation that a gradient of displacement is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tg4mm.fit.motion.prior.graph import (
     BENDING,
     ROWS,
-    Graph,
     build_graph,
     edge_residual,
     reweight_edges,
@@ -18,22 +15,22 @@ from tg4mm.fit.motion.prior.graph import (
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
 
 
-def volume(n: int = 300) -> np.ndarray:
+def volume(n=300):
     return np.random.default_rng(0).uniform(-1, 1, (n, 3))
 
 
-def plane(n: int = 300) -> np.ndarray:
+def plane(n=300):
     """Tilted, without thickness."""
     uv = np.random.default_rng(1).uniform(-1, 1, (n, 2))
     return uv @ np.array([[1, 0, 0.5], [0, 1, -0.3]])
 
 
-def wire(n: int = 60) -> np.ndarray:
+def wire(n=60):
     """Straight, along (1, 2, 2) / 3."""
     return np.linspace(-1, 1, n)[:, None] * np.array([1, 2, 2]) / 3
 
 
-def graph(means: np.ndarray, count: int = 12) -> Graph:
+def graph(means, count=12):
     """Of balls."""
     return build_graph(means, np.tile(np.eye(3), (len(means), 1, 1)), np.ones((len(means), 3)), count)
 
@@ -41,19 +38,19 @@ def graph(means: np.ndarray, count: int = 12) -> Graph:
 SHAPES = {"volume": volume, "plane": plane, "wire": wire}
 
 
-def field(around: Graph, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def field(around, u, gradient):
     """[4N, 3] of displacements [N, 3] and gradients [3 (along), 3 (of)] or [N, 3, 3], per scene unit."""
     gradient = np.broadcast_to(gradient, (len(u), 3, 3)) * around.mean_spacing
     return np.concatenate([u[:, None], gradient], 1).reshape(-1, 3).astype(np.float32)
 
 
-def energy(around: Graph, x: np.ndarray) -> float:
+def energy(around, x):
     return float((x.astype(np.float64) * (around.stiffness.astype(np.float64) @ x)).sum())
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("kind", ["shift", "turn", "stretch", "shear"])
-def test_what_is_linear_in_space_costs_nothing(shape: str, kind: str) -> None:
+def test_what_is_linear_in_space_costs_nothing(shape, kind):
     """And at half its gradient it costs."""
     means = SHAPES[shape]()
     around = graph(means)
@@ -72,7 +69,7 @@ def test_what_is_linear_in_space_costs_nothing(shape: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_its_energy_is_the_sum_over_pairs(shape: str) -> None:
+def test_its_energy_is_the_sum_over_pairs(shape):
     """Σ w (|u_j − u_i − ½ (A_i + A_j) d|² + b |A_j − A_i|²), pair by pair by hand, up to one factor."""
     means = SHAPES[shape](40)
     around, rng = graph(means, count=6), np.random.default_rng(3)
@@ -82,7 +79,7 @@ def test_its_energy_is_the_sum_over_pairs(shape: str) -> None:
     np.testing.assert_allclose(ratios, ratios[0], rtol=1e-4)
 
 
-def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) -> float:
+def brute_energy(around, means, x, count):
     weights: dict[tuple[int, int], float] = {}
     for i in range(len(means)):
         distance = np.linalg.norm(means - means[i], axis=1)
@@ -99,7 +96,7 @@ def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) ->
     return total
 
 
-def test_a_turn_is_found_from_its_gradient() -> None:
+def test_a_turn_is_found_from_its_gradient():
     means = volume()
     around = graph(means)
     x = field(around, SHIFT + np.cross(OMEGA, means), np.cross(OMEGA, np.eye(3)))
@@ -109,7 +106,7 @@ def test_a_turn_is_found_from_its_gradient() -> None:
     np.testing.assert_allclose(moved[:, 3:], np.tile(OMEGA, (300, 1)), atol=1e-6)
 
 
-def test_from_motion_is_the_transpose() -> None:
+def test_from_motion_is_the_transpose():
     around, rng = graph(volume()), np.random.default_rng(4)
     x, v = rng.normal(size=(ROWS * 300, 3)).astype(np.float32), rng.normal(size=(300, 6)).astype(np.float32)
     one = (around.motion(x).astype(float) * v).sum()
@@ -118,14 +115,14 @@ def test_from_motion_is_the_transpose() -> None:
 
 
 @pytest.mark.parametrize("n", [2, 4, 13])
-def test_fewer_gaussians_than_neighbours_are_all_neighbours(n: int) -> None:
+def test_fewer_gaussians_than_neighbours_are_all_neighbours(n):
     around = graph(volume(n))
     pairs = around.stiffness[::ROWS, ::ROWS].tocoo()
     assert ((pairs.row != pairs.col) & (pairs.data != 0)).sum() == n * (n - 1)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_products_without_the_matrix_are_those_with_it(shape: str) -> None:
+def test_products_without_the_matrix_are_those_with_it(shape):
     around, rng = graph(SHAPES[shape]()), np.random.default_rng(5)
     x = rng.normal(size=(ROWS * around.n_gaussians, 3)).astype(np.float32)
     out = rng.normal(size=x.shape).astype(np.float32)
@@ -134,7 +131,7 @@ def test_products_without_the_matrix_are_those_with_it(shape: str) -> None:
     np.testing.assert_allclose(out, expected, atol=2e-6 * np.abs(expected).max())
 
 
-def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
+def test_the_matrix_is_that_of_the_edges_both_ways():
     """Dense, edge by edge."""
     around = graph(volume(40))
     expected = np.zeros((160, 160))
@@ -151,17 +148,17 @@ def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_root_squared_is_the_matrix(shape: str) -> None:
+def test_the_root_squared_is_the_matrix(shape):
     around = graph(SHAPES[shape](60))
     root, expected = stiffness_root(around), around.stiffness.toarray().astype(np.float64)
     np.testing.assert_allclose((root.T @ root).toarray(), expected, atol=1e-5 * np.abs(expected).max())
 
 
-def ends(around: Graph) -> tuple[np.ndarray, np.ndarray]:
+def ends(around):
     return np.repeat(np.arange(around.n_gaussians), np.diff(around.start)), around.other
 
 
-def test_a_jump_strains_the_edges_across_it_by_its_square() -> None:
+def test_a_jump_strains_the_edges_across_it_by_its_square():
     means = volume(400)
     around = graph(means)
     left = means[:, 0] < 0
@@ -177,7 +174,7 @@ def test_a_jump_strains_the_edges_across_it_by_its_square() -> None:
     assert not edge_residual(around, x, 0 * x).any()
 
 
-def test_strained_edges_count_less_and_the_matrix_stays_what_it_is() -> None:
+def test_strained_edges_count_less_and_the_matrix_stays_what_it_is():
     g = graph(volume(400))
     owner, other = ends(g)
     of_edge = (((owner + other) * 7919) % 13 / 13.0) ** 4  # the same from both ends

@@ -1,9 +1,6 @@
 """What is found out before the fit: components of noise, weights of pixels, and the smoothness weight."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +29,7 @@ FOLDS = [Fold(np.arange(CAMERAS)[::2]), Fold(np.arange(CAMERAS)[1::2])]
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem():
     """Eight cameras look at one cloud."""
     scene = make_scene(1, n=N, cameras=CAMERAS)
     views = [view_of(scene, c) for c in range(CAMERAS)]
@@ -40,73 +37,73 @@ def problem() -> Problem:
 
 
 @pytest.fixture(params=["kernels", "torch device"])
-def anywhere(problem: Problem, request: pytest.FixtureRequest) -> Problem:
+def anywhere(problem, request):
     """Also with the operators that a GPU has, on the CPU's tensors."""
     return problem if request.param == "kernels" else OnTensors.of(problem)
 
 
 class OnTensors(Problem):
     @staticmethod
-    def of(problem: Problem) -> OnTensors:  # type: ignore[override]
+    def of(problem):
         return OnTensors(**{f.name: getattr(problem, f.name) for f in fields(Problem)})
 
-    def operator(self, *args: Any, **more: Any) -> DeviceOperator:
+    def operator(self, *args, **more):
         operator = self.on_cpu(*args, **more)
         return DeviceOperator(operator, DeviceViews(operator.views, operator.graph, "cpu"))
 
 
-def moved(u: np.ndarray) -> np.ndarray:
+def moved(u):
     """Displacements [N, 3] without rotation, [N, DOF]."""
     return np.concatenate([u, np.zeros((len(u), DOF - 3))], 1).astype(np.float32)
 
 
-def shown(p: Problem, u: np.ndarray, noise: float) -> np.ndarray:
+def shown(p, u, noise):
     """Target images [V, 1, H, W, 3] of a displacement, with noise as a share of their rms."""
     pictures = np.stack([view.jvp(moved(u)[None]) for view in p.views])
     spread = noise * np.sqrt((pictures**2).mean())
     return (pictures + np.random.default_rng(2).normal(0, spread, pictures.shape)).astype(np.float32)
 
 
-def each_by_itself() -> np.ndarray:
+def each_by_itself():
     return np.random.default_rng(1).normal(size=(N, 3)).astype(np.float32)
 
 
-def as_one() -> np.ndarray:
+def as_one():
     return np.tile(np.float32([1, -0.5, 0.3]), (N, 1))
 
 
-def weight_for(p: Problem, images: np.ndarray) -> float:
+def weight_for(p, images):
     return chosen_weight(images, p, FOLDS, 4)
 
 
-def targets(images: np.ndarray) -> TargetImages:
+def targets(images):
     n, size = images.shape[1], (len(images), *images.shape[2:4])
     basis = np.eye(n, 10)
     return TargetImages(basis, np.ones(10), images, np.zeros(size, np.float32), n, images[:, 0])
 
 
 class TestSmoothness:
-    def test_noise_asks_for_more_of_it(self, anywhere: Problem) -> None:
+    def test_noise_asks_for_more_of_it(self, anywhere):
         """All move nearly as one; no noise, and ten times the pictures' rms."""
         u = as_one() + 0.3 * each_by_itself()
         little, much = (weight_for(anywhere, shown(anywhere, u, noise)) for noise in (0.0, 10.0))
         assert much > 10 * little
 
     @pytest.mark.parametrize("still", [[0], [1], [0, 1]])
-    def test_a_fold_that_does_not_change_says_nothing(self, problem: Problem, still: list[int]) -> None:
+    def test_a_fold_that_does_not_change_says_nothing(self, problem, still):
         pictures = shown(problem, each_by_itself(), 0.0)
         for fold in still:
             pictures[FOLDS[fold].views] = 0
         assert weight_for(problem, pictures) == DEFAULT
 
-    def test_the_other_fold_is_the_judge(self, problem: Problem) -> None:
+    def test_the_other_fold_is_the_judge(self, problem):
         """The first shows a motion of each by itself; it is held back where the second shows the opposite."""
         pictures = shown(problem, each_by_itself(), 0.0)
         believed = weight_for(problem, pictures)
         pictures[FOLDS[1].views] *= -1
         assert weight_for(problem, pictures) > 10 * believed
 
-    def test_candidates_that_share_their_passes_are_each_by_itself(self, problem: Problem) -> None:
+    def test_candidates_that_share_their_passes_are_each_by_itself(self, problem):
         operators = [problem.on_cpu(FOLDS[0], weight) for weight in CANDIDATES[:3]]
         images = [shown(problem, as_one(), 0.5)[v] for v in FOLDS[0].views]
         together = few_iterations(operators, images, 3)
@@ -114,7 +111,7 @@ class TestSmoothness:
             (alone,) = few_iterations([operator], images, 3)
             np.testing.assert_allclose(found, alone, atol=1e-4 * np.abs(alone).max())
 
-    def test_a_weight_that_is_given_stands(self, problem: Problem) -> None:
+    def test_a_weight_that_is_given_stands(self, problem):
         images = shown(problem, each_by_itself(), 0.0)
         given = replace(problem, config=replace(problem.config, smoothness_weight=77.0))
         assert select_smoothness(images, given, FOLDS) == 77.0
@@ -122,7 +119,7 @@ class TestSmoothness:
 
 
 class TestNoise:
-    def test_noise_is_told_from_motion(self, anywhere: Problem) -> None:
+    def test_noise_is_told_from_motion(self, anywhere):
         """Motion with as much noise as signal, noise alone of the same energy, motion without noise."""
         moving = shown(anywhere, as_one(), 1.0)
         noise = np.random.default_rng(3).normal(0, np.sqrt((moving**2).mean()), moving.shape)
@@ -132,7 +129,7 @@ class TestNoise:
             noise_components(targets(images), anywhere, FOLDS), [False, True, False]
         )
 
-    def test_sinusoids_of_known_frequencies_are_not_asked(self, problem: Problem) -> None:
+    def test_sinusoids_of_known_frequencies_are_not_asked(self, problem):
         """Mixed, they are one system, of which none is noise by itself."""
         noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
         mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
@@ -141,7 +138,7 @@ class TestNoise:
 
 
 class TestPixels:
-    def test_they_count_less_the_more_they_flicker(self) -> None:
+    def test_they_count_less_the_more_they_flicker(self):
         """The left half flickers three times as much as the right: 1 / (1 + 9/5), 1 / (1 + 1/5); the mean is 5."""
         images = np.random.default_rng(0).normal(size=(2, 2, 60, 80, 3)).astype(np.float32)
         images[:, 1, :, :40] *= 3

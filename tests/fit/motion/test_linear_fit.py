@@ -1,6 +1,5 @@
 """The linear fit's two passes: together one solution, of the pictures less what is taken away between them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.fit.motion.linear_fit import LinearFit
 from tg4mm.fit.motion.prior.graph import edge_residual, reweight_edges
-from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.targets import TargetImages
@@ -23,17 +21,12 @@ LONG = MotionConfig(iterations=600, tolerance=1e-6, ridge=0.1)
 LOOSE, STIFF = CANDIDATES[0], CANDIDATES[1]  # edges are reweighted above the least candidate alone
 
 
-def pictures(seed: int) -> np.ndarray:
+def pictures(seed):
     """Three components of two cameras, [V, R, H, W, 3]; the second is noise."""
     return np.random.default_rng(seed).normal(size=(2, 3, *problem().size[::-1], 3)).astype(np.float32)
 
 
-def fit(
-    images: np.ndarray,
-    config: MotionConfig = LONG,
-    weight: float = LOOSE,
-    mixing: list[np.ndarray] | None = None,
-) -> LinearFit:
+def fit(images, config=LONG, weight=LOOSE, mixing=None):
     targets = TargetImages(
         np.eye(3, 10),
         np.ones(10),
@@ -47,30 +40,28 @@ def fit(
     return LinearFit(whole, targets, hyper, FOLDS, config, no_checkpoint)
 
 
-def both_passes(fitting: LinearFit, taken: np.ndarray | None = None) -> np.ndarray:
+def both_passes(fitting, taken=None):
     """[P, R, N, 6]."""
     images = np.zeros_like(fitting.targets.images) if taken is None else taken
 
-    def correction(p: int, fields: np.ndarray, some: slice) -> list[np.ndarray]:
+    def correction(p, fields, some):
         return [images[v, fitting.hyper.signal[some]] for v in FOLDS[p].views]
 
     return fitting.second_pass(fitting.first_pass(), True, correction)
 
 
-def solved(operator: CpuOperator, images: Sequence[np.ndarray]) -> np.ndarray:
+def solved(operator, images):
     return operator.fields(pcg(operator, operator.right_hand_sides(images), 2000, 1e-6).theta)
 
 
-def direct(fitting: LinearFit, images: np.ndarray) -> np.ndarray:
+def direct(fitting, images):
     of_folds = ((fitting.operator(f), [images[v][[0, 2]] for v in f.views]) for f in FOLDS)
     return np.stack([solved(operator, own) for operator, own in of_folds])
 
 
 @pytest.mark.parametrize("together", [1, 8])
 @pytest.mark.parametrize("takes", [False, True])
-def test_they_end_where_one_fit_of_what_is_left_would(
-    takes: bool, together: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_they_end_where_one_fit_of_what_is_left_would(takes, together, monkeypatch):
     monkeypatch.setattr(module, "TOGETHER", together)
     images, taken = pictures(1), 0.3 * pictures(2)
     found = both_passes(fit(images), taken if takes else None)
@@ -81,7 +72,7 @@ def test_they_end_where_one_fit_of_what_is_left_would(
         assert np.abs(direct(fit(images), images) - expected).max() > 0.05 * np.abs(expected).max()
 
 
-def test_mixed_targets_are_fitted_as_one_system() -> None:
+def test_mixed_targets_are_fitted_as_one_system():
     """Two target images of three fields, none of which is noise by itself."""
     rng = np.random.default_rng(5)
     mixing = [rng.normal(size=(2, 3)).astype(np.float32) for _ in range(2)]
@@ -94,7 +85,7 @@ def test_mixed_targets_are_fitted_as_one_system() -> None:
         np.testing.assert_allclose(found[p], expected, atol=5e-3 * np.abs(expected).max())
 
 
-def test_the_second_pass_solves_with_the_edges_reweighted() -> None:
+def test_the_second_pass_solves_with_the_edges_reweighted():
     """What both passes find is the solution of the reweighted problem, and another than without."""
     images = pictures(1)
     fitting = fit(images, weight=STIFF)
@@ -110,7 +101,7 @@ def test_the_second_pass_solves_with_the_edges_reweighted() -> None:
     assert np.abs(direct(fitting, images) - expected).max() > 0.02 * largest
 
 
-def test_a_second_fit_within_a_support_moves_nothing_else() -> None:
+def test_a_second_fit_within_a_support_moves_nothing_else():
     rng = np.random.default_rng(5)
     mixing = [rng.normal(size=(2, 3)).astype(np.float32) for _ in range(2)]
     asked: list[str] = []

@@ -13,23 +13,23 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 
 
-def observed(fps: float, n_frames: int = 90) -> Observations:
+def observed(fps, n_frames=90):
     frames = PosedFrames("cam", np.eye(4), np.eye(3), np.arange(n_frames), np.arange(n_frames) / fps)
     pictures = ImageStack(np.zeros((n_frames, 2, 2, 4), np.uint8))
     return Observations(Kind.tripod, "synchronous", [frames], pictures, fps, n_frames, True)
 
 
-def moving(hz: list[float], size: list[float]) -> ModalMotion:
+def moving(hz, size):
     displacement = np.array(size)[:, None, None] * np.ones((1, 5, 3), np.complex64)
     return ModalMotion(np.array(hz), displacement.astype(np.complex64), 0 * displacement, 30.0, 90)
 
 
-def test_peaks_are_by_falling_strength_and_no_weaker_than_three_percent() -> None:
+def test_peaks_are_by_falling_strength_and_no_weaker_than_three_percent():
     motion = moving([0.2, 3.4, 7.0, 9.0], [50.0, 1.0, 2.0, 0.05])
     np.testing.assert_allclose(peaks(motion, 0.67), [7.0, 3.4])
 
 
-def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one() -> None:
+def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one():
     """Bins of a record of 3 s, falling from the drift of the first one."""
     hz = np.arange(1, 40) / 3
     size = 3 / hz
@@ -38,7 +38,7 @@ def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one() -> Non
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_drift_that_is_spread_over_frequencies_has_no_peak(seed: int) -> None:
+def test_a_drift_that_is_spread_over_frequencies_has_no_peak(seed):
     """A random walk of 5 points, 30 s long, seen at 15 frames a second: each bin falls where chance puts it."""
     hz = np.arange(1, 200) / 30
     rng = np.random.default_rng(seed)
@@ -49,20 +49,20 @@ def test_a_drift_that_is_spread_over_frequencies_has_no_peak(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("fps", "hz", "mains"), [(30.0, 10.0, 100), (29.97, 10.09, 100), (25.0, 5.0, 120)])
-def test_where_flickering_light_would_appear_it_is_said(fps: float, hz: float, mains: int) -> None:
+def test_where_flickering_light_would_appear_it_is_said(fps, hz, mains):
     (line,) = frequency_notes([hz], observed(fps))
     assert f"flickers at {mains} Hz" in line
     assert "\n" not in line
     assert not frequency_notes([hz + 1], observed(fps))
 
 
-def test_close_to_half_the_frame_rate_the_other_frequency_is_said() -> None:
+def test_close_to_half_the_frame_rate_the_other_frequency_is_said():
     (line,) = frequency_notes([13.0], observed(30.0))
     assert "a vibration of 17 Hz would look the same" in line
     assert not frequency_notes([11.0], observed(30.0))
 
 
-def test_where_most_modes_are_noise_a_peak_stands_out_of_them() -> None:
+def test_where_most_modes_are_noise_a_peak_stands_out_of_them():
     hz = [1.0 + k / 3 for k in range(40)]
     noise = 0.008 + 0.02 * np.random.default_rng(0).random(40)
     noise[:2] = 0.045, 0.04  # the largest of them
@@ -71,7 +71,7 @@ def test_where_most_modes_are_noise_a_peak_stands_out_of_them() -> None:
     np.testing.assert_allclose(peaks(moving(hz, strength), 0.67), [hz[7], hz[20]])
 
 
-def test_of_few_modes_a_peak_has_more_power_than_all_noise() -> None:
+def test_of_few_modes_a_peak_has_more_power_than_all_noise():
     """Twelve frames make six modes, which are no sample of the noise."""
     hz = [2.5, 5.0, 7.5, 10.0, 12.5]
     motion = moving(hz, [0.5, 0.6, 0.5, 0.9, 0.4])
@@ -85,20 +85,20 @@ def test_of_few_modes_a_peak_has_more_power_than_all_noise() -> None:
 @pytest.mark.parametrize(
     ("hz", "is_said"), [(7.5, True), (7.6, True), (15.0, True), (8.0, False), (3.4, False)]
 )
-def test_what_the_compression_repeats_is_said(hz: float, is_said: bool) -> None:
+def test_what_the_compression_repeats_is_said(hz, is_said):
     """Frames of a period of four at 30 Hz; two seconds, so that frequencies are half a hertz apart."""
     compressed = replace(observed(30.0, 60), codec_period=4)
     assert any("compression repeats" in n for n in frequency_notes([hz], compressed)) == is_said
     assert not any("compression repeats" in n for n in frequency_notes([hz], observed(30.0, 60)))
 
 
-def test_modes_under_the_noise_are_empty() -> None:
+def test_modes_under_the_noise_are_empty():
     motion = of_amplitudes([1e-19, 1.0, 0.001, 0.3], [1.0, 2.0, 3.0, 4.0])
     assert worth_keeping(motion, np.full(50, 0.01)).tolist() == [False, True, False, True]
     assert worth_keeping(motion, np.full(50, 1e-4)).tolist() == [False, True, True, True]
 
 
-def test_weak_modes_that_add_up_stay() -> None:
+def test_weak_modes_that_add_up_stay():
     """A transient is spread over many bins: each is below the noise, all of them are not."""
     motion = of_amplitudes([1.0, *[0.1] * 8], list(range(1, 10)))
     kept = worth_keeping(motion, np.full(50, 0.15))
@@ -113,16 +113,16 @@ def test_weak_modes_that_add_up_stay() -> None:
     )
 
 
-def test_without_known_noise_only_rounding_is_dropped() -> None:
+def test_without_known_noise_only_rounding_is_dropped():
     motion = of_amplitudes([1.0, 0.01, 1e-8], [1.0, 2.0, 3.0])
     assert worth_keeping(motion, None).tolist() == [True, True, False]
 
 
-def test_zero_hertz_stays_and_stillness_is_empty() -> None:
+def test_zero_hertz_stays_and_stillness_is_empty():
     assert worth_keeping(of_amplitudes([0.0, 1.0], [0.0, 5.0]), np.full(50, 0.1)).tolist() == [True, True]
     assert worth_keeping(of_amplitudes([0.0], [5.0]), np.full(50, 0.1)).tolist() == [False]
 
 
-def test_half_the_frame_rate_is_no_frequency_since_no_band_can_hold_it() -> None:
+def test_half_the_frame_rate_is_no_frequency_since_no_band_can_hold_it():
     motion = of_amplitudes([0.1, 1.0, 3.0], [5.0, 7.0, 15.0])
     assert peaks(motion, 1.0).tolist() == [7.0, 5.0]

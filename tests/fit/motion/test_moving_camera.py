@@ -14,7 +14,7 @@ from tg4mm.fit.motion.pipeline import fit_motion
 FREQUENCY = 3.4  # Hz
 
 
-def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
+def test_the_motion_of_the_scene_is_found_though_poses_are_off():
     torch.manual_seed(0)
     gaussians, motion = scene(FREQUENCY)
     fit = fit_motion(gaussians, walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False))
@@ -33,7 +33,7 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
 
 
 @pytest.mark.slow
-def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch):
     real = CameraPath.reading
     monkeypatch.setattr(CameraPath, "reading", lambda *own: replace(real(*own), is_determined=False))
     gaussians, motion = scene(FREQUENCY)
@@ -45,7 +45,7 @@ def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch: 
     assert any("nor the camera's path tells its motion" in note for note in fit.notes)
 
 
-def test_poses_that_are_off_are_corrected() -> None:
+def test_poses_that_are_off_are_corrected():
     gaussians, _ = scene(FREQUENCY)
     off, exact = walk(gaussians, None, 8, tremor=2e-3), walk(gaussians, None, 8)
     corrected, exposures, pixels = corrected_poses(gaussians, off, 0)
@@ -57,7 +57,7 @@ def test_poses_that_are_off_are_corrected() -> None:
 
 
 @pytest.mark.parametrize(("seed", "n_frames"), [(0, 40), (1, 40), (2, 90)])
-def test_a_still_scene_has_no_motion(seed: int, n_frames: int) -> None:
+def test_a_still_scene_has_no_motion(seed, n_frames):
     gaussians, _ = scene(FREQUENCY)
     observations = walk(gaussians, None, n_frames, seed=seed)
     fit = fit_motion(gaussians, observations, MotionConfig(appearance=False))

@@ -1,6 +1,5 @@
 """What changes a whole picture is projected out: gain and offset exactly, the camera's own pose to first order."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.fit.motion.filmed import FPS, K_of, at_hz, elsewhere, fitted, length
 from tests.fit.motion.scenes import SCENES, Camera, camera_of, view_of
-from tests.fit.rasterize.oracle import Scene
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
-    Nuisance,
     Projection,
     inner_products,
     nuisances_of,
@@ -31,21 +26,21 @@ from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
-def plain(scene: Scene) -> Scene:
+def plain(scene):
     """Of one colour from all sides: a camera that turns sees the same colours."""
     colors = scene.colors.clone()
     colors[:, 1:] = 0
     return replace(scene, colors=colors)
 
 
-def nuisance_of(scene: Scene, active: slice) -> Nuisance:
+def nuisance_of(scene, active):
     chosen = np.zeros(12, bool)
     chosen[active] = True
     means = scene.means.float().numpy()
     return nuisances_of([view_of(scene)], [camera_of(scene)], means, chosen)[0]
 
 
-def seen(scene: Scene, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def seen(scene, turn, shift):
     """[H, W, 3] of the dense twin over white, from a camera before which points are turned by a rotation vector about
     its axes and shifted along them."""
     moved = torch.eye(4, dtype=torch.float64)
@@ -58,7 +53,7 @@ def seen(scene: Scene, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return (image + 1 - alpha[..., None]).numpy()
 
 
-def differences(scene: Scene, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def differences(scene, way):
     """Central differences of `seen` along a pose [6], [H, W, 3], and which pixels [H, W, 1] cross no threshold."""
     found = [
         (seen(scene, h * way[:3], h * way[3:]) - seen(scene, -h * way[:3], -h * way[3:])) / (2 * h)
@@ -70,9 +65,7 @@ def differences(scene: Scene, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("axis", range(6), ids=["pitch", "yaw", "roll", "right", "down", "along"])
-def test_columns_of_the_pose_are_what_a_camera_that_moves_sees(
-    axis: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_columns_of_the_pose_are_what_a_camera_that_moves_sees(axis, monkeypatch):
     """Against the dense twin; of another column, or a thousandth more, the comparison would tell."""
     monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
     scene = plain(SCENES["ordinary"])
@@ -85,7 +78,7 @@ def test_columns_of_the_pose_are_what_a_camera_that_moves_sees(
     assert sorted(off)[1] > 0.1
 
 
-def changed(scene: Scene, size: float) -> tuple[np.ndarray, np.ndarray]:
+def changed(scene, size):
     """Mean picture, and changes of two frames: exposure and a pose that differ by `size` of a pixel or so."""
     mean = seen(scene, np.zeros(3), np.zeros(3))
     rng, frames = np.random.default_rng(3), []
@@ -96,7 +89,7 @@ def changed(scene: Scene, size: float) -> tuple[np.ndarray, np.ndarray]:
     return mean.astype(np.float32), np.stack(frames).astype(np.float32)
 
 
-def test_exposure_is_projected_out_of_a_picture_exactly() -> None:
+def test_exposure_is_projected_out_of_a_picture_exactly():
     scene = plain(SCENES["ordinary"])
     mean, changes = changed(scene, 0.0)
     left = without(nuisance_of(scene, EXPOSURE), mean, changes)
@@ -104,9 +97,7 @@ def test_exposure_is_projected_out_of_a_picture_exactly() -> None:
 
 
 @pytest.mark.parametrize("size", [0.1, 0.4])
-def test_a_small_motion_of_the_camera_is_projected_out_to_first_order(
-    size: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_motion_of_the_camera_is_projected_out_to_first_order(size, monkeypatch):
     """What stays goes by the square; without the columns of the pose nearly all of it stays."""
     monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
     scene = plain(SCENES["ordinary"])
@@ -117,7 +108,7 @@ def test_a_small_motion_of_the_camera_is_projected_out_to_first_order(
     assert length(of_pose) > 0.3 * size * length(changes)
 
 
-def test_columns_that_say_the_same_are_one() -> None:
+def test_columns_that_say_the_same_are_one():
     """Before a mean of one grey, gain and offset are the same; nothing is divided by zero."""
     scene = SCENES["ordinary"]
     mean = np.full((scene.height, scene.width, 3), 0.5, np.float32)
@@ -128,7 +119,7 @@ def test_columns_that_say_the_same_are_one() -> None:
     assert len(Projection.of(nuisance_of(scene, EXPOSURE), mean, None).root) == 3
 
 
-def test_products_by_strips_are_those_with_the_columns() -> None:
+def test_products_by_strips_are_those_with_the_columns():
     scene = SCENES["ordinary"]
     mean, changes = changed(scene, 0.4)
     nuisance = nuisance_of(scene, slice(0, 12))
@@ -148,16 +139,16 @@ def test_products_by_strips_are_those_with_the_columns() -> None:
 VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
 
 
-def smooth(gaussians: Gaussians, viewmat: np.ndarray) -> np.ndarray:
+def smooth(gaussians, viewmat):
     """[H, W, 3] over white, rendered down to faint alphas: their cut-off at 1/255 would flicker where things move."""
     view = view_jacobian(gaussians, Camera(viewmat.astype(np.float32), K_of(SIZE)), (SIZE, SIZE))
     return view.over_white
 
 
 def filmed(
-    frame: Callable[[np.ndarray, int, int], np.ndarray], gaussians: Gaussians, motion: ModalMotion,
-    poses: Callable[[int, int, np.ndarray], np.ndarray] = lambda v, t, viewmat: viewmat,
-) -> Observations:  # fmt: skip
+    frame, gaussians, motion,
+    poses = lambda v, t, viewmat: viewmat
+):  # fmt: skip
     """`frame` gets a picture [H, W, 3] in 0..1, the camera and the timestep; `poses` where a camera really stands."""
     frames, pictures = [], []
     for v, viewmat in enumerate(_viewmats(VIEWS, 0.0)):
@@ -173,13 +164,13 @@ def filmed(
 
 
 @pytest.fixture(scope="module")
-def moving() -> tuple[Gaussians, ModalMotion]:
+def moving():
     """A post and a ball sway at 5 Hz by an eighth of a pixel; two periods in twelve timesteps."""
     parts = _parts(1)
     return _gaussians(parts, 1), _motion(parts, (HZ,), 0.012, FPS, T)
 
 
-def test_drift_of_exposure_changes_no_motion(moving: tuple[Gaussians, ModalMotion]) -> None:
+def test_drift_of_exposure_changes_no_motion(moving):
     """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
     gaussians, motion = moving
     rng = np.random.default_rng(4)

@@ -12,14 +12,14 @@ from tg4mm.fit.motion.observations import PosedFrames
 TIMES = np.arange(80) / 20
 
 
-def frames(readout_s: float = 0.0) -> PosedFrames:
+def frames(readout_s=0.0):
     _, (camera, _) = two_cameras()
     return PosedFrames("", camera.viewmat, camera.K, np.arange(len(TIMES)), TIMES, readout_s)
 
 
 @pytest.mark.parametrize("nuisance", [None, slice(0, 6), slice(0, 12)], ids=["none", "exposure", "all"])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_the_adjoint_is_the_transpose_and_the_normal_operator_both(nuisance, weighted) -> None:
+def test_the_adjoint_is_the_transpose_and_the_normal_operator_both(nuisance, weighted):
     p = problem(nuisance=nuisance or slice(0, 0))
     weights = weights_of(p)[0] if weighted else None
     model = ObservationModel.of(frames(), p.nuisances[0], p.means[0], weights)
@@ -39,7 +39,7 @@ def test_the_adjoint_is_the_transpose_and_the_normal_operator_both(nuisance, wei
 
 
 @pytest.mark.parametrize("hz", [0.7, 3.1, 8.0])
-def test_rows_that_are_read_one_after_another_show_what_all_at_once_would(hz: float) -> None:
+def test_rows_that_are_read_one_after_another_show_what_all_at_once_would(hz):
     """A swing read over 40 ms: without the rows' times the last row's phase is off by up to two radians."""
     height, readout = 16, 0.04
     late = readout * ((np.arange(height) + 0.5) / height - 0.5)
@@ -58,13 +58,13 @@ def test_rows_that_are_read_one_after_another_show_what_all_at_once_would(hz: fl
     np.testing.assert_allclose(part, by_rows[:, 4:9], atol=1e-6)
 
 
-def test_a_delay_of_whole_frames_moves_the_samples() -> None:
+def test_a_delay_of_whole_frames_moves_the_samples():
     series = np.random.default_rng(1).normal(size=(2, 80))
     np.testing.assert_allclose(delayed(series, 0), series, atol=1e-12)
     np.testing.assert_allclose(delayed(series, 1)[:, 20:-20], series[:, 21:-19], atol=1e-12)
 
 
-def test_of_uneven_times_functions_are_interpolated_between_them() -> None:
+def test_of_uneven_times_functions_are_interpolated_between_them():
     times = TIMES + np.where(np.arange(80) % 7 == 3, 0.02, 0.0)
     functions = np.stack([np.cos(2 * np.pi * 2.0 * times), np.ones(80)])
     found = later(times, functions, 0.013)[:, 2:-2]

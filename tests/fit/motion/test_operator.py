@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from tg4mm.fit.motion.solver import cuda
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews
 from tg4mm.fit.motion.solver.operator import Fold
-from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import chessboard
 
 RIDGE, SMOOTH = 0.1, 3.0
@@ -39,14 +37,14 @@ KINDS = {
 
 
 @lru_cache
-def made(kind: str) -> CpuOperator:
+def made(kind):
     settings = dict(KINDS[kind])
     weighted = settings.pop("weighted", False)
-    return operator(problem(RIDGE, **settings), SMOOTH, weighted)  # type: ignore[arg-type]
+    return operator(problem(RIDGE, **settings), SMOOTH, weighted)
 
 
 @lru_cache
-def jacobians() -> list[np.ndarray]:
+def jacobians():
     """[H · W · 3, 6 N] float64 of each view, column by column."""
     unit = np.eye(N * DOF, dtype=np.float32).reshape(-1, N, DOF)
     return [v.jvp(unit).reshape(N * DOF, -1).T.astype(np.float64) for v in made("plain").views]
@@ -59,17 +57,17 @@ class Dense:
     of: CpuOperator
 
     @cached_property
-    def motion(self) -> np.ndarray:
+    def motion(self):
         """[6 N, 12 N]: x to displacement and rotation."""
         unit = np.eye(ROWS * N * 3, dtype=np.float32).reshape(-1, ROWS * N, 3)
         return np.stack([self.of.graph.motion(x).ravel() for x in unit], 1).astype(np.float64)
 
     @property
-    def support(self) -> np.ndarray | float:
+    def support(self):
         """[R, 6 N] of 0 and 1."""
         return 1.0 if self.of.support is None else np.repeat(self.of.support.astype(np.float64), DOF, 1)
 
-    def metric_times(self, k: int, pictures: np.ndarray) -> np.ndarray:
+    def metric_times(self, k, pictures):
         """(W − W P (Pᵀ W P)⁻¹ Pᵀ W) of target images, one after the other; by P as it is, not made orthonormal."""
         o = self.of
         height, width = o.views[k].transmittance.shape
@@ -85,17 +83,17 @@ class Dense:
             out -= w * (columns @ (gram @ (columns.T @ out)))
         return np.asarray(out.T.ravel())
 
-    def shown(self, k: int, motions: np.ndarray) -> np.ndarray:
+    def shown(self, k, motions):
         """View k's target images of motions [R, 6 N], one after the other."""
         mix = np.eye(FIELDS) if self.of.mixing is None else self.of.mixing[k].astype(np.float64)
         return np.asarray((mix @ motions @ jacobians()[k].T).ravel())
 
-    def gathered(self, k: int, pictures: np.ndarray) -> np.ndarray:
+    def gathered(self, k, pictures):
         """The transpose of `shown`: [R, 6 N]."""
         mix = np.eye(FIELDS) if self.of.mixing is None else self.of.mixing[k].astype(np.float64)
         return np.asarray(mix.T @ pictures.reshape(len(mix), -1) @ jacobians()[k])
 
-    def product(self, x: np.ndarray) -> np.ndarray:
+    def product(self, x):
         """Of fields x [R, 4 N, 3]."""
         o, motions = self.of, (x.reshape(FIELDS, -1) @ self.motion.T) * self.support
         data = np.zeros_like(motions)
@@ -105,13 +103,13 @@ class Dense:
         prior = np.stack([o.smoothness_weight * (stiffness @ one) + o.ridge * one for one in x])
         return np.asarray((data * self.support @ self.motion).reshape(x.shape) + o.scale * prior)
 
-    def right_hand_side(self, pictures: list[np.ndarray]) -> np.ndarray:
+    def right_hand_side(self, pictures):
         total = np.zeros((FIELDS, N * DOF))
         for k, shown in enumerate(pictures):
             total += self.gathered(k, self.metric_times(k, shown.astype(np.float64).ravel()))
         return np.asarray((total * self.support @ self.motion).reshape(FIELDS, -1, 3))
 
-    def misfit(self, fields: np.ndarray, pictures: list[np.ndarray]) -> float:
+    def misfit(self, fields, pictures):
         total = 0.0
         for k, shown in enumerate(pictures):
             left = self.shown(k, fields.astype(np.float64).reshape(FIELDS, -1)) - shown.ravel()
@@ -119,7 +117,7 @@ class Dense:
         return total
 
 
-def pictures_of(o: CpuOperator, seed: int = 3) -> list[np.ndarray]:
+def pictures_of(o, seed=3):
     """Target images of each view."""
     rng = np.random.default_rng(seed)
     count = FIELDS if o.mixing is None else len(o.mixing[0])
@@ -127,16 +125,16 @@ def pictures_of(o: CpuOperator, seed: int = 3) -> list[np.ndarray]:
     return [rng.normal(size=shape).astype(np.float32) for _ in o.views]
 
 
-def in_unknowns(o: CpuOperator, v: np.ndarray) -> np.ndarray:
+def in_unknowns(o, v):
     return np.stack([o.preconditioner.from_field(one.astype(np.float32)) for one in v])
 
 
-def close(found: np.ndarray, expected: np.ndarray, tolerance: float) -> bool:
+def close(found, expected, tolerance):
     return bool(np.abs(found - expected).max() < tolerance * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_products_are_those_with_the_matrices(kind: str) -> None:
+def test_its_products_are_those_with_the_matrices(kind):
     o = made(kind)
     theta = draw(o, 1, FIELDS)
     expected = in_unknowns(o, Dense(o).product(o.gradient_fields(theta).astype(np.float64)))
@@ -145,14 +143,14 @@ def test_its_products_are_those_with_the_matrices(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_right_hand_sides_are_those_with_the_matrices(kind: str) -> None:
+def test_its_right_hand_sides_are_those_with_the_matrices(kind):
     o = made(kind)
     expected = in_unknowns(o, Dense(o).right_hand_side(pictures_of(o)))
     assert close(o.right_hand_sides(pictures_of(o)), expected, 2e-4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_misfit_is_what_fields_leave(kind: str) -> None:
+def test_its_misfit_is_what_fields_leave(kind):
     o = made(kind)
     fields, pictures = o.fields(30 * draw(o, 1, FIELDS)), pictures_of(o)
     expected = Dense(o).misfit(fields, pictures)
@@ -160,13 +158,13 @@ def test_its_misfit_is_what_fields_leave(kind: str) -> None:
     assert o.misfit(0 * fields, pictures) != pytest.approx(expected, rel=1e-2)
 
 
-def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion() -> None:
+def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion():
     """The minimum over motion and coefficients together, by a dense solver."""
     o = made("weighted nuisance")
     dense, pictures = Dense(replace(o, projections=None)), pictures_of(o)
     rows, right = [], []
     for k, p in enumerate(o.projections or []):
-        root = np.repeat(np.sqrt(o.weights[k].ravel().astype(np.float64)), 3)[:, None]  # type: ignore[index]
+        root = np.repeat(np.sqrt(o.weights[k].ravel().astype(np.float64)), 3)[:, None]
         columns = p.nuisance.columns(p.mean).reshape(-1, len(root)).T.astype(np.float64)
         columns /= np.linalg.norm(columns, axis=0)
         own = [np.zeros_like(columns), np.zeros_like(columns)]
@@ -187,7 +185,7 @@ def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion() -
     assert np.linalg.norm(without) > 0.1 * np.linalg.norm(b)
 
 
-def folds(p: Problem, by_pixels: bool) -> list[Fold]:
+def folds(p, by_pixels):
     if not by_pixels:
         return [Fold(np.array([k])) for k in (0, 1)]
     board, rows = chessboard(p.size), np.arange(2)
@@ -196,7 +194,7 @@ def folds(p: Problem, by_pixels: bool) -> list[Fold]:
 
 @pytest.mark.parametrize("by_pixels", [False, True])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_the_problems_of_two_folds_add_up_to_the_whole(weighted: bool, by_pixels: bool) -> None:
+def test_the_problems_of_two_folds_add_up_to_the_whole(weighted, by_pixels):
     """Data and prior both: each fold's prior is as much weaker."""
     p = problem(RIDGE)
     p = p.changed(pixel_weights=weights_of(p)) if weighted else p
@@ -211,7 +209,7 @@ def test_the_problems_of_two_folds_add_up_to_the_whole(weighted: bool, by_pixels
     assert close(sum(sides), whole.right_hand_sides(pictures), 1e-5)
 
 
-def test_a_changed_problem_keeps_nothing_of_the_old_one() -> None:
+def test_a_changed_problem_keeps_nothing_of_the_old_one():
     """Its preconditioner and the scale of its prior are those of the new weights; within one they are made once."""
     p = problem(RIDGE)
     old, new = operator(p), operator(p.changed(pixel_weights=0.25 * weights_of(p)))
@@ -221,7 +219,7 @@ def test_a_changed_problem_keeps_nothing_of_the_old_one() -> None:
 
 
 @pytest.mark.parametrize("mixed", [False, True])
-def test_operators_that_share_a_pass_are_each_by_itself(mixed: bool) -> None:
+def test_operators_that_share_a_pass_are_each_by_itself(mixed):
     """Of one field each, or of three that are mixed."""
     p = problem(RIDGE, mixed=mixed)
     several = [p.on_cpu(p.everything, weight) for weight in (0.1, 3.0, 300.0)]
@@ -236,16 +234,16 @@ def test_operators_that_share_a_pass_are_each_by_itself(mixed: bool) -> None:
     assert close(shared.right_hand_sides(pictures), sides, 1e-5)
 
 
-def on_device(o: CpuOperator, where: str, storage: torch.dtype = torch.float32) -> DeviceOperator:
+def on_device(o, where, storage=torch.float32):
     return DeviceOperator(o, DeviceViews(o.views, o.graph, where, storage))
 
 
-def check_device(kind: str, where: str, tolerance: float) -> None:
+def check_device(kind, where, tolerance):
     ours, pictures = made(kind), pictures_of(made(kind))
     other, theta = on_device(ours, where), draw(ours, 1, FIELDS)
     there = torch.from_numpy(theta).to(where)
 
-    def same(name: str, a: Any, b: np.ndarray) -> None:
+    def same(name, a, b):
         a = a if isinstance(a, torch.Tensor) else torch.from_numpy(a)
         assert_close(name, a.cpu(), torch.from_numpy(b), tolerance)
 
@@ -261,17 +259,17 @@ def check_device(kind: str, where: str, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_torch_device_poses_the_same_problem(kind: str) -> None:
+def test_a_torch_device_poses_the_same_problem(kind):
     check_device(kind, "cpu", EXACT)
 
 
 @needs_cuda
 @pytest.mark.parametrize("kind", KINDS)
-def test_cuda_poses_the_same_problem(kind: str) -> None:
+def test_cuda_poses_the_same_problem(kind):
     check_device(kind, "cuda", 1e-4)
 
 
-def check_reweighted(where: str, tolerance: float) -> None:
+def check_reweighted(where, tolerance):
     ours = made("plain")
     other = on_device(ours, where)
     residual = np.random.default_rng(4).random(len(ours.graph.other)).astype(np.float32) ** 8
@@ -283,17 +281,17 @@ def check_reweighted(where: str, tolerance: float) -> None:
     assert not close(ours.products(theta), expected, 1e-2)
 
 
-def test_a_torch_device_takes_reweighted_edges_too() -> None:
+def test_a_torch_device_takes_reweighted_edges_too():
     check_reweighted("cpu", EXACT)
 
 
 @needs_cuda
-def test_cuda_takes_reweighted_edges_too() -> None:
+def test_cuda_takes_reweighted_edges_too():
     check_reweighted("cuda", 1e-4)
 
 
 @pytest.mark.parametrize("kind", ["plain", "all"])
-def test_of_half_precision_it_stays_symmetric(kind: str) -> None:
+def test_of_half_precision_it_stays_symmetric(kind):
     """What was rounded is the same in both directions."""
     o = on_device(made(kind), "cpu", torch.float16)
     a, b = (torch.from_numpy(draw(made(kind), k, FIELDS)) for k in (1, 2))
@@ -301,8 +299,8 @@ def test_of_half_precision_it_stays_symmetric(kind: str) -> None:
     assert abs(ab - ba) < 1e-5 * np.sqrt(aa * bb)
 
 
-def test_memory_that_is_too_small_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def exhausted(*_: object) -> None:
+def test_memory_that_is_too_small_is_one_line(monkeypatch):
+    def exhausted(*_):
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore lines")
 
     monkeypatch.setattr(cuda, "device_view_jacobian", exhausted)

@@ -1,6 +1,5 @@
 """Conjugate gradients: they solve, they stop where they should, and systems are each by itself or coupled."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,10 +19,10 @@ class Matrix:
     asked: list[int] = field(default_factory=list)  # rows of each call
 
     @property
-    def is_coupled(self) -> bool:
+    def is_coupled(self):
         return self.couple is not None
 
-    def products(self, theta: Array, rows: Sequence[int] | None = None) -> Array:
+    def products(self, theta, rows=None):
         some = theta if rows is None else theta[list(rows)]
         self.asked.append(len(some))
         if self.couple is None:
@@ -31,7 +30,7 @@ class Matrix:
         return np.einsum("rs,snc->rnc", self.couple, self.A @ some).astype(theta.dtype)
 
 
-def system(n: int = 12, dtype: type = np.float64, systems: int = 1) -> tuple[Matrix, np.ndarray]:
+def system(n=12, dtype=np.float64, systems=1):
     """Of condition 50, and right-hand sides [R, n, 3]."""
     rng = np.random.default_rng(0)
     q, _ = np.linalg.qr(rng.normal(size=(n, n)))
@@ -39,20 +38,20 @@ def system(n: int = 12, dtype: type = np.float64, systems: int = 1) -> tuple[Mat
     return Matrix(A.astype(dtype)), rng.normal(size=(systems, n, 3)).astype(dtype)
 
 
-def relative_residual(solution: Solution) -> float:
+def relative_residual(solution):
     """The largest |b − A θ| / |b|."""
     squares = [float((r**2).sum()) for r in solution.residual]
     return float(np.sqrt(np.max(np.array(squares) / np.maximum(solution.norms, 1e-300))))
 
 
-def exact(matrix: Matrix, b: np.ndarray) -> np.ndarray:
+def exact(matrix, b):
     A = np.asarray(matrix.A, float)
     whole = np.kron(np.eye(len(b)) if matrix.couple is None else matrix.couple, A)
     return np.linalg.solve(whole, b.reshape(-1, 3).astype(float)).reshape(b.shape)
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-6), (np.float32, 2e-4)])
-def test_a_random_system_is_solved(dtype: type, tolerance: float) -> None:
+def test_a_random_system_is_solved(dtype, tolerance):
     matrix, b = system(dtype=dtype)
     found = pcg(matrix, b, 40, 0.0)
     assert np.abs(found.theta - exact(matrix, b)).max() < tolerance
@@ -61,7 +60,7 @@ def test_a_random_system_is_solved(dtype: type, tolerance: float) -> None:
     assert np.abs(pcg(matrix, b, 3, 0.0).theta - exact(matrix, b)).max() > 10 * tolerance
 
 
-def test_coupled_systems_are_solved_as_one() -> None:
+def test_coupled_systems_are_solved_as_one():
     matrix, b = system(systems=3)
     matrix.couple = np.array([[2.0, 0.5, 0], [0.5, 1, -0.3], [0, -0.3, 3]])
     found = pcg(matrix, b, 108, 1e-9)
@@ -70,7 +69,7 @@ def test_coupled_systems_are_solved_as_one() -> None:
     assert found.norms[0] == pytest.approx((b**2).sum())
 
 
-def test_groups_are_each_a_system_as_they_would_be_alone() -> None:
+def test_groups_are_each_a_system_as_they_would_be_alone():
     """Two of two parts each; the one that asks for less ends first."""
     matrix, b = system(systems=4)
     b[:2] = np.linalg.eigh(matrix.A)[1][:, :1]  # an eigenvector: solved by one iteration
@@ -84,7 +83,7 @@ def test_groups_are_each_a_system_as_they_would_be_alone() -> None:
     assert np.abs(one - pcg(matrix, b[2:], 5, 0.0).theta).max() > 1e-6  # not one by one
 
 
-def test_each_iteration_is_the_best_in_its_krylov_space() -> None:
+def test_each_iteration_is_the_best_in_its_krylov_space():
     """Directions are conjugate: the answer after k is the minimum over span(b, A b, … Aᵏ⁻¹ b)."""
     matrix, b = system()
     A, k = np.kron(matrix.A, np.eye(3)), 5
@@ -93,7 +92,7 @@ def test_each_iteration_is_the_best_in_its_krylov_space() -> None:
     np.testing.assert_allclose(pcg(matrix, b, k, 0.0).theta.ravel(), best, atol=1e-8)
 
 
-def test_the_tolerance_is_measured_against_the_norms_given() -> None:
+def test_the_tolerance_is_measured_against_the_norms_given():
     """A second pass begins with a small residual: of what was asked first it is little."""
     matrix, b = system()
     pcg(matrix, b, 30, 0.1, norms=100.0 * (b**2).sum((1, 2)))
@@ -102,7 +101,7 @@ def test_the_tolerance_is_measured_against_the_norms_given() -> None:
     assert matrix.asked
 
 
-def test_tensors_are_solved_as_arrays_are() -> None:
+def test_tensors_are_solved_as_arrays_are():
     matrix, b = system(dtype=np.float32, systems=2)
     there = Matrix(torch.from_numpy(matrix.A))
     a: Solution = pcg(matrix, b, 6, 0.0)

@@ -15,14 +15,14 @@ SIZE, VIEWS = 40, 3
 EVENED = 4 * np.pi * 1.5**2  # independent pixels in a Gaussian mean of 1.5 px
 
 
-def deviation() -> np.ndarray:
+def deviation():
     """[V, H, W] standard deviation of a picture's noise: 0.005 to 0.04, smooth, another in every camera."""
     x = np.linspace(0, np.pi, SIZE)
     wave = np.sin(x)[:, None] * np.sin(x)
     return 0.005 + 0.035 * np.stack([wave, wave[::-1, :] ** 2, 1 - wave])
 
 
-def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TargetImages:
+def noisy(states, seed=0, motion=0.0):
     """Components of pictures of 16 bits: grey, noise of known deviation per state, a pattern that swings."""
     rng = np.random.default_rng(seed)
     n_timesteps = len(states)
@@ -39,7 +39,7 @@ def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TargetImage
         return components(observe(capture, images), 16)
 
 
-def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: float = 0.0) -> None:
+def check(found, freedom, frames_per_state, biased=0.0):
     """Within five standard errors of a mean over `freedom` × three channels × the pixels that are evened out.
 
     The mean of all pixels has √(pixels) times less, and tells a wrong number of degrees of freedom.
@@ -54,7 +54,7 @@ def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: floa
 
 
 class TestNoiseOfKnownVariance:
-    def test_beside_motion_what_is_left_tells(self) -> None:
+    def test_beside_motion_what_is_left_tells(self):
         """A component of motion, eight times the noise, is kept and not named noise: 28 are left."""
         found = noisy(np.arange(30), motion=0.08)
         assert len(found.basis) == 1
@@ -64,7 +64,7 @@ class TestNoiseOfKnownVariance:
 
 
 class TestExactly:
-    def test_energy_is_divided_among_kept_and_left_out(self) -> None:
+    def test_energy_is_divided_among_kept_and_left_out(self):
         """Made up: residual 6 of rank 5 with two kept, the second of energy 2 in one pixel, before evening out."""
         images = np.zeros((1, 2, 9, 9, 3), np.float32)
         images[0, 1] = np.sqrt(2.0)

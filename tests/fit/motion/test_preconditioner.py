@@ -10,7 +10,6 @@ from tests.fit.motion.scenes import inner, operator, problem
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.prior.graph import ROWS
 from tg4mm.fit.motion.solver.aggregates import Aggregates
-from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.preconditioner import (
     TwoLevelPreconditioner,
@@ -19,7 +18,7 @@ from tg4mm.fit.motion.solver.preconditioner import (
 )
 
 
-def plain(o: CpuOperator) -> CpuOperator:
+def plain(o):
     """The same problem with the field itself as unknowns: no scaling, and aggregates that hold nothing."""
     n = o.graph.n_gaussians
     blocks = np.tile(np.eye(ROWS, dtype=np.float32), (n, 1, 1))
@@ -30,7 +29,7 @@ def plain(o: CpuOperator) -> CpuOperator:
     )
 
 
-def solved(o: CpuOperator, iterations: int) -> np.ndarray:
+def solved(o, iterations):
     """[N, 6]."""
     shape = (1, *o.views[0].transmittance.shape, 3)
     rng = np.random.default_rng(3)
@@ -39,7 +38,7 @@ def solved(o: CpuOperator, iterations: int) -> np.ndarray:
     return field
 
 
-def test_the_information_is_the_diagonal_of_the_data() -> None:
+def test_the_information_is_the_diagonal_of_the_data():
     """Against single motions of every Gaussian; mean over x, y, z."""
     p = problem()
     n = p.n_gaussians
@@ -56,7 +55,7 @@ def test_the_information_is_the_diagonal_of_the_data() -> None:
     assert found[:, 0].mean() == pytest.approx(exact[:, :3].mean(), rel=0.03)
 
 
-def test_from_field_is_the_transpose() -> None:
+def test_from_field_is_the_transpose():
     pre, rng = operator(problem()).preconditioner, np.random.default_rng(1)
     theta = rng.normal(size=(4 * len(pre.blocks) + len(pre.coarse_factor), 3)).astype(np.float32)
     v = rng.normal(size=(len(pre.blocks) * ROWS, 3)).astype(np.float32)
@@ -64,14 +63,14 @@ def test_from_field_is_the_transpose() -> None:
     assert abs(one - other) < 1e-5 * np.linalg.norm(pre.field(theta)) * np.linalg.norm(v)
 
 
-def test_the_minimum_stays_the_same_field() -> None:
+def test_the_minimum_stays_the_same_field():
     o = operator(problem())
     one, same = solved(plain(o), 3000), solved(o, 100)
     assert np.abs(one).max() > 0
     np.testing.assert_allclose(one, same, atol=2e-2 * np.abs(one).max())
 
 
-def test_it_is_reached_in_fewer_iterations() -> None:
+def test_it_is_reached_in_fewer_iterations():
     o = operator(problem())
     end = solved(o, 100)
     far = [np.linalg.norm(solved(some, 20) - end) for some in (plain(o), o)]

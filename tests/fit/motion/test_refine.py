@@ -1,16 +1,13 @@
 """The scene at rest, refined with the motion known: from whose cameras, how states count, and when it stays."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, load_capture, load_images
-from tg4mm.fit.gaussians import Gaussians
+from tg4mm.capture import load_capture, load_images
 from tg4mm.fit.motion import MotionConfig, gauss_newton
 from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.run import Run
@@ -20,7 +17,7 @@ SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=6, gauss_
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Gaussians]:
+def data(tmp_path_factory):
     """Seven cameras; the Gaussians are where they should be, but blurred."""
     root = tmp_path_factory.mktemp("seven") / "data"
     gaussians, _ = make_synthetic_dataset(
@@ -29,9 +26,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Gaussians]:
     return root, replace(gaussians, scales=1.5 * gaussians.scales)
 
 
-def _trained(
-    data: tuple[Path, Gaussians], path: Path, config: MotionConfig = SHORT, wandering: int | None = None
-) -> Run:
+def _trained(data, path, config=SHORT, wandering=None):
     """`wandering`: a camera that stays nowhere."""
     capture = load_capture(data[0])
     run = Run.create(path, data[0], "modal", {})
@@ -42,24 +37,24 @@ def _trained(
     return run
 
 
-def _without(capture: Capture, camera: int) -> Capture:
+def _without(capture, camera):
     ids = capture.camera_ids.copy()
     rows = np.flatnonzero(ids == camera)
     ids[rows] = ids.max() + np.arange(len(rows))
     return replace(capture, camera_ids=ids)
 
 
-def _is_as_before(run: Run, gaussians: Gaussians) -> bool:
+def _is_as_before(run, gaussians):
     found = run.load_space()
     names = ("means", "quats", "scales", "opacities", "sh")
     return all(torch.equal(getattr(found, n), getattr(gaussians, n)) for n in names)
 
 
-def test_fixed_cameras_alone_sharpen_the_scene(data, tmp_path: Path) -> None:
+def test_fixed_cameras_alone_sharpen_the_scene(data, tmp_path):
     assert not _is_as_before(_trained(data, tmp_path / "run"), data[1])
 
 
-def test_a_scene_that_other_cameras_saw_stays(data, tmp_path: Path) -> None:
+def test_a_scene_that_other_cameras_saw_stays(data, tmp_path):
     """Six fixed cameras and one that wanders: the motion is found, the scene is not theirs alone."""
     run = _trained(data, tmp_path / "run", wandering=6)
     log = run.log()["motion"]
@@ -68,13 +63,11 @@ def test_a_scene_that_other_cameras_saw_stays(data, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("brightened", [0.0, 0.5])
-def test_gaussians_that_show_the_pictures_worse_are_not_taken(
-    brightened: float, data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gaussians_that_show_the_pictures_worse_are_not_taken(brightened, data, tmp_path, monkeypatch):
     """What changes is off; or sharper as it ought to be, but all of it too bright at all times."""
     real = refine_rest_scene
 
-    def worse(*args: Any) -> Gaussians:
+    def worse(*args):
         g = real(*args)
         return replace(g, means=g.means + (0.0 if brightened else 0.2), sh=g.sh + brightened)
 

@@ -15,7 +15,7 @@ from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.fit.motion.spectrum import sinusoids
-from tg4mm.fit.motion.temporal.steady import RegionSeries, moving_camera_series, shift_series
+from tg4mm.fit.motion.temporal.steady import moving_camera_series, shift_series
 
 SIZE, POST = 64, 1
 
@@ -23,7 +23,7 @@ SIZE, POST = 64, 1
 class Scene:
     """Floor, post and ball, each a region, before one camera."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         parts = _parts(1)
         self.gaussians = _gaussians(parts, 1)
         self.labels = np.repeat(np.arange(3), [len(p.vertices) for p in parts])
@@ -31,31 +31,31 @@ class Scene:
         self.view: ViewJacobian = view_jacobian(self.gaussians, self.camera, (SIZE, SIZE))
 
     @property
-    def axes(self) -> np.ndarray:
+    def axes(self):
         return self.camera.viewmat[:2, :3]
 
-    def shown(self, shifts: np.ndarray, region: int = POST) -> np.ndarray:
+    def shown(self, shifts, region=POST):
         """[F, H, W, 3]: what a region's shifts [F, 2] to the right and down, in scene units, change."""
         motions = np.zeros((len(shifts), len(self.labels), DOF), np.float32)
         motions[:, self.labels == region, :3] = (shifts @ self.axes)[:, None]
         return self.view.jvp(motions)
 
-    def model(self, times_s: np.ndarray, projection: Projection | None = None) -> ObservationModel:
+    def model(self, times_s, projection=None):
         frames = PosedFrames("", self.camera.viewmat, self.camera.K, np.arange(len(times_s)), times_s)
         return ObservationModel(frames, self.view, projection)
 
-    def series(self, changes: np.ndarray, projection: Projection | None = None) -> RegionSeries:
+    def series(self, changes, projection=None):
         model = self.model(np.arange(len(changes)) / 30, projection)
         by_three = (changes[k : k + 3] for k in range(0, len(changes), 3))
         return shift_series(model, self.labels, by_three)
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return Scene()
 
 
-def shifts_of(series: RegionSeries) -> np.ndarray:
+def shifts_of(series):
     """[F, G, 2] scene units."""
     return np.linalg.solve(
         np.broadcast_to(series.normals, (*series.sides.shape, 2)), series.sides[..., None]
@@ -66,7 +66,7 @@ SHIFTS = 0.01 * np.random.default_rng(0).normal(size=(7, 2))
 
 
 @pytest.mark.parametrize("region", [0, 1, 2], ids=["floor", "post", "ball"])
-def test_a_regions_shift_comes_out(scene: Scene, region: int) -> None:
+def test_a_regions_shift_comes_out(scene, region):
     """And of those that stand still a little, where pixels show two of them."""
     found = shifts_of(scene.series(scene.shown(SHIFTS, region)))
     size = np.linalg.norm(SHIFTS)
@@ -76,7 +76,7 @@ def test_a_regions_shift_comes_out(scene: Scene, region: int) -> None:
     assert np.linalg.norm(found[:, others]) < 0.4 * size
 
 
-def test_what_nuisance_does_shifts_nothing(scene: Scene) -> None:
+def test_what_nuisance_does_shifts_nothing(scene):
     """Exposure that varies by all of it, beside the shift: as without, if it is projected out."""
     active = np.arange(12) < 6
     (nuisance,) = nuisances_of([scene.view], [scene.camera], scene.gaussians.means.numpy(), active)
@@ -93,7 +93,7 @@ def test_what_nuisance_does_shifts_nothing(scene: Scene) -> None:
     assert np.linalg.norm(shifts_of(scene.series(changes))[:, POST] - SHIFTS) > 0.3 * size
 
 
-def test_a_region_that_is_not_seen_says_nothing(scene: Scene) -> None:
+def test_a_region_that_is_not_seen_says_nothing(scene):
     """Ten Gaussians of the floor behind the camera."""
     unseen = Scene()
     means, behind = unseen.gaussians.means.clone(), np.arange(10)
@@ -108,7 +108,7 @@ def test_a_region_that_is_not_seen_says_nothing(scene: Scene) -> None:
     assert whitened[:, :3].any()
 
 
-def test_phasors_are_those_of_the_shifts(scene: Scene) -> None:
+def test_phasors_are_those_of_the_shifts(scene):
     """Of a drift beside them, too."""
     t, hz = np.arange(40) / 30, np.array([3.3, 7.9])
     phasors = np.array([[0.01 + 0.02j, -0.01j], [0.005, 0.01 - 0.004j]])  # [K, 2]
@@ -118,7 +118,7 @@ def test_phasors_are_those_of_the_shifts(scene: Scene) -> None:
     assert np.linalg.norm(found - phasors) < 0.1 * np.linalg.norm(phasors)
 
 
-def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene: Scene) -> None:
+def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene):
     changes = scene.shown(SHIFTS)
     fixed = scene.series(changes)
     n = len(changes)

@@ -1,6 +1,5 @@
 """Pictures of cameras that shake are turned back; those of a scene that moves as a whole, and of none, are not."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +12,8 @@ from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white
 from tg4mm.core.choices import Kind
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
-from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
 from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
@@ -25,27 +22,27 @@ T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6
 
 
-def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def texture(x, y):
     """[…, 3] in 0..1 at places in pixels."""
     waves = np.sin(0.5 * x + 0.3 * y), np.cos(0.4 * x - 0.6 * y), np.sin(0.35 * x) * np.sin(0.5 * y)
     return 0.5 + 0.3 * np.stack(waves, -1)
 
 
-def through(back: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def through(back, size):
     """Places of the common pose, x and y [H, W], that a picture's pixels show; `back` [3, 3] goes the other way."""
     y, x = np.mgrid[: size[0], : size[1]] + 0.5
     at = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(back).T
     return at[..., 0] / at[..., 2], at[..., 1] / at[..., 2]
 
 
-def random_turns(n: int, size: float, focal: float, seed: int = 0) -> np.ndarray:
+def random_turns(n, size, focal, seed=0):
     """[n, 3] radians of mean 0, so that the picture's middle shifts by `size` pixels rms."""
     turns = np.random.default_rng(seed).normal(size=(n, 3))
     turns -= turns.mean(0)
     return size / focal * turns / np.sqrt((turns[:, :2] ** 2).sum(1).mean())
 
 
-def stored(pictures: np.ndarray) -> np.ndarray:
+def stored(pictures):
     """[n, H, W, 4] uint16, opaque, of [n, H, W, 3]."""
     out = np.full((*pictures.shape[:3], 4), 65535, np.uint16)
     out[..., :3] = (pictures.clip(0, 1) * 65535).round()
@@ -56,13 +53,13 @@ WIDE = (64, 96)
 K_WIDE = np.array([[110, 0, 50], [0, 110, 30], [0, 0, 1]], np.float32)
 
 
-def turned_textures(turns: np.ndarray) -> RegisteredPictures:
+def turned_textures(turns):
     back = homographies(K_WIDE, turns)
     pictures = np.stack([texture(*through(h, WIDE)) for h in back])
     return RegisteredPictures(ImageStack(stored(pictures)), back)
 
 
-def test_a_turned_picture_is_turned_back() -> None:
+def test_a_turned_picture_is_turned_back():
     """To a thousandth, but for what lay beyond its edges, by turns of more than a pixel and a roll."""
     y, x = np.mgrid[: WIDE[0], : WIDE[1]] + 0.5
     pictures = turned_textures(np.array([[0.01, -0.02, 0.03], [0, 0, 0.0], [-0.013, 0.004, -0.05]]))
@@ -74,7 +71,7 @@ def test_a_turned_picture_is_turned_back() -> None:
 
 
 @pytest.mark.parametrize("moves", [0.0, 1.0])
-def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> None:
+def test_turns_are_found_beside_something_that_moves_by_itself(moves):
     """A fifth of the picture, by a pixel, to and fro."""
     n = 10
     turns = random_turns(n, SHAKE_PX, 110, seed=3)
@@ -93,7 +90,7 @@ def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> 
 
 
 @pytest.fixture(scope="module")
-def moving() -> tuple[Gaussians, ModalMotion]:
+def moving():
     """A post and a ball sway at 5 Hz by a quarter of a pixel; two periods in twelve timesteps.
 
     Blurred, so that pictures of this size hold what there is to see.
@@ -103,9 +100,7 @@ def moving() -> tuple[Gaussians, ModalMotion]:
     return replace(sharp, scales=BLUR * sharp.scales), _motion(parts, (HZ,), 0.012, FPS, T)
 
 
-def filmed(
-    at: Callable[[int], Gaussians], n_views: int, shake_px: float, is_cut_out: bool = False
-) -> Observations:
+def filmed(at, n_views, shake_px, is_cut_out=False):
     """Fixed cameras that shake, each by itself; `at` gives the Gaussians at a timestep.
 
     Every picture is resampled from a finer one of the camera at rest: Gaussians rendered from a camera that turns pop,
@@ -136,22 +131,20 @@ def filmed(
     return Observations(Kind.rig, "synchronous", frames, stack, FPS, T, False)
 
 
-def but_for_a_rigid_motion(field: np.ndarray, means: np.ndarray) -> np.ndarray:
+def but_for_a_rigid_motion(field, means):
     """A field [N, 3] less the rigid motion of all Gaussians that is nearest to it."""
     turns = np.stack([np.cross(axis, means) for axis in np.eye(3)], -1)
     rigid = np.concatenate([np.tile(np.eye(3), (len(means), 1, 1)), turns], 2).reshape(-1, 6)
     return field - (rigid @ np.linalg.lstsq(rigid, field.ravel(), rcond=None)[0]).reshape(field.shape)
 
 
-def apart(fit: MotionFit, other: MotionFit) -> float:
+def apart(fit, other):
     """At the true frequency, but for a rigid motion, rms over that of the other."""
     left = but_for_a_rigid_motion(at_hz(fit, HZ) - at_hz(other, HZ), other.gaussians.means.numpy())
     return length(left) / length(at_hz(other, HZ))
 
 
-def test_motion_before_cameras_that_shake_is_that_before_still_ones(
-    moving: tuple[Gaussians, ModalMotion],
-) -> None:
+def test_motion_before_cameras_that_shake_is_that_before_still_ones(moving):
     """By half a pixel, twice the motion. Left in, it is taken for motion."""
     gaussians, motion = moving
     steady, shaken = (filmed(lambda t: _at(gaussians, motion, t, 0), 6, px) for px in (0.0, SHAKE_PX))
@@ -167,9 +160,7 @@ def test_motion_before_cameras_that_shake_is_that_before_still_ones(
     assert elsewhere(left_in, HZ) > 1
 
 
-def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
-    moving: tuple[Gaussians, ModalMotion],
-) -> None:
+def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(moving):
     """By what they disagree in."""
     gaussians, motion = moving
     shaken = filmed(lambda t: _at(gaussians, motion, t, 0), 6, SHAKE_PX, True)
@@ -180,15 +171,13 @@ def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
 
 
 @pytest.mark.parametrize("is_cut_out", [False, True])
-def test_a_scene_that_moves_as_a_whole_is_not_stabilised(
-    moving: tuple[Gaussians, ModalMotion], is_cut_out: bool
-) -> None:
+def test_a_scene_that_moves_as_a_whole_is_not_stabilised(moving, is_cut_out):
     """It shifts by half a pixel and turns; four still cameras see the same motion."""
     gaussians, _ = moving
     rng = np.random.default_rng(0)
     shifts, turns = 0.03 * rng.normal(size=(T, 3)), 0.01 * rng.normal(size=(T, 3))
 
-    def at(t: int) -> Gaussians:
+    def at(t):
         moved = Rotation.from_rotvec(turns[t]).apply(gaussians.means.numpy()) + shifts[t]
         return replace(gaussians, means=gaussians.means.new_tensor(moved))
 

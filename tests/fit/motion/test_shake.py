@@ -9,7 +9,7 @@ SIZE, T = (96, 128), 20
 STEADY = np.zeros((T, 2))
 
 
-def texture(right: np.ndarray, down: np.ndarray) -> np.ndarray:
+def texture(right, down):
     """[H, W, 3] at pixels moved by [H, W] each."""
     y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
     x, y = x - right, y - down
@@ -17,7 +17,7 @@ def texture(right: np.ndarray, down: np.ndarray) -> np.ndarray:
     return 0.5 + 0.3 * np.stack(waves, -1)
 
 
-def filmed(right: np.ndarray, down: np.ndarray, noise: float = 0.005) -> BlockShifts:
+def filmed(right, down, noise=0.005):
     """Frames whose pixels are moved by [T, H, W] each, less their mean."""
     rng = np.random.default_rng(0)
     frames = np.stack([texture(r, d) for r, d in zip(right, down, strict=True)])
@@ -30,13 +30,13 @@ def filmed(right: np.ndarray, down: np.ndarray, noise: float = 0.005) -> BlockSh
     return found
 
 
-def everywhere(shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def everywhere(shifts):
     """[T, H, W] each, of shifts [T, 2]."""
     right, down = (np.broadcast_to(s[:, None, None], (T, *SIZE)) for s in shifts.T)
     return right.copy(), down.copy()
 
 
-def random_shifts(size: float, seed: int = 1) -> np.ndarray:
+def random_shifts(size, seed=1):
     """[T, 2] pixels, each axis of so much rms; mean 0."""
     shifts = np.random.default_rng(seed).normal(size=(T, 2))
     shifts -= shifts.mean(0)
@@ -44,7 +44,7 @@ def random_shifts(size: float, seed: int = 1) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [0.05, 0.2, 0.4])
-def test_a_camera_that_shakes_is_found_with_its_pixels(size: float) -> None:
+def test_a_camera_that_shakes_is_found_with_its_pixels(size):
     """Both axes together: √2 of what each has."""
     pixels, is_shaking = filmed(*everywhere(random_shifts(size))).shake()
     assert is_shaking
@@ -52,7 +52,7 @@ def test_a_camera_that_shakes_is_found_with_its_pixels(size: float) -> None:
 
 
 @pytest.mark.parametrize("what", ["roll", "zoom"])
-def test_a_camera_that_rolls_or_comes_nearer_shakes_too(what: str) -> None:
+def test_a_camera_that_rolls_or_comes_nearer_shakes_too(what):
     y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
     x, y = x - SIZE[1] / 2, y - SIZE[0] / 2
     way = (-y, x) if what == "roll" else (x, y)
@@ -61,7 +61,7 @@ def test_a_camera_that_rolls_or_comes_nearer_shakes_too(what: str) -> None:
 
 
 @pytest.mark.parametrize("side", [40, 80])
-def test_an_object_that_moves_before_what_stands_still_is_no_shake(side: int) -> None:
+def test_an_object_that_moves_before_what_stands_still_is_no_shake(side):
     """Up to more than half of the picture, by more than any shake."""
     right, down = everywhere(random_shifts(1.0))
     mask = np.zeros(SIZE, bool)
@@ -71,7 +71,7 @@ def test_an_object_that_moves_before_what_stands_still_is_no_shake(side: int) ->
     assert pixels < 0.02
 
 
-def test_an_object_that_moves_before_a_camera_that_shakes_is_a_shake() -> None:
+def test_an_object_that_moves_before_a_camera_that_shakes_is_a_shake():
     right, down = everywhere(random_shifts(0.2))
     mask = np.zeros(SIZE, bool)
     mask[20:60, 20:60] = True
@@ -82,7 +82,7 @@ def test_an_object_that_moves_before_a_camera_that_shakes_is_a_shake() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
-def test_noise_is_no_shake(noise: float) -> None:
+def test_noise_is_no_shake(noise):
     pixels, is_shaking = filmed(*everywhere(STEADY), noise).shake()
     assert not is_shaking
     assert pixels < 0.01

@@ -6,15 +6,7 @@ import pytest
 from tg4mm.fit.motion.spectrum import find_sinusoids
 
 
-def functions(
-    n_timesteps: int,
-    cycles: tuple[float, ...],
-    drift: float = 0.0,
-    noise: float = 0.0,
-    seed: int = 0,
-    n_pixels: int = 400,
-    decay: float = 0.0,
-) -> np.ndarray:
+def functions(n_timesteps, cycles, drift=0.0, noise=0.0, seed=0, n_pixels=400, decay=0.0):
     """[R, T]: principal functions of time of many pixels that swing with every tone, by their strength.
 
     `drift`: rms of what a pixel drifts over the capture; `noise`: standard deviation; `decay`: cycles to 1/e.
@@ -45,18 +37,14 @@ class TestFrequencies:
         ],
     )
     @pytest.mark.parametrize("drift", [0.0, 1.0])
-    def test_of_clean_motion_they_are_exact(
-        self, n_timesteps: int, cycles: tuple[float, ...], drift: float
-    ) -> None:
+    def test_of_clean_motion_they_are_exact(self, n_timesteps, cycles, drift):
         found = find_sinusoids(functions(n_timesteps, cycles, drift))
         np.testing.assert_allclose(found.cycles, cycles, atol=2e-3 if drift else 1e-4)
         assert found.trend == bool(drift)
 
     @pytest.mark.parametrize("seed", range(4))
     @pytest.mark.parametrize("cycles", [(2.5,), (5.3, 11.3)])
-    def test_of_noisy_motion_they_are_as_near_as_noise_lets(
-        self, cycles: tuple[float, ...], seed: int
-    ) -> None:
+    def test_of_noisy_motion_they_are_as_near_as_noise_lets(self, cycles, seed):
         """Four standard deviations of the Cramér–Rao bound, √(6 σ² / (π² T Σ a² / 2)) … in cycles per capture."""
         noise, n_timesteps, n_pixels = 0.3, 30, 400
         found = find_sinusoids(functions(n_timesteps, cycles, noise=noise, seed=seed, n_pixels=n_pixels))
@@ -68,34 +56,34 @@ class TestFrequencies:
 class TestNone:
     @pytest.mark.parametrize("noise", [0.0, 0.1])
     @pytest.mark.parametrize("cycles", [(5.0,), (1.0,), (3.0, 7.0, 12.0)])
-    def test_of_whole_periods(self, cycles: tuple[float, ...], noise: float) -> None:
+    def test_of_whole_periods(self, cycles, noise):
         found = find_sinusoids(functions(30, cycles, noise=noise))
         assert not len(found.cycles)
         assert not found.trend
 
     @pytest.mark.parametrize("seed", range(6))
     @pytest.mark.parametrize(("n_timesteps", "n_pixels"), [(30, 400), (300, 400), (30, 1), (64, 2)])
-    def test_of_noise(self, n_timesteps: int, n_pixels: int, seed: int) -> None:
+    def test_of_noise(self, n_timesteps, n_pixels, seed):
         found = find_sinusoids(functions(n_timesteps, (), noise=1.0, n_pixels=n_pixels, seed=seed))
         assert not len(found.cycles)
         assert not found.trend
 
-    def test_of_less_than_one_cycle(self) -> None:
+    def test_of_less_than_one_cycle(self):
         """Not to be told from a drift and an offset."""
         assert not len(find_sinusoids(functions(30, (0.6,))).cycles)
 
     @pytest.mark.parametrize("series", [np.zeros((2, 30)), np.zeros((0, 30)), np.ones((1, 30)), np.eye(3, 6)])
-    def test_of_nothing_or_too_little(self, series: np.ndarray) -> None:
+    def test_of_nothing_or_too_little(self, series):
         assert not len(find_sinusoids(series).cycles)
 
 
-def test_a_drift_alone_is_a_trend() -> None:
+def test_a_drift_alone_is_a_trend():
     found = find_sinusoids(functions(30, (), drift=1.0, noise=0.05))
     assert found.trend
     assert not len(found.cycles)
 
 
-def test_of_a_mode_that_rings_down_the_tone_lies_at_its_peak() -> None:
+def test_of_a_mode_that_rings_down_the_tone_lies_at_its_peak():
     """To 1/e in half the capture: what the tone leaves goes to the bins."""
     found = find_sinusoids(functions(60, (10.4,), decay=5.2))
     assert len(found.cycles) in (0, 1)

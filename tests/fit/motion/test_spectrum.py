@@ -8,13 +8,13 @@ from tg4mm.fit.motion.spectrum import apply_series, modes_of
 FPS = 30.0
 
 
-def phasors(basis: np.ndarray, fields: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+def phasors(basis, fields, fps):
     """Frequencies [K] and phasors [K, N, D] of Σ_r a_r(t) fields[r]."""
     freqs, series = modes_of(basis, fields, fps)
     return freqs, apply_series(series, fields)
 
 
-def synthesis(freqs: np.ndarray, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+def synthesis(freqs, values, t):
     """Σ_k Re[m_k exp(i 2π f_k t / fps)] at every t: [T, N, D]. Written out, not the code's."""
     return np.stack(
         [
@@ -24,7 +24,7 @@ def synthesis(freqs: np.ndarray, values: np.ndarray, t: np.ndarray) -> np.ndarra
     )
 
 
-def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
+def zero_mean_basis(n, n_timesteps, seed=0):
     a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
     q, _ = np.linalg.qr(a - a.mean(0))
     return q.T
@@ -32,7 +32,7 @@ def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
 
 class TestPhasors:
     @pytest.mark.parametrize("n_timesteps", [2, 3, 8, 9, 30, 31])
-    def test_they_give_the_motion_back_at_every_timestep(self, n_timesteps: int) -> None:
+    def test_they_give_the_motion_back_at_every_timestep(self, n_timesteps):
         """Even T has a Nyquist bin, odd T has none."""
         rng = np.random.default_rng(1)
         basis = zero_mean_basis(min(3, n_timesteps - 1), n_timesteps)
@@ -48,7 +48,7 @@ class TestPhasors:
             values[-1] *= 2
             assert np.abs(synthesis(freqs, values, np.arange(n_timesteps)) - expected).max() > 1e-2
 
-    def test_a_sine_lands_in_its_bin_with_its_phase(self) -> None:
+    def test_a_sine_lands_in_its_bin_with_its_phase(self):
         """0.3 cos(2π 5 t/30 + 0.7): one bin, phasor 0.3 exp(0.7i)."""
         t = np.arange(30)
         basis = np.stack([np.cos(2 * np.pi * 5 * t / 30), np.sin(2 * np.pi * 5 * t / 30)]) / np.sqrt(15)
@@ -58,7 +58,7 @@ class TestPhasors:
         np.testing.assert_allclose(values[4, 0, 0], 0.3 * np.exp(0.7j), rtol=1e-6)
         assert np.abs(np.delete(values, 4, 0)).max() < 1e-7
 
-    def test_the_mean_over_time_is_left_out(self) -> None:
+    def test_the_mean_over_time_is_left_out(self):
         basis = zero_mean_basis(2, 10)
         shapes = np.ones((2, 1, 1))
         np.testing.assert_allclose(
@@ -66,9 +66,7 @@ class TestPhasors:
         )
 
 
-def video_of(
-    n_timesteps: int, parts: dict[float, np.ndarray], drift: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def video_of(n_timesteps, parts, drift=None):
     """Principal functions of time [R, T] and shapes [R, N, 6] of sinusoids (Hz → phasors [N, 6]) and drift."""
     t = np.arange(n_timesteps)
     video = sum(np.real(np.exp(2j * np.pi * f * t / FPS)[:, None, None] * m) for f, m in parts.items())
@@ -80,7 +78,7 @@ def video_of(
     return left[:, :rank].T, (strength[:rank, None] * right[:rank]).reshape(rank, *video.shape[1:])
 
 
-def shape(seed: int) -> np.ndarray:
+def shape(seed):
     """[5, 6] complex phasors."""
     rng = np.random.default_rng(seed)
     return rng.normal(size=(5, 6)) + 1j * rng.normal(size=(5, 6))
@@ -91,7 +89,7 @@ CAPTURES = [(30, 2.5), (37, 2.5), (30, 5.2), (60, 4.71), (100, 4.71), (300, 4.71
 
 class TestBetweenBins:
     @pytest.mark.parametrize(("n_timesteps", "frequency"), CAPTURES)
-    def test_a_sinusoid_is_one_mode(self, n_timesteps: int, frequency: float) -> None:
+    def test_a_sinusoid_is_one_mode(self, n_timesteps, frequency):
         true = shape(0)
         freqs, values = phasors(*video_of(n_timesteps, {frequency: true}), FPS)
         strength = np.linalg.norm(values, axis=(1, 2))
@@ -104,7 +102,7 @@ class TestBetweenBins:
         assert others.max(initial=0) < 2e-3 * strength[k]
 
     @pytest.mark.parametrize(("n_timesteps", "frequency"), CAPTURES)
-    def test_its_zero_is_found(self, n_timesteps: int, frequency: float) -> None:
+    def test_its_zero_is_found(self, n_timesteps, frequency):
         """0 Hz leads from the mean over time, where the Gaussians lie, to where the motion is zero."""
         true = shape(0)
         freqs, values = phasors(*video_of(n_timesteps, {frequency: true}), FPS)
@@ -113,7 +111,7 @@ class TestBetweenBins:
         np.testing.assert_allclose(values[0].real, -(mean * true).real, atol=2e-3)
         np.testing.assert_allclose(values[0].imag, 0, atol=1e-7)
 
-    def test_the_motion_comes_back_at_every_timestep(self) -> None:
+    def test_the_motion_comes_back_at_every_timestep(self):
         for n_timesteps, drift in [(30, None), (37, shape(2).real), (64, shape(2).real)]:
             basis, shapes = video_of(n_timesteps, {2.5: shape(0), 11.3: 0.2 * shape(1)}, drift)
             freqs, values = phasors(basis, shapes, FPS)
@@ -124,15 +122,13 @@ class TestBetweenBins:
 class TestBands:
     """What a band holds is a mode as a whole, and nothing of what lies outside."""
 
-    def in_band(
-        self, freqs: np.ndarray, values: np.ndarray, low: float, high: float, t: np.ndarray
-    ) -> np.ndarray:
+    def in_band(self, freqs, values, low, high, t):
         inside = (freqs >= low) & (freqs <= high)
         return synthesis(freqs[inside], values[inside], t)
 
     @pytest.mark.parametrize("n_timesteps", [30, 37, 60, 300])
     @pytest.mark.parametrize("frequency", [5.0, 4.71])
-    def test_drift_and_a_distractor_stay_out(self, n_timesteps: int, frequency: float) -> None:
+    def test_drift_and_a_distractor_stay_out(self, n_timesteps, frequency):
         """5 Hz among 11.3 Hz as strong, and a drift of ten times the amplitude a second."""
         t, true = np.arange(n_timesteps), shape(0)
         basis, shapes = video_of(n_timesteps, {frequency: true, 11.3: shape(1)}, 10 * shape(2).real)
@@ -146,7 +142,7 @@ class TestBands:
         by_bins = np.fft.irfft(plain, n_timesteps, axis=0)
         assert np.sqrt(((by_bins - wanted) ** 2).mean() / (wanted**2).mean()) > 5 * error
 
-    def test_outside_the_tones_band_there_is_nothing_of_it(self) -> None:
+    def test_outside_the_tones_band_there_is_nothing_of_it(self):
         t = np.arange(37)
         freqs, values = phasors(*video_of(37, {2.5: shape(0)}), FPS)
         left = self.in_band(freqs, values, 3, 15, t)

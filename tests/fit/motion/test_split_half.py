@@ -17,7 +17,7 @@ SIZE = (80, 48)
 
 
 @pytest.mark.parametrize("n", [LEAST, LEAST + 1, 30])
-def test_many_cameras_are_halved_by_camera(n: int) -> None:
+def test_many_cameras_are_halved_by_camera(n):
     a, b = folds_of(n, SIZE, False)
     assert a.pixels is b.pixels is None
     assert sorted([*a.views, *b.views]) == list(range(n))
@@ -26,7 +26,7 @@ def test_many_cameras_are_halved_by_camera(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", [1, LEAST - 1])
-def test_few_cameras_are_halved_by_pixels(n: int) -> None:
+def test_few_cameras_are_halved_by_pixels(n):
     a, b = folds_of(n, SIZE, False)
     assert list(a.views) == list(b.views) == list(range(n))
     assert a.pixels is not None
@@ -34,13 +34,13 @@ def test_few_cameras_are_halved_by_pixels(n: int) -> None:
     assert a.pixels.mean() == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_moving_cameras_frames_are_halved_by_time() -> None:
+def test_a_moving_cameras_frames_are_halved_by_time():
     a, b = folds_of(21, SIZE, True)
     assert list(a.views) == list(range(10))
     assert list(b.views) == list(range(10, 21))
 
 
-def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def fields(seed=0, n=3000):
     """(truth, whole, a, b, means): one component moves, one is noise alone; `whole` is the halves' mean."""
     rng = np.random.default_rng(seed)
     means = rng.random((n, 3))
@@ -50,7 +50,7 @@ def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.nda
     return truth, (a + b) / 2, a, b, means
 
 
-def test_motion_is_kept_and_a_component_of_noise_is_not() -> None:
+def test_motion_is_kept_and_a_component_of_noise_is_not():
     truth, whole, a, b, _ = fields()
     gain = reliability(whole, a, b)
     assert gain[1] < 0.1
@@ -58,7 +58,7 @@ def test_motion_is_kept_and_a_component_of_noise_is_not() -> None:
     assert np.linalg.norm(shrunk - truth) < 0.6 * np.linalg.norm(whole - truth)
 
 
-def test_the_gain_is_wieners() -> None:
+def test_the_gain_is_wieners():
     """S / (S + N) with the power of the motion and of the noise in `whole`, which no other gain betters."""
     truth, whole, a, b, _ = fields(n=6000)
     signal, noise = 0.22, 3 * SIGMA**2 / 2
@@ -68,7 +68,7 @@ def test_the_gain_is_wieners() -> None:
     assert min(error, key=lambda g: error[g]) == gain
 
 
-def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
+def test_the_deviation_is_that_of_the_noise_in_the_whole():
     """Here three times as strong on one side as on the other."""
     truth, _, a, b, means = fields()
     uneven = np.where(means[:, :1] < 0.5, 1.0, 3.0)
@@ -80,7 +80,7 @@ def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
         np.testing.assert_allclose(np.sqrt((found[side] ** 2).mean()), expected, rtol=0.05)
 
 
-def test_shrinking_is_the_mean_times_the_gain_of_displacement() -> None:
+def test_shrinking_is_the_mean_times_the_gain_of_displacement():
     """Rotations go along with it."""
     _, _, a, b, _ = fields(n=200)
     halves = np.stack([np.concatenate([x, 5 * x], 2) for x in (a, b)])

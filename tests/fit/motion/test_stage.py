@@ -1,9 +1,7 @@
 """The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one step at most."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +10,10 @@ from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.runs import copied
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run
-from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.capture import ImageStack, load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
-from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import MotionConfig
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.show.weights import blending_weights
 
@@ -26,7 +23,7 @@ STEPS = ("noise", "smoothness", "first_pass_0", "first_pass_1", "second_pass_0",
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
+def scene(tmp_path_factory):
     """A run whose Gaussians are exact, of a set of a tenth of a pixel, and the true motion of them."""
     root = tmp_path_factory.mktemp("motion")
     run, motion = exact_run(root, n_views=6, n_timesteps=10, size=64, freqs=FREQS, amplitude=0.005, detail=2)
@@ -34,7 +31,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
 
 
 @pytest.fixture(scope="module")
-def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
+def fitted(scene):
     run, _ = scene
     capture = load_capture(run.dataset)
     config = MotionConfig(components=2)
@@ -42,7 +39,7 @@ def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageStack]:
+def small(tmp_path_factory):
     """784 Gaussians, three cameras, five timesteps."""
     root = tmp_path_factory.mktemp("small")
     run, _ = exact_run(root, n_views=3, n_timesteps=5, size=32, freqs=(6.0,))
@@ -51,7 +48,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, Image
 
 
 @pytest.fixture(scope="module")
-def unbroken(small: tuple[Run, Capture, ImageStack], tmp_path_factory: pytest.TempPathFactory) -> ModalMotion:
+def unbroken(small, tmp_path_factory):
     """What SHORT finds on the small run when nothing kills it."""
     run, capture, images = small
     copy = copied(run, tmp_path_factory.mktemp("unbroken") / "run")
@@ -59,23 +56,23 @@ def unbroken(small: tuple[Run, Capture, ImageStack], tmp_path_factory: pytest.Te
 
 
 @pytest.fixture
-def new_run(small: tuple[Run, Capture, ImageStack], tmp_path: Path) -> Callable[[], Run]:
+def new_run(small, tmp_path):
     """A copy of the small run, space stage done, each time it is called."""
     return lambda: copied(small[0], tmp_path / f"run{len(list(tmp_path.iterdir()))}")
 
 
-def equal(a: ModalMotion, b: ModalMotion) -> bool:
+def equal(a, b):
     return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
 
 
-def assert_stored(saved: ModalMotion, fitted: ModalMotion) -> None:
+def assert_stored(saved, fitted):
     """As a run keeps it, as few fields: equal up to single precision."""
     for name in ("freqs_hz", "displacement", "rotation"):
         exact = getattr(fitted, name)
         np.testing.assert_allclose(getattr(saved, name), exact, rtol=0, atol=1e-6 * np.abs(exact).max())
 
 
-def test_the_displacement_is_found(scene, fitted) -> None:
+def test_the_displacement_is_found(scene, fitted):
     """.12 on a coarse scene. Nothing moves: 1; half the motion: .5."""
     (run, true), (found, capture) = scene, fitted
     weights = blending_weights(run.load_space(), capture)
@@ -91,7 +88,7 @@ def test_the_displacement_is_found(scene, fitted) -> None:
         assert displacement_figures(less, true, weights)["relative_error"] > 0.2
 
 
-def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted) -> None:
+def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted):
     """Sine phase: −i times the shape. The post is the middle of the mesh's rows, the ball their end."""
     (_, true), (found, _) = scene, fitted
     np.testing.assert_allclose(found.freqs_hz, [3, 6, 9, 12, 15])
@@ -105,7 +102,7 @@ def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted) -> None:
         assert abs(np.angle(ratio)) < np.radians(3)
 
 
-def test_the_post_turns_as_it_bends(scene, fitted) -> None:
+def test_the_post_turns_as_it_bends(scene, fitted):
     """u = (0, a z²/1.3², 0) has the slope 2 a z / 1.3². Its Gaussians are balls, turned half as much."""
     (run, true), (found, _) = scene, fitted
     z = run.load_space().means[:, 2].numpy()
@@ -116,7 +113,7 @@ def test_the_post_turns_as_it_bends(scene, fitted) -> None:
     assert np.linalg.norm(turned[:, 1:]) < 0.4 * np.linalg.norm(turned[:, 0])
 
 
-def test_the_run_holds_the_motion_and_its_figures(scene, fitted) -> None:
+def test_the_run_holds_the_motion_and_its_figures(scene, fitted):
     (run, _), (found, _) = scene, fitted
     saved = run.load_motion()
     assert saved is not None
@@ -131,9 +128,7 @@ def test_the_run_holds_the_motion_and_its_figures(scene, fitted) -> None:
 
 
 @pytest.mark.parametrize("killed_after", range(1, len(STEPS) + 1))
-def test_killed_after_a_part_it_goes_on_after_it(
-    killed_after: int, small, unbroken, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_after_a_part_it_goes_on_after_it(killed_after, small, unbroken, new_run, monkeypatch):
     """To the bit; and what was saved is not computed again."""
     (_, capture, images), run = small, new_run()
     with monkeypatch.context() as patch:
@@ -146,16 +141,14 @@ def test_killed_after_a_part_it_goes_on_after_it(
     assert run.log()["motion"]["seconds"] > 0
 
 
-def kill(run: Run, killed_after: int, small, patch: pytest.MonkeyPatch) -> list[str]:
+def kill(run, killed_after, small, patch):
     computed = stop_after(killed_after, patch)
     with pytest.raises(Killed):
         train_motion(run, *small[1:], SHORT)
     return computed
 
 
-def test_a_checkpoint_of_another_version_is_computed_anew(
-    small, unbroken, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_checkpoint_of_another_version_is_computed_anew(small, unbroken, new_run, monkeypatch):
     (_, capture, images), run = small, new_run()
     with monkeypatch.context() as patch:
         kill(run, 5, small, patch)
@@ -169,9 +162,7 @@ def test_a_checkpoint_of_another_version_is_computed_anew(
     assert tuple(computed) == STEPS
 
 
-def test_a_checkpoint_of_another_scene_is_not_taken_up(
-    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_checkpoint_of_another_scene_is_not_taken_up(small, new_run, monkeypatch):
     """The space stage was done again."""
     _, capture, images = small
     run, other = new_run(), new_run()
@@ -183,9 +174,7 @@ def test_a_checkpoint_of_another_scene_is_not_taken_up(
     assert equal(train_motion(run, capture, images, SHORT), train_motion(other, capture, images, SHORT))
 
 
-def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(
-    small, new_run: Callable[[], Run], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(small, new_run, caplog):
     """Of one camera, the motion along its sight."""
     _, capture, images = small
     keep = np.flatnonzero(capture.camera_ids == 0)
@@ -203,7 +192,7 @@ def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(
     assert "\n" not in line
 
 
-def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[], Run]) -> None:
+def test_pictures_that_do_not_change_give_no_motion(small, new_run):
     _, capture, images = small
     still = images.data.copy()
     for camera in range(3):
@@ -213,7 +202,7 @@ def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[],
     assert np.abs(found.displacement).max() < 1e-6
 
 
-def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Callable[[], Run]) -> None:
+def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run):
     run, capture, images = new_run(), *small[1:]
     gaussians = run.load_space()
     run.save_space(replace(gaussians, means=gaussians.means + 1_000.0), {})
@@ -241,9 +230,7 @@ def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Call
         ({"nuisance": "pose"}, "motion.nuisance is pose, expected auto, none, exposure, all"),
     ],
 )
-def test_settings_out_of_range_are_refused(
-    wrong: dict, match: str, small, new_run: Callable[[], Run]
-) -> None:
+def test_settings_out_of_range_are_refused(wrong, match, small, new_run):
     _, capture, images = small
     with pytest.raises(Tg4mmError, match=rf"\Asetting [^\n]*{match}[^\n]*\Z"):
         train_motion(new_run(), capture, images, MotionConfig(**wrong))

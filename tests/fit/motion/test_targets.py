@@ -7,23 +7,22 @@ import pytest
 
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components, moving_pictures, no_nuisance
-from tg4mm.capture import ImageStack
 from tg4mm.fit.motion import observations as observations_module
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.nuisance.first_look import first_look
-from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
+from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.temporal.independent import sinusoid_targets
 from tg4mm.fit.motion.temporal.synchronous import kept_components
 
 
-def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
+def zero_mean_basis(n, n_timesteps, seed=0):
     a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
     q, _ = np.linalg.qr(a - a.mean(0))
     return q.T
 
 
 class TestKeptComponents:
-    def test_without_noise_all_of_the_rank_and_no_rounding_is_kept(self) -> None:
+    def test_without_noise_all_of_the_rank_and_no_rounding_is_kept(self):
         signal = zero_mean_basis(3, 30).T @ np.random.default_rng(0).normal(size=(3, 5000))
         assert kept_components(spectrum(signal.astype(np.float32).astype(float))) == 3
 
@@ -36,20 +35,18 @@ class TestKeptComponents:
             ([1.0] * 29 + [0.0], 1),  # nothing but noise
         ],
     )
-    def test_the_weakest_tell_the_noise(self, energy: list[float], kept: int) -> None:
+    def test_the_weakest_tell_the_noise(self, energy, kept):
         assert kept_components(np.array(energy)) == kept
 
     @pytest.mark.parametrize("rank", [14, 28])
-    def test_where_pictures_repeat_those_that_are_not_empty_tell(self, rank: int) -> None:
+    def test_where_pictures_repeat_those_that_are_not_empty_tell(self, rank):
         energy = np.array([100.0, 50] + [1.0] * (rank - 2) + [0.0] * (30 - rank))
         assert kept_components(energy, rank) == 2
         assert kept_components(energy) == (rank if rank == 14 else 2)  # the empty ones would tell of no noise
 
     @pytest.mark.parametrize("seed", range(5))
     @pytest.mark.parametrize(("n_timesteps", "pixels"), [(30, 20_000), (100, 20_000), (9, 2_000)])
-    def test_spread_over_many_pixels_a_weaker_signal_is_kept(
-        self, n_timesteps: int, pixels: int, seed: int
-    ) -> None:
+    def test_spread_over_many_pixels_a_weaker_signal_is_kept(self, n_timesteps, pixels, seed):
         """Noise alone stays noise; what adds seven tenths to a component's noise stands out where pixels are many."""
         rng = np.random.default_rng(seed)
         noise = rng.normal(size=(n_timesteps, pixels))
@@ -59,12 +56,12 @@ class TestKeptComponents:
         assert kept_components(spectrum(noise + two)) == 1  # less than twice the noise
 
 
-def spectrum(video: np.ndarray) -> np.ndarray:
+def spectrum(video):
     """Energies of [T, P] less its mean over time, falling."""
     return np.linalg.svd(video - video.mean(0), compute_uv=False) ** 2
 
 
-def changes(images: ImageStack, frames: PosedFrames) -> np.ndarray:
+def changes(images, frames):
     """[T, H, W, 3]: pictures less their mean, written out."""
     video = np.stack([images.rgb(int(row)) for row in frames.rows]).astype(float)
     return video - video.mean(0)
@@ -72,7 +69,7 @@ def changes(images: ImageStack, frames: PosedFrames) -> np.ndarray:
 
 class TestComponents:
     @pytest.fixture
-    def stack(self) -> tuple[ImageStack, Observations]:
+    def stack(self):
         """Two cameras, nine timesteps, two patterns that swing with two frequencies, some noise."""
         data, ids, times = moving_pictures(2, 9)
         rng, t = np.random.default_rng(3), np.asarray(times)
@@ -84,7 +81,7 @@ class TestComponents:
         capture, images = capture_of(ids, times, data)
         return images, observe(capture, images)
 
-    def test_two_patterns_are_two_components(self, stack) -> None:
+    def test_two_patterns_are_two_components(self, stack):
         """They span the two swings."""
         found = components(stack[1])
         assert len(found.basis) == 2
@@ -92,7 +89,7 @@ class TestComponents:
         swing = np.stack([np.sin(2 * np.pi * t / 9), np.cos(4 * np.pi * t / 9)]) / np.sqrt(4.5)
         np.testing.assert_allclose(np.linalg.svd(found.basis @ swing.T, compute_uv=False), 1, atol=0.01)
 
-    def test_target_images_are_the_weighted_sums_of_the_pictures(self, stack) -> None:
+    def test_target_images_are_the_weighted_sums_of_the_pictures(self, stack):
         images, observations = stack
         found = components(observations)
         assert found.images.shape == (2, 2, 4, 5, 3)
@@ -103,7 +100,7 @@ class TestComponents:
                     brute += a[t] * (images.data[frames.rows[t], ..., :3] / 255.0)
                 np.testing.assert_allclose(found.images[v, r], brute, atol=1e-5)
 
-    def test_what_was_not_kept_is_the_residual(self, stack) -> None:
+    def test_what_was_not_kept_is_the_residual(self, stack):
         images, observations = stack
         found = components(observations)
         for v, frames in enumerate(observations.frames):
@@ -115,9 +112,7 @@ class TestComponents:
 
     @pytest.mark.parametrize("cached", [0, 9 * 4 * 5 * 12, 1 << 30])  # bytes: none, one camera, all
     @pytest.mark.parametrize("strip", [1, 1 << 20])
-    def test_neither_cache_nor_strips_change_anything(
-        self, stack, cached: int, strip: int, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_neither_cache_nor_strips_change_anything(self, stack, cached, strip, monkeypatch):
         expected = components(stack[1])
         monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
         monkeypatch.setattr(observations_module, "STRIP_VALUES", strip)
@@ -132,7 +127,7 @@ class TestSinusoids:
     HZ = np.array([3.1, 7.4])
 
     @pytest.fixture
-    def stack(self) -> tuple[Observations, np.ndarray]:
+    def stack(self):
         """Two cameras, each with its own times and a dropped frame; phasors [V, K, H, W, 3] of the pictures."""
         rng, kept = np.random.default_rng(8), [[*range(7), *range(8, 40)], [*range(20), *range(21, 40)]]
         phasors = 0.05 * (rng.normal(size=(2, 2, 4, 5, 3)) + 1j * rng.normal(size=(2, 2, 4, 5, 3)))
@@ -148,7 +143,7 @@ class TestSinusoids:
         capture, images = capture_of(ids, steps, data)
         return observe(replace(capture, times_s=times), images), phasors
 
-    def test_target_images_are_the_mixture_of_the_phasors(self, stack) -> None:
+    def test_target_images_are_the_mixture_of_the_phasors(self, stack):
         """y = C x with x the real and imaginary parts, on each camera's own clock; constant and trend taken out."""
         observations, phasors = stack
         nuisances = no_nuisance(observations)

@@ -1,7 +1,6 @@
 """A mode of hundredths of a pixel beside one of two pixels: iterations for the large one do not cost the small one."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,18 +8,17 @@ import pytest
 from tests.helpers import synthetic
 from tests.helpers.runs import copied
 from tg4mm.capture import load_capture, load_images
-from tg4mm.fit.motion import ModalMotion, MotionConfig
-from tg4mm.run import Run
+from tg4mm.fit.motion import MotionConfig
 from tg4mm.run.stages.motion import train_motion
 
 LARGE_HZ, SMALL_HZ = 5.0, 3.0  # the post, two and a half pixels at its tip; the ball, a twenty-fifth
 CONFIG = MotionConfig(components=8, smoothness_weight=30.0)
 
 
-def _made(root: Path) -> tuple[Run, ModalMotion]:
+def _made(root):
     modes = synthetic._modes
 
-    def unequal(*args: object) -> list[np.ndarray]:
+    def unequal(*args):
         floor, post, ball = modes(*args)
         return [floor, post, np.float32(0.015) * ball]
 
@@ -32,7 +30,7 @@ def _made(root: Path) -> tuple[Run, ModalMotion]:
     return run, true
 
 
-def _error(found: ModalMotion, true: ModalMotion, k: int) -> float:
+def _error(found, true, k):
     """Relative, of what moves at the truth's frequency k by a third of the most or more."""
     expected = true.displacement[k]
     length = np.linalg.norm(expected, axis=1)
@@ -42,7 +40,7 @@ def _error(found: ModalMotion, true: ModalMotion, k: int) -> float:
 
 
 @pytest.fixture(scope="module")
-def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
+def errors(tmp_path_factory):
     """Of the large mode and the small one, in the linear fit and after three Gauss-Newton iterations."""
     root = tmp_path_factory.mktemp("two")
     run, true = _made(root)
@@ -58,14 +56,14 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
 
 
 @pytest.mark.slow
-def test_the_large_mode_is_found(errors: list[list[float]]) -> None:
+def test_the_large_mode_is_found(errors):
     linear, after = (e[0] for e in errors)
     assert linear > 0.4
     assert after < 0.15
 
 
 @pytest.mark.slow
-def test_the_small_mode_stays_as_the_linear_fit_found_it(errors: list[list[float]]) -> None:
+def test_the_small_mode_stays_as_the_linear_fit_found_it(errors):
     """No state shows it. Erased, its error would be 1."""
     linear, after = (e[1] for e in errors)
     assert linear < 0.3

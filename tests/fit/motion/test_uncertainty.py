@@ -1,7 +1,6 @@
 """How uncertain the motion is: noise by two halves, and what is left of the pictures and varies among neighbours."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,31 +38,31 @@ class Seen:
     views: list[ViewJacobian]
 
     @property
-    def knn(self) -> np.ndarray:
+    def knn(self):
         return nearest(self.gaussians.means.numpy())[1]
 
-    def left(self, left: list[np.ndarray]) -> np.ndarray:
+    def left(self, left):
         nothing = np.zeros((2, 0, len(self.gaussians), 6), np.float32)
         return residual_displacement(
             MotionEstimate(nothing, nothing[0], self.gaussians, self.knn, self.views, self.cameras, left)
         )
 
-    def shows(self, displacement: tuple[float, float, float]) -> list[np.ndarray]:
+    def shows(self, displacement):
         """[1, H, W, 3] of each view: what it changes if everything moves."""
         fields = np.zeros((1, len(self.gaussians), DOF), np.float32)
         fields[..., :3] = displacement
         return [view.jvp(fields) for view in self.views]
 
-    def weights(self) -> np.ndarray:
+    def weights(self):
         return blending_weights(self.gaussians, self.capture)
 
 
-def _views(gaussians: Gaussians, cameras: list[PosedFrames], size: int) -> list[ViewJacobian]:
+def _views(gaussians, cameras, size):
     return [view_jacobian(gaussians, camera, (size, size)) for camera in cameras]
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+def seen(tmp_path_factory):
     """Ten cameras; the Gaussians are exact. The post sways, the ball moves, the floor stands still."""
     root = tmp_path_factory.mktemp("uncertainty") / "data"
     gaussians, motion = make_synthetic_dataset(
@@ -75,7 +74,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
 
 
 @pytest.mark.parametrize("share", [1.0, 0.8, 0.4])
-def test_pictures_tell_how_much_of_the_motion_was_found(seen: Seen, share: float) -> None:
+def test_pictures_tell_how_much_of_the_motion_was_found(seen, share):
     rng = np.random.default_rng(0)
     problem = Problem.of(seen.views, seen.gaussians, MotionConfig(), "cpu")
     true = np.zeros((1, len(seen.gaussians), DOF), np.float32)
@@ -89,7 +88,7 @@ def test_pictures_tell_how_much_of_the_motion_was_found(seen: Seen, share: float
     assert lacking == pytest.approx(min(1 - share, share * (LACKING - 1)) * 0.01, abs=5e-4)
 
 
-def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> None:
+def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen):
     """Of a scene that moves as a whole and whose motion was missed, in any direction and in pictures of any size."""
     weights = seen.weights()
     for shift in ((0.01, 0, 0), (0, 0.02, 0), (0.005, 0.005, 0.01)):
@@ -104,7 +103,7 @@ def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> No
     assert 0.5 < ratio < 2  # a block is a smaller part of what it shows
 
 
-def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
+def test_it_goes_by_the_square_and_noise_counts_little(seen):
     left = seen.shows((0.01, 0, 0))
     once, twice = seen.left(left), seen.left([2 * pictures for pictures in left])
     np.testing.assert_allclose(twice, 4 * once, rtol=1e-4)
@@ -118,7 +117,7 @@ def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
     np.testing.assert_allclose(seen.left([np.concatenate([p, p]) for p in left]), 2 * once, rtol=1e-4)
 
 
-def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
+def test_a_run_knows_how_far_off_it_is(seen, tmp_path):
     """Within two deviations for most of what is seen, where noise alone says much too little, and not far too much."""
     run = Run.create(tmp_path / "run", seen.capture.root, "modal", {})
     run.save_space(seen.gaussians, {})

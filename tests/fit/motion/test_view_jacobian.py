@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.fit.motion.scenes import COLUMNS, SCENES, motion_of, view_of
-from tests.fit.rasterize.oracle import Scene, assert_close
+from tests.fit.rasterize.oracle import assert_close
 from tg4mm.fit.motion.jacobian import view as module
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR
@@ -16,7 +16,7 @@ from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
-def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:
+def over_white(scene, motion):
     """The twin's picture [H, W, 3] over white, every Gaussian shifted and turned (about the world axes)."""
     shift, turn = motion[:, :3], Rotation.from_rotvec(motion[:, 3:])
     rest = Rotation.from_quat(scene.quats.numpy()[:, [1, 2, 3, 0]])
@@ -28,7 +28,7 @@ def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:
     return image + 1 - alpha[..., None]
 
 
-def differences(scene: Scene, motion: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+def differences(scene, motion):
     """Central differences along `motion` [H, W, 3], and which pixels [H, W, 1] cross no threshold meanwhile."""
     found = []
     for step in (1e-6, 3e-6):
@@ -41,9 +41,7 @@ def differences(scene: Scene, motion: np.ndarray) -> tuple[torch.Tensor, torch.T
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("columns", COLUMNS)
-def test_the_jvp_is_the_derivative_of_the_picture(
-    name: str, columns: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_jvp_is_the_derivative_of_the_picture(name, columns, monkeypatch):
     monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
     scene = SCENES[name]
     motion = motion_of(scene, COLUMNS[columns])
@@ -58,7 +56,7 @@ def test_the_jvp_is_the_derivative_of_the_picture(
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("columns", COLUMNS)
-def test_the_vjp_is_the_transpose(name: str, columns: str) -> None:
+def test_the_vjp_is_the_transpose(name, columns):
     scene = SCENES[name]
     view, motion = view_of(scene), motion_of(scene, COLUMNS[columns])
     for seed in range(3):
@@ -76,7 +74,7 @@ def test_the_vjp_is_the_transpose(name: str, columns: str) -> None:
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("n_changes", [1, 3])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_the_gauss_newton_product_is_one_after_the_other(name: str, n_changes: int, weighted: bool) -> None:
+def test_the_gauss_newton_product_is_one_after_the_other(name, n_changes, weighted):
     scene, rng = SCENES[name], np.random.default_rng(2)
     view, n = view_of(scene), len(scene.means)
     motions = rng.normal(size=(n_changes, n, DOF)).astype(np.float32)
@@ -89,7 +87,7 @@ def test_the_gauss_newton_product_is_one_after_the_other(name: str, n_changes: i
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
 
 
-def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch):
     crowded = SCENES["crowded"]
     opaque = replace(crowded, opacities=torch.full_like(crowded.opacities, 0.999), scales=4 * crowded.scales)
     view = view_of(opaque)
@@ -113,7 +111,7 @@ def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.Monke
         assert np.array_equal(found, expected), apply
 
 
-def test_a_stored_view_gives_the_same_before_and_after_it_is_released() -> None:
+def test_a_stored_view_gives_the_same_before_and_after_it_is_released():
     view, rng = view_of(SCENES["crowded"]), np.random.default_rng(4)
     motions = rng.normal(size=(3, 120, DOF)).astype(np.float32)
     stored = view.stored()

@@ -9,7 +9,7 @@ import torch
 from tg4mm.fit.rasterize import rasterization
 
 
-def arguments(**changes: Any) -> dict[str, Any]:
+def arguments(**changes):
     """A valid call for 5 Gaussians and 2 cameras, with changes."""
     call = {
         "means": torch.randn(5, 3),
@@ -38,7 +38,7 @@ def arguments(**changes: Any) -> dict[str, Any]:
         ("backgrounds", (3,), "(2, 3)"),
     ],
 )
-def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, ...], expected: str) -> None:
+def test_a_wrong_shape_is_named_with_the_right_one(name, shape, expected):
     """Shapes are exact: nothing is broadcast."""
     with pytest.raises(ValueError, match=r"expected") as caught:
         rasterization(**arguments(**{name: torch.ones(shape)}))
@@ -54,13 +54,13 @@ def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, 
         ({"width": 0}, "image size is 0×6, expected at least 1×1"),
     ],
 )
-def test_a_wrong_option_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_a_wrong_option_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         rasterization(**arguments(**changes))
 
 
 @pytest.fixture
-def pretend_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
+def pretend_cuda(monkeypatch):
     """Tensors say that they lie on a GPU; nothing else changes."""
     monkeypatch.setattr(torch.Tensor, "is_cuda", property(lambda _: True), raising=False)
 
@@ -76,13 +76,13 @@ OPTIONS: dict[str, Any] = {
 
 
 @pytest.mark.usefixtures("pretend_cuda")
-def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch):
     """Bound to gsplat's own signature, every argument arrives as it was given; importing needs no GPU."""
     gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
     signature = inspect.signature(gsplat.rasterization)
     calls: list[inspect.BoundArguments] = []
 
-    def record(*args: Any, **kwargs: Any) -> tuple[str, str, str]:
+    def record(*args, **kwargs):
         calls.append(signature.bind(*args, **kwargs))
         return "renders", "alphas", "meta"
 

@@ -21,7 +21,7 @@ depths = st.floats(float(np.float32(0.01)), float(np.float32(3e38)), width=32) |
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data(), n=st.integers(0, 300))
-def test_depth_order_is_the_stable_sort_of_the_visible(data: st.DataObject, n: int) -> None:
+def test_depth_order_is_the_stable_sort_of_the_visible(data, n):
     splats = np.full((n, SPLAT_WIDTH), np.nan, np.float32)
     splats[:, DEPTH] = data.draw(arrays(np.float32, n, elements=depths))
     splats[:, POWER] = data.draw(arrays(np.float32, n, elements=st.sampled_from([-1.0, 0.0, 0.0078125, 5.0])))
@@ -47,7 +47,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", ["ordinary", "large", "faint"])
-def test_lists_that_do_not_fit_are_made_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lists_that_do_not_fit_are_made_again(name, monkeypatch):
     """The room for lists is a guess; too small or too large, the lists are the same."""
     scene = SCENES[name]
     splats = render([t.detach() for t in scene.tensors(torch.float32)], scene, 3)[2]["projected"][0].splats

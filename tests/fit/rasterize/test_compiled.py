@@ -20,7 +20,7 @@ print(int(answer(np.zeros(1))), sum(answer.stats.cache_hits.values()))
 """
 
 
-def outcome(folder: Path) -> tuple[int, int, int]:
+def outcome(folder):
     """What the kernel says in a fresh process, how often it came from the cache, and how many lines were logged."""
     path = f"{folder}{os.pathsep}{Path(__file__).resolve().parents[3]}"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path}
@@ -39,7 +39,7 @@ def outcome(folder: Path) -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("folder", ["kernels", "simd"])
-def test_a_change_in_another_file_is_noticed(tmp_path: Path, folder: str) -> None:
+def test_a_change_in_another_file_is_noticed(tmp_path, folder):
     """And that kernels are compiled, two here, is said in one line, or not at all."""
     package = tmp_path / "small"
     (package / "kernels").mkdir(parents=True)

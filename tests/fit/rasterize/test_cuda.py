@@ -2,7 +2,6 @@
 
 import sys
 import types
-from typing import Any
 
 import pytest
 import torch
@@ -13,46 +12,41 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.rasterize.cuda import require_gsplat
 
 
-def harmonics_of_1_5(degrees_to_use: Any, dirs: Any, coeffs: Any) -> None: ...
+def harmonics_of_1_5(degrees_to_use, dirs, coeffs): ...
 
 
-def harmonics_of_1_6(degrees_to_use: Any, means: Any, viewmats: Any, coeffs: Any) -> None: ...
+def harmonics_of_1_6(degrees_to_use, means, viewmats, coeffs): ...
 
 
-def fake(
-    monkeypatch: pytest.MonkeyPatch,
-    projection: Any,
-    backend: types.ModuleType,
-    harmonics: Any = harmonics_of_1_5,
-) -> None:
+def fake(monkeypatch, projection, backend, harmonics=harmonics_of_1_5):
     """A gsplat of which the check sees no more than this."""
     package, cuda = types.ModuleType("gsplat"), types.ModuleType("gsplat.cuda")
-    package.__version__ = "1.2.3"  # type: ignore[attr-defined]
-    package.fully_fused_projection = projection  # type: ignore[attr-defined]
-    package.spherical_harmonics = harmonics  # type: ignore[attr-defined]
+    package.__version__ = "1.2.3"
+    package.fully_fused_projection = projection
+    package.spherical_harmonics = harmonics
     package.__path__, cuda.__path__ = [], []
     modules = {"gsplat": package, "gsplat.cuda": cuda, "gsplat.cuda._backend": backend}
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def backend(kernels: object) -> types.ModuleType:
+def backend(kernels):
     module = types.ModuleType("gsplat.cuda._backend")
-    module._C = kernels  # type: ignore[attr-defined]
+    module._C = kernels
     return module
 
 
-def new(means: Any, opacities: Any) -> None: ...
+def new(means, opacities): ...
 
 
-def old(means: Any) -> None: ...
+def old(means): ...
 
 
-def broken(*errors: Exception) -> types.ModuleType:
+def broken(*errors):
     """Kernels that do not load: the first error, while it is handled the next."""
 
     class Broken(types.ModuleType):
-        def __getattr__(self, name: str) -> object:
+        def __getattr__(self, name):
             try:
                 raise errors[0]
             except type(errors[0]):
@@ -73,14 +67,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_one_that_will_not_do_is_refused_in_one_line(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_will_not_do_is_refused_in_one_line(kind, monkeypatch):
     parts, match = REFUSED[kind]
     fake(monkeypatch, *parts)
     with pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z"):
         require_gsplat()
 
 
-def test_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_none_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
     with pytest.raises(Tg4mmError, match=r'\A[^\n]*device cuda needs gsplat: pip install "\.\[cuda\]"'):
         require_gsplat()
@@ -89,13 +83,13 @@ def test_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_cuda
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_pictures_and_gradients_on_cuda_are_the_twins(seed: int, degree: int) -> None:
+def test_pictures_and_gradients_on_cuda_are_the_twins(seed, degree):
     check(make_scene(seed, cameras=2), sh_degree=degree, tolerance=1e-3, margin=1e-3, device="cuda")
 
 
 @needs_cuda
 @pytest.mark.parametrize("mode", ["RGB", "D", "ED", "RGB+D", "RGB+ED"])
-def test_render_modes_and_backgrounds_on_cuda_are_the_twins(mode: str) -> None:
+def test_render_modes_and_backgrounds_on_cuda_are_the_twins(mode):
     fill = uniform(torch.Generator().manual_seed(1), 2, 5)
     scene = with_channels(make_scene(0, cameras=2), 5)
     backgrounds = fill if "RGB" in mode else None

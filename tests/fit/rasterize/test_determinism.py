@@ -1,27 +1,25 @@
 """The same bits for any number of threads and on every run, values and gradients."""
 
-from collections.abc import Iterator
-
 import numba
 import pytest
 import torch
 
-from tests.fit.rasterize.oracle import Scene, make_scene, render
+from tests.fit.rasterize.oracle import make_scene, render
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return make_scene(0, n=4000, size=(99, 75), scale=(0.005, 0.1), cameras=2)
 
 
 @pytest.fixture(autouse=True)
-def _keep_thread_count() -> Iterator[None]:
+def _keep_thread_count():
     before = numba.get_num_threads()
     yield
     numba.set_num_threads(before)
 
 
-def everything(scene: Scene) -> list[torch.Tensor]:
+def everything(scene):
     """Image, alpha, and the gradient by every input."""
     tensors = scene.tensors(torch.float32)
     image, alpha, _ = render(tensors, scene, 3, render_mode="RGB+D")
@@ -30,8 +28,8 @@ def everything(scene: Scene) -> list[torch.Tensor]:
     return [image.detach(), alpha.detach()] + [t.grad for t in tensors if t.grad is not None]
 
 
-def test_the_number_of_threads_does_not_change_a_bit(scene: Scene) -> None:
-    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+def test_the_number_of_threads_does_not_change_a_bit(scene):
+    most = numba.config.NUMBA_NUM_THREADS
     if most < 2:
         pytest.skip(f"numba has {most} thread here; comparing thread counts needs 2")
     results = []

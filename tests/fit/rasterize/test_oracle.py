@@ -24,7 +24,7 @@ from tg4mm.fit.rasterize.api import RENDER_MODES
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, POWER
 
 
-def always(_: Thresholds) -> bool:
+def always(_):
     return True
 
 
@@ -64,7 +64,7 @@ SCENES: dict[str, tuple[Scene, Callable[[Thresholds], bool], float | None]] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_values_and_gradients_equal_the_twins(name: str) -> None:
+def test_values_and_gradients_equal_the_twins(name):
     scene, premise, tolerance = SCENES[name]
     assert premise(thresholds(scene)), f"the scene is not {name}"
     margin = 1e-4 if tolerance is None else 2e-3
@@ -72,7 +72,7 @@ def test_values_and_gradients_equal_the_twins(name: str) -> None:
 
 
 @pytest.mark.parametrize("length", [10.0, 100.0, 1000.0])
-def test_a_needle_longer_than_any_image_is_drawn(length: float) -> None:
+def test_a_needle_longer_than_any_image_is_drawn(length):
     """Its covariance has a condition up to 1e10 and cancels in float32 unless its determinant is a sum."""
     scene = with_channels(make_scene(13, n=1, spread=0.1), 1)
     scene = replace(
@@ -90,14 +90,14 @@ def test_a_needle_longer_than_any_image_is_drawn(length: float) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_every_degree_of_spherical_harmonics(degree: int) -> None:
+def test_every_degree_of_spherical_harmonics(degree):
     """Coefficients above the degree are there and must be left alone."""
     check(make_scene(30 + degree), sh_degree=degree)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
-def test_any_number_of_plain_channels(channels: int, mode: str) -> None:
+def test_any_number_of_plain_channels(channels, mode):
     """More than one pass takes, too, and negative values: only spherical harmonics are clamped."""
     rng = torch.Generator().manual_seed(channels)
     scene = with_channels(make_scene(40 + channels), channels)
@@ -106,7 +106,7 @@ def test_any_number_of_plain_channels(channels: int, mode: str) -> None:
 
 @pytest.mark.parametrize("mode", RENDER_MODES)
 @pytest.mark.parametrize("sh_degree", [None, 3])
-def test_every_render_mode_from_several_cameras(mode: str, sh_degree: int | None) -> None:
+def test_every_render_mode_from_several_cameras(mode, sh_degree):
     scene = make_scene(50, cameras=3)
     if sh_degree is None:
         scene = with_channels(scene, 3)
@@ -114,7 +114,7 @@ def test_every_render_mode_from_several_cameras(mode: str, sh_degree: int | None
     check(scene, sh_degree=sh_degree, mode=mode, backgrounds=backgrounds)
 
 
-def test_nothing_visible_gives_an_empty_image_and_no_gradient() -> None:
+def test_nothing_visible_gives_an_empty_image_and_no_gradient():
     scene = make_scene(61, distance=-9.0)  # all of it behind the camera
     tensors = scene.tensors(torch.float32)
     image, alpha, meta = render(tensors, scene, 3, render_mode="RGB+ED")
@@ -127,14 +127,14 @@ def test_nothing_visible_gives_an_empty_image_and_no_gradient() -> None:
         assert not tensor.grad.any(), name
 
 
-def test_near_and_far_planes_and_faintness_cull() -> None:
+def test_near_and_far_planes_and_faintness_cull():
     """A Gaussian outside the planes, or nowhere above 1/255, is as good as not there."""
     scene = make_scene(62, n=4, scale=(0.2, 0.3))
     means = torch.tensor([[0.0, 0, 2], [0, 0, 3], [0, 0, 5], [0, 0, 4]])
     opacities = torch.tensor([0.9, 0.8, 0.9, 0.9 * ALPHA_MIN])
     _, quats, scales, _, colors, _ = (a.detach() for a in scene.tensors(torch.float32))
 
-    def image(keep: list[int], **planes: float) -> torch.Tensor:
+    def image(keep, **planes):
         parts = [a[keep] for a in (means, quats, scales, opacities, colors)]
         return render([*parts, torch.eye(4)[None]], scene, 3, **planes)[0]
 
@@ -142,7 +142,7 @@ def test_near_and_far_planes_and_faintness_cull() -> None:
     assert image([1]).abs().max() > 0.1
 
 
-def test_inputs_of_other_types_and_strides() -> None:
+def test_inputs_of_other_types_and_strides():
     """float64 and transposed storage are taken as they are, and not written to; gradients come in kind."""
     scene = make_scene(63)
     wide = [a.detach().transpose(0, -1).contiguous().transpose(0, -1) for a in scene.tensors()]
@@ -165,7 +165,7 @@ def test_inputs_of_other_types_and_strides() -> None:
 
 @pytest.mark.parametrize("column", ["means", "quats", "scales", "opacities"])
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30, 0.0])
-def test_a_spoilt_gaussian_does_not_spoil_the_others(column: str, value: float) -> None:
+def test_a_spoilt_gaussian_does_not_spoil_the_others(column, value):
     """A diverged parameter costs its own Gaussian, not the image; the others' gradients stay finite."""
     scene = make_scene(64, n=10)
     tensors = scene.tensors(torch.float32)
@@ -185,17 +185,15 @@ def test_a_spoilt_gaussian_does_not_spoil_the_others(column: str, value: float) 
 
 
 @pytest.mark.parametrize("kernel", ["gather_sums", "blend_backward", "project_backward"])
-def test_the_comparison_refuses_a_kernel_that_is_slightly_off(
-    kernel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_comparison_refuses_a_kernel_that_is_slightly_off(kernel, monkeypatch):
     """Each backward kernel in turn returns one of its arrays 0.1 % too large."""
     real = getattr(cpu, kernel)
     output = {"gather_sums": 5, "blend_backward": 9, "project_backward": 12}[kernel]
 
-    def off(*args: object, **kwargs: object) -> None:
+    def off(*args, **kwargs):
         real(*args, **kwargs)
         array = args[output]
-        array *= 1.001  # type: ignore[operator]
+        array *= 1.001
 
     monkeypatch.setattr(cpu, kernel, off)
     with pytest.raises(AssertionError, match="gradient by"):

@@ -24,7 +24,7 @@ print(sum("zmm" in c for c in code), sum("ymm" in c for c in code), hits)
 """
 
 
-def compared(cache: Path, processor: dict[str, str]) -> list[int]:
+def compared(cache, processor):
     """Checks against the twin in a fresh process. Of two kernels: with zmm registers, with ymm, from the cache."""
     root = Path(__file__).resolve().parents[3]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CPU")} | processor
@@ -41,7 +41,7 @@ def compared(cache: Path, processor: dict[str, str]) -> list[int]:
     platform.machine().lower() not in ("x86_64", "amd64"),
     reason="needs a processor that runs AVX2's instructions",
 )
-def test_without_avx512_the_kernels_are_others_and_right(tmp_path: Path) -> None:
+def test_without_avx512_the_kernels_are_others_and_right(tmp_path):
     """Haswell (2013): AVX2 and FMA, sixteen registers of eight numbers."""
     haswell = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2"}
     shutil.copytree(os.environ["NUMBA_CACHE_DIR"], tmp_path, dirs_exist_ok=True)

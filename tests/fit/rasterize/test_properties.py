@@ -1,16 +1,14 @@
 """What must hold of any rendering, whatever the numbers: symmetries, and the balance of light."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
-from tests.fit.rasterize.oracle import Scene, make_scene, random_rotations, render, with_channels
+from tests.fit.rasterize.oracle import make_scene, random_rotations, render, with_channels
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.rasterize.kernels.layout import DEPTH, POWER
 from tg4mm.fit.rasterize.reference import rotation_matrices
@@ -19,12 +17,12 @@ quick = settings(max_examples=15, deadline=None)
 seeds = st.integers(0, 10_000)
 
 
-def shown(scene: Scene, sh_degree: int | None = None, **options: Any) -> tuple[Tensor, Tensor]:
+def shown(scene, sh_degree=None, **options):
     """Image and alpha, in float32."""
     return render([t.detach() for t in scene.tensors(torch.float32)], scene, sh_degree, **options)[:2]
 
 
-def assert_same_image(a: Tensor, b: Tensor, largest: float | None = None) -> None:
+def assert_same_image(a, b, largest=None):
     """To float32 rounding; a pixel at a threshold (1 in 1000) may differ by a contribution of 1/255.
 
     largest: what is blended of one Gaussian, at most; None: about as much as the picture shows.
@@ -38,7 +36,7 @@ def assert_same_image(a: Tensor, b: Tensor, largest: float | None = None) -> Non
 
 @quick
 @given(seed=seeds)
-def test_moving_scene_and_camera_together_leaves_the_image(seed: int) -> None:
+def test_moving_scene_and_camera_together_leaves_the_image(seed):
     rng = torch.Generator().manual_seed(seed)
     scene = with_channels(make_scene(seed, cameras=2), 3)  # plain channels: harmonics live in world axes
     R = random_rotations(rng, 1)[0]
@@ -58,7 +56,7 @@ def test_moving_scene_and_camera_together_leaves_the_image(seed: int) -> None:
 
 @quick
 @given(seed=seeds)
-def test_the_order_of_the_gaussians_does_not_matter(seed: int) -> None:
+def test_the_order_of_the_gaussians_does_not_matter(seed):
     scene = make_scene(seed, n=200, scale=(0.02, 0.2))
     _, _, meta = render([t.detach() for t in scene.tensors(torch.float32)], scene, 3)
     splats = meta["projected"][0].splats
@@ -76,7 +74,7 @@ def test_the_order_of_the_gaussians_does_not_matter(seed: int) -> None:
 @quick
 @given(seed=seeds, factor=st.floats(1e-2, 1e3))
 @example(seed=147, factor=29.0)  # a Gaussian at a threshold, farther away than the mean of any pixel
-def test_the_unit_of_length_does_not_matter(seed: int, factor: float) -> None:
+def test_the_unit_of_length_does_not_matter(seed, factor):
     """Scene and camera made `factor` times as large: the same picture, depths times `factor`."""
     scene = make_scene(seed)
     viewmats = scene.viewmats.clone()
@@ -92,7 +90,7 @@ def test_the_unit_of_length_does_not_matter(seed: int, factor: float) -> None:
 
 @quick
 @given(seed=seeds)
-def test_background_shows_by_the_transmittance(seed: int) -> None:
+def test_background_shows_by_the_transmittance(seed):
     scene = make_scene(seed, cameras=2)
     background = torch.tensor([[0.2, 0.5, 0.9], [1.0, 0.0, 0.3]])
     plain, alpha = shown(scene, 3)
@@ -103,14 +101,14 @@ def test_background_shows_by_the_transmittance(seed: int) -> None:
 
 @quick
 @given(seed=seeds)
-def test_weights_and_transmittance_add_up_to_one(seed: int) -> None:
+def test_weights_and_transmittance_add_up_to_one(seed):
     """Channels that are 1 everywhere render to the sum of the blending weights."""
     scene = make_scene(seed, n=300, scale=(0.02, 0.5), opacity=(0.01, 1.0))
     image, alpha = shown(replace(scene, colors=torch.ones(300, 2, dtype=torch.float64)))
     assert torch.allclose(image, alpha.expand_as(image), atol=2e-6)
 
 
-def test_expected_depth_of_a_wall_is_its_distance() -> None:
+def test_expected_depth_of_a_wall_is_its_distance():
     """ED of an opaque sheet, seen face on, is the depth of the sheet; D is that times alpha."""
     n = 400
     rng = torch.Generator().manual_seed(0)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from tests.fit.rasterize.oracle import random_rotations, uniform
 from tg4mm.fit.rasterize.kernels.layout import T_MIN
@@ -14,11 +13,11 @@ from tg4mm.fit.rasterize.reference import composite, project, rotation_matrices,
 
 
 @pytest.fixture
-def rng() -> torch.Generator:
+def rng():
     return torch.Generator().manual_seed(0)
 
 
-def geometry(rng: torch.Generator, n: int) -> tuple[Tensor, ...]:
+def geometry(rng, n):
     """means, quats, scales, viewmat [4, 4], K [3, 3] of a scene that fills an image of 6 × 5 pixels."""
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3] = random_rotations(rng, 1)[0]
@@ -28,13 +27,13 @@ def geometry(rng: torch.Generator, n: int) -> tuple[Tensor, ...]:
     return uniform(rng, n, 3, low=-0.8, high=0.8), quats, uniform(rng, n, 3, low=1.0, high=2.0), viewmat, K
 
 
-def test_rotation_matrices_are_scipys(rng: torch.Generator) -> None:
+def test_rotation_matrices_are_scipys(rng):
     quats = torch.randn(20, 4, generator=rng, dtype=torch.float64) * 3
     expected = Rotation.from_quat(quats.numpy()[:, [1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(rotation_matrices(quats).numpy(), expected, atol=1e-14)
 
 
-def test_sh_colours_are_clamped_at_zero_without_gradient() -> None:
+def test_sh_colours_are_clamped_at_zero_without_gradient():
     sh = torch.full((1, 1, 3), -3.0, dtype=torch.float64, requires_grad=True)
     colour = sh_colours(sh, torch.ones(1, 3, dtype=torch.float64))
     colour.sum().backward()
@@ -43,7 +42,7 @@ def test_sh_colours_are_clamped_at_zero_without_gradient() -> None:
     assert not sh.grad.any()
 
 
-def test_spherical_harmonics_are_orthonormal() -> None:
+def test_spherical_harmonics_are_orthonormal():
     """∫ Y_i Y_j over the sphere is δ_ij, by a quadrature that is exact for these polynomials."""
     z, weight = np.polynomial.legendre.leggauss(8)
     phi = 2 * np.pi * np.arange(16) / 16
@@ -57,7 +56,7 @@ def test_spherical_harmonics_are_orthonormal() -> None:
     np.testing.assert_allclose((values * weights) @ values.T, np.eye(16), atol=1e-12)
 
 
-def test_projected_mean_and_depth_are_the_pinhole_cameras(rng: torch.Generator) -> None:
+def test_projected_mean_and_depth_are_the_pinhole_cameras(rng):
     means, quats, scales, viewmat, K = geometry(rng, 5)
     uv, _, depth = project(means, quats, scales, viewmat, K, 6, 5, 0.3)
     homogeneous = (viewmat @ torch.cat([means, torch.ones(5, 1, dtype=torch.float64)], 1).T)[:3]
@@ -66,7 +65,7 @@ def test_projected_mean_and_depth_are_the_pinhole_cameras(rng: torch.Generator) 
     assert torch.allclose(depth, homogeneous[2])
 
 
-def test_projected_covariance_is_that_of_projected_samples(rng: torch.Generator) -> None:
+def test_projected_covariance_is_that_of_projected_samples(rng):
     """EWA is the first order: exact in the limit of a small Gaussian."""
     means, quats, scales, viewmat, K = geometry(rng, 3)
     scales = scales * 1e-3
@@ -82,7 +81,7 @@ def test_projected_covariance_is_that_of_projected_samples(rng: torch.Generator)
         )
 
 
-def test_composite_is_equation_3_term_by_term(rng: torch.Generator) -> None:
+def test_composite_is_equation_3_term_by_term(rng):
     """C = Σ c_i α_i Π_{j<i} (1 - α_j), stopped before the light falls to T_MIN, as two plain loops."""
     alphas = uniform(rng, 12, 6, low=0.0, high=0.9)
     features = uniform(rng, 12, 2)

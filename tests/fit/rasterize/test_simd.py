@@ -16,21 +16,21 @@ from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS
 
 
 @njit
-def _exp2(x: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
+def _exp2(x, table, out):
     _, _, powers, _, _ = constants(table)
     for i in range(0, len(x), PIXELS):
         store(out, i, exp2(load_pixels(x, i), powers))
 
 
 @njit
-def _of_vectors(x: np.ndarray, logarithms: np.ndarray, roots: np.ndarray) -> None:
+def _of_vectors(x, logarithms, roots):
     for i in range(0, len(x), LANES):
         value = load(x, i)
         store(logarithms, i, math.log(value))
         store(roots, i, math.sqrt(value))
 
 
-def test_exp2_is_as_accurate_as_it_says() -> None:
+def test_exp2_is_as_accurate_as_it_says():
     x = -np.linspace(0, 126, 400_000, dtype=np.float32)
     out = np.empty_like(x)
     _exp2(x, TABLE, out)
@@ -38,7 +38,7 @@ def test_exp2_is_as_accurate_as_it_says() -> None:
     assert out[0] == 1.0
 
 
-def test_logarithm_and_root_of_vectors() -> None:
+def test_logarithm_and_root_of_vectors():
     x = np.concatenate([np.geomspace(1e-20, 300, 160_000), np.linspace(0.9, 1.1, 160_000)]).astype(np.float32)
     logarithms, roots = np.empty_like(x), np.empty_like(x)
     _of_vectors(x, logarithms, roots)

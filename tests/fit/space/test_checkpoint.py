@@ -1,8 +1,6 @@
 """An unfinished space stage that does not fit is refused in one line and stays on disk, whoever wrote it."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,9 +10,8 @@ from torch import Tensor
 
 from tests.helpers.runs import copied
 from tests.helpers.space_train import SHORT, Killed, killed_after
-from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import RunError
-from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space import RestViews
 from tg4mm.fit.space import train as stage
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
@@ -24,7 +21,7 @@ Tensors = dict[str, Tensor]
 State = dict[str, Any]
 
 
-def _killed(root: Path, data: Path, views: RestViews, points: SurfacePoints, config: SpaceConfig) -> Run:
+def _killed(root, data, views, points, config):
     """A run killed after 12 of 36 iterations, in the middle of its second round of views."""
     run = Run.create(root / "run", data, "modal", {})
     with pytest.MonkeyPatch.context() as patch:
@@ -36,9 +33,7 @@ def _killed(root: Path, data: Path, views: RestViews, points: SurfacePoints, con
 
 
 @pytest.fixture(scope="module")
-def killed_once(
-    data: Path, views: RestViews, points: SurfacePoints, tmp_path_factory: pytest.TempPathFactory
-) -> dict[bool, Run]:
+def killed_once(data, views, points, tmp_path_factory):
     """Without gains and with them."""
     return {
         gains: _killed(tmp_path_factory.mktemp("killed"), data, views, points, replace(SHORT, gains=gains))
@@ -47,11 +42,11 @@ def killed_once(
 
 
 @pytest.fixture
-def interrupted(killed_once: dict[bool, Run], tmp_path: Path) -> Run:
+def interrupted(killed_once, tmp_path):
     return copied(killed_once[False], tmp_path / "run")
 
 
-def forge(run: Run, change: Callable[[Tensors, State], None]) -> None:
+def forge(run, change):
     """Rewrite the checkpoint as someone would who knows the format, its digest as well."""
     checkpoint = run.load_checkpoint("space")
     assert checkpoint is not None
@@ -60,19 +55,19 @@ def forge(run: Run, change: Callable[[Tensors, State], None]) -> None:
     run.save_checkpoint("space", tensors, state)
 
 
-def put(**values: Any) -> Callable[[Tensors, State], None]:
+def put(**values):
     return lambda _, state: state.update(values)
 
 
-def tensor(name: str, change: Callable[[Tensor], Tensor]) -> Callable[[Tensors, State], None]:
+def tensor(name, change):
     return lambda tensors, _: tensors.update({name: change(tensors[name]).contiguous()})
 
 
-def without(name: str) -> Callable[[Tensors, State], None]:
+def without(name):
     return lambda tensors, _: tensors.__delitem__(name)
 
 
-def no_rows(tensors: Tensors, _: State) -> None:
+def no_rows(tensors, _):
     for name, value in tensors.items():
         if value.dim() and name != "generator":
             tensors[name] = value[:0].clone()
@@ -99,7 +94,7 @@ FORGED = {
 
 
 @pytest.mark.parametrize("what", list(FORGED))
-def test_a_forged_checkpoint_is_refused(what: str, interrupted: Run, views, points) -> None:
+def test_a_forged_checkpoint_is_refused(what, interrupted, views, points):
     """With its digest put right. Shapes above all: the kernels would write past their arrays."""
     change, match = FORGED[what]
     forge(interrupted, change)
@@ -111,8 +106,8 @@ def test_a_forged_checkpoint_is_refused(what: str, interrupted: Run, views, poin
     assert not interrupted.has_space
 
 
-def flipped(place: float) -> Callable[[Path], None]:
-    def flip(file: Path) -> None:
+def flipped(place):
+    def flip(file):
         raw = bytearray(file.read_bytes())
         raw[int(place * len(raw))] ^= 1
         file.write_bytes(raw)
@@ -120,10 +115,10 @@ def flipped(place: float) -> Callable[[Path], None]:
     return flip
 
 
-def with_header(**header: str | None) -> Callable[[Path], None]:
+def with_header(**header):
     """The file with entries of its header changed or, None, left out."""
 
-    def rewrite(file: Path) -> None:
+    def rewrite(file):
         with safe_open(file, framework="pt") as opened:
             meta = opened.metadata() | header
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
@@ -140,13 +135,13 @@ def with_header(**header: str | None) -> Callable[[Path], None]:
         (with_header(version="99"), "has version 99, expected 1; delete it"),
     ],
 )  # fmt: skip
-def test_a_damaged_file_is_refused(damage: Callable, match: str, interrupted: Run, views, points) -> None:
+def test_a_damaged_file_is_refused(damage, match, interrupted, views, points):
     damage(interrupted.path / FILE)
     with pytest.raises(RunError, match=match):
         train_space(interrupted, views, points, SHORT)
 
 
-def test_pictures_that_changed_underneath_are_refused(interrupted: Run, views, points) -> None:
+def test_pictures_that_changed_underneath_are_refused(interrupted, views, points):
     """One pixel of one picture; fewer views; one camera moved."""
     rgb = views.rgb.copy()
     rgb[3, 0, 0, 0] -= 1 / 255
@@ -166,9 +161,7 @@ def test_pictures_that_changed_underneath_are_refused(interrupted: Run, views, p
         (tensor("gains", lambda t: t - 2), "gains holds -.*, expected gains above 0"),
     ],
 )
-def test_forged_gains_are_refused(
-    change: Callable, match: str, killed_once: dict[bool, Run], tmp_path: Path, views, points
-) -> None:
+def test_forged_gains_are_refused(change, match, killed_once, tmp_path, views, points):
     run = copied(killed_once[True], tmp_path / "run")
     forge(run, change)
     with pytest.raises(RunError, match=match):

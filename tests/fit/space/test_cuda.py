@@ -2,8 +2,6 @@
 
 import sys
 import types
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import torch
@@ -12,14 +10,12 @@ from tests.fit.rasterize.oracle import assert_close, make_scene
 from tests.helpers.cuda import needs_cuda
 from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import psnr_of_test_views
-from tg4mm.capture import SurfacePoints
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import pictures_digest
 from tg4mm.fit.space.normalise import SceneUnit
-from tg4mm.fit.space.view import RenderedView, _render_cuda, render_view
-from tg4mm.run import Run
+from tg4mm.fit.space.view import _render_cuda, render_view
 from tg4mm.run.stages.space import train_space
 
 SCENE = make_scene(0)
@@ -28,13 +24,13 @@ SHORT = SpaceConfig(iterations=36, max_gaussians=500, init_points=300)
 
 
 @pytest.fixture
-def gsplat_on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def gsplat_on_cpu(monkeypatch):
     module = types.ModuleType("gsplat")
-    module.spherical_harmonics = spherical_harmonics  # type: ignore[attr-defined]
+    module.spherical_harmonics = spherical_harmonics
     monkeypatch.setitem(sys.modules, "gsplat", module)
 
 
-def outcome(render: Callable[..., RenderedView], degree: int, device: str = "cpu") -> dict[str, torch.Tensor]:
+def outcome(render, degree, device="cpu"):
     """Picture, carrier, shares and gradients of a loss on all of them."""
     tensors = [getattr(SCENE, k) for k in ("means", "quats", "scales", "opacities", "colors")]
     leaves = [t.detach().to(device, torch.float32).requires_grad_() for t in tensors]
@@ -50,7 +46,7 @@ def outcome(render: Callable[..., RenderedView], degree: int, device: str = "cpu
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
-def test_a_view_made_for_gsplat_is_the_cpus(degree: int, gsplat_on_cpu: None) -> None:
+def test_a_view_made_for_gsplat_is_the_cpus(degree, gsplat_on_cpu):
     expected = outcome(render_view, degree)
     assert expected["shares"].max() > 0
     for name, value in outcome(_render_cuda, degree).items():
@@ -59,15 +55,13 @@ def test_a_view_made_for_gsplat_is_the_cpus(degree: int, gsplat_on_cpu: None) ->
 
 @needs_cuda
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_view_on_cuda_is_the_cpus(degree: int) -> None:
+def test_a_view_on_cuda_is_the_cpus(degree):
     expected = outcome(render_view, degree)
     for name, value in outcome(render_view, degree, "cuda").items():
         assert_close(name, value, expected[name], 5e-3)
 
 
-def test_a_checkpoint_with_a_second_generator_comes_back(
-    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
-) -> None:
+def test_a_checkpoint_with_a_second_generator_comes_back(views, points, new_run):
     """What a GPU's run leaves is taken up on the CPU; the state of the device's generator goes along."""
     config, unit = stage.resolved(SHORT, views), SceneUnit.of(views, points)
     own = unit.views(views)
@@ -85,9 +79,7 @@ def test_a_checkpoint_with_a_second_generator_comes_back(
 
 
 @needs_cuda
-def test_training_on_cuda_is_as_good_as_on_the_cpu(
-    views: RestViews, points: SurfacePoints, data: Path, new_run: Callable[[], Run]
-) -> None:
+def test_training_on_cuda_is_as_good_as_on_the_cpu(views, points, data, new_run):
     config = SpaceConfig(iterations=500, max_gaussians=1500, dssim=0.2)
     run = new_run()
     here = psnr_of_test_views(train_space(new_run(), views, points, config, "cpu"), data)

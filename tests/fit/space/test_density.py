@@ -1,11 +1,8 @@
 """Adaptive density control: budget, what fades, what is split and how."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from tg4mm.fit.space.density import (
     DIM,
@@ -21,7 +18,7 @@ from tg4mm.fit.space.parameters import ParameterAdam
 EXTENT = 2.0
 
 
-def parameters(n: int, opacity: float = 0.5, scale: float = 0.05, seed: int = 0) -> dict[str, Tensor]:
+def parameters(n, opacity=0.5, scale=0.05, seed=0):
     """n Gaussians; sh0's first entry is the row's number."""
     g = torch.Generator().manual_seed(seed)
     sh0 = torch.zeros(n, 1, 3)
@@ -36,15 +33,15 @@ def parameters(n: int, opacity: float = 0.5, scale: float = 0.05, seed: int = 0)
     }
 
 
-def generator(seed: int = 0) -> torch.Generator:
+def generator(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
-def numbers(adam: ParameterAdam) -> list[int]:
+def numbers(adam):
     return adam.parameters["sh0"][:, 0, 0].int().tolist()
 
 
-def test_the_halves_of_a_split_keep_the_mass_centre() -> None:
+def test_the_halves_of_a_split_keep_the_mass_centre():
     p = parameters(50)
     rows = torch.tensor([3, 7, 40])
     halves = split_rows(p, rows, generator())
@@ -59,14 +56,14 @@ def test_the_halves_of_a_split_keep_the_mass_centre() -> None:
 
 
 @pytest.mark.parametrize("most", [40, 12])
-def test_a_full_budget_splits_none(most: int) -> None:
+def test_a_full_budget_splits_none(most):
     adam = ParameterAdam(parameters(40), EXTENT)
     change = control_density(adam, torch.ones(40), EXTENT, most, generator())
     assert (change.removed, change.split) == (0, 0)
     assert numbers(adam) == list(range(40))
 
 
-def test_growth_is_a_twentieth_beside_what_was_removed() -> None:
+def test_growth_is_a_twentieth_beside_what_was_removed():
     p = parameters(40)
     p["logits"][:5] = -8.0
     adam = ParameterAdam(p, EXTENT)
@@ -76,7 +73,7 @@ def test_growth_is_a_twentieth_beside_what_was_removed() -> None:
 
 
 @pytest.mark.parametrize(("start", "most", "iterations"), [(150, 10_000, 2_000), (4, 9_000, 20_000)])
-def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, iterations: int) -> None:
+def test_a_start_far_below_the_budget_reaches_it_in_time(start, most, iterations):
     """In equal steps, where twentieths would end at a fraction of it."""
     n, counts = start, []
     caught_up = 0.35 * iterations
@@ -92,13 +89,13 @@ def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, 
 
 
 @pytest.mark.parametrize(("n", "iteration"), [(10_000, 200), (9_900, 200), (40_000, 3_000), (50_000, 9_000)])
-def test_a_start_near_the_budget_grows_by_twentieths(n: int, iteration: int) -> None:
+def test_a_start_near_the_budget_grows_by_twentieths(n, iteration):
     """10,000 points and 40,000 Gaussians over 10,000 iterations."""
     most = 40_000 if n < 40_000 else n
     assert growth(n, most, iteration, 3_500) == pytest.approx(0.05)
 
 
-def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:
+def test_faded_and_huge_gaussians_are_removed_and_never_split():
     """However large their share of the error."""
     p = parameters(20)
     p["logits"][3] = torch.tensor(0.004).logit()
@@ -114,7 +111,7 @@ def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:
     assert sorted(numbers(adam)) == sorted([i for i in range(20) if i not in {3, 5, 8}] + [5, 5])
 
 
-def test_the_chance_is_the_share_of_the_error() -> None:
+def test_the_chance_is_the_share_of_the_error():
     """10 Gaussians, one split a round: over 600 rounds the counts follow the error (χ², 9 degrees: 99.9 % < 27.9)."""
     error = torch.tensor([0.0, 1, 1, 2, 2, 3, 3, 4, 4, 20])
     counts, start = np.zeros(10), parameters(10)

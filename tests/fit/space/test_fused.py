@@ -1,7 +1,5 @@
 """The CPU's own iteration beside the one that torch makes: gradients, steps, shares, and what it leaves alone."""
 
-from collections.abc import Iterator
-
 import numba
 import pytest
 import torch
@@ -12,7 +10,7 @@ from tests.helpers.space_parameters import EXTENT, gradients, take_step
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.fused import FusedAdam
-from tg4mm.fit.space.parameters import ParameterAdam, ParameterRows
+from tg4mm.fit.space.parameters import ParameterAdam
 
 LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
 
@@ -20,9 +18,7 @@ LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
 class Trained:
     """Some iterations over the cameras in turn, by one of the two optimisers."""
 
-    def __init__(
-        self, kind: type[ParameterRows], steps: int, degree: int = 3, loss: tuple = (10.0, 0.0)
-    ) -> None:
+    def __init__(self, kind, steps, degree=3, loss=(10.0, 0.0)):
         cameras = stage._Views(views_of(), SpaceConfig(l2=loss[0], dssim=loss[1]), "cpu")
         generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
         self.fit = stage._Fit(kind(parameters(), EXTENT), error, torch.zeros(()), generator, generator)
@@ -33,7 +29,7 @@ class Trained:
 
 @pytest.mark.parametrize("loss", LOSSES)
 @pytest.mark.parametrize("degree", [0, 2, 3])
-def test_one_step_has_torchs_gradients(degree: int, loss: tuple[float, float]) -> None:
+def test_one_step_has_torchs_gradients(degree, loss):
     """After the first step the first moments are a tenth of the gradient, the second a thousandth of its square."""
     expected, found = (Trained(kind, 1, degree, loss) for kind in (ParameterAdam, FusedAdam))
     assert found.moments["step"] == expected.moments["step"] == 1
@@ -48,13 +44,13 @@ def test_one_step_has_torchs_gradients(degree: int, loss: tuple[float, float]) -
 
 @pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
 @pytest.mark.parametrize("spacing", [2, 3])
-def test_the_grids_of_pixels_add_up_to_the_picture(kind: type[ParameterRows], spacing: int) -> None:
+def test_the_grids_of_pixels_add_up_to_the_picture(kind, spacing):
     """Gradients and errors, of means over pixels each; shares are sums. The Gaussians are small: of one that reaches in
     from far outside a picture, gsplat limits the slant, by the picture's edge, and a grid's lies elsewhere."""
     small = parameters()
     small["log_scales"] -= 2.5
 
-    def first(turn: int, spacing: int) -> tuple[float, torch.Tensor, dict[str, torch.Tensor]]:
+    def first(turn, spacing):
         cameras = stage._Views(views_of(), SpaceConfig(), "cpu", spacing=spacing)
         generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
         iteration = len(cameras) * turn  # a round of all views goes by before view 0 has its next turn
@@ -72,7 +68,7 @@ def test_the_grids_of_pixels_add_up_to_the_picture(kind: type[ParameterRows], sp
         assert_close(name, parts, moments[name], 2e-4)
 
 
-def test_a_step_is_adams_for_given_gradients() -> None:
+def test_a_step_is_adams_for_given_gradients():
     """The gradients of torch's own iteration, taken from its moments, through float64 Adam: the formula in words."""
     first, second = Trained(FusedAdam, 1), Trained(FusedAdam, 2)
     for name, rate in stage_rates(0.1).items():
@@ -86,21 +82,21 @@ def test_a_step_is_adams_for_given_gradients() -> None:
         assert_close(name, actual * certain, step * certain, 2e-3)
 
 
-def stage_rates(progress: float) -> dict[str, float]:
+def stage_rates(progress):
     rates = {"quats": 2e-3, "log_scales": 2e-2, "logits": 4.5e-2, "sh0": 7.5e-3, "shn": 7.5e-4}
     return {"means": 1.6e-3 * EXTENT * 0.01**progress} | rates
 
 
 @pytest.fixture
-def _keep_thread_count() -> Iterator[None]:
+def _keep_thread_count():
     before = numba.get_num_threads()
     yield
     numba.set_num_threads(before)
 
 
 @pytest.mark.usefixtures("_keep_thread_count")
-def test_the_number_of_threads_does_not_change_a_bit() -> None:
-    if numba.config.NUMBA_NUM_THREADS < 2:  # type: ignore[attr-defined]
+def test_the_number_of_threads_does_not_change_a_bit():
+    if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("numba has one thread here; comparing thread counts needs 2")
     found = []
     for threads in (1, 2):
@@ -114,7 +110,7 @@ def test_the_number_of_threads_does_not_change_a_bit() -> None:
     assert torch.equal(one.fit.error, two.fit.error)
 
 
-def test_an_optimiser_taken_up_from_a_checkpoint_goes_on_to_the_bit() -> None:
+def test_an_optimiser_taken_up_from_a_checkpoint_goes_on_to_the_bit():
     """And either kind takes up the other's."""
     fit = Trained(FusedAdam, 4).fit
     tensors = fit.tensors()

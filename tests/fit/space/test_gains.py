@@ -1,24 +1,17 @@
 """Gains of pictures: what fits is found, ratios alone count, and pictures spoilt by known gains give these back."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from tg4mm.capture import SurfacePoints
-from tg4mm.fit.space import RestViews, SpaceConfig
-from tg4mm.run import Run
+from tg4mm.fit.space import SpaceConfig
 from tg4mm.run.stages.space import train_space
 from tg4mm.show.render.image import render_image
 
 
-def test_known_gains_are_found(
-    views: RestViews,
-    points: SurfacePoints,
-    new_run: Callable[[], Run],
-) -> None:
+def test_known_gains_are_found(views, points, new_run):
     """Of 10 % a quarter at most is left, and the Gaussians are nearer to the pictures without gains.
 
     After 1500 iterations .17 or .27 is left by the order of sums alone, after 2500 .19 to .21.
@@ -44,7 +37,7 @@ def test_known_gains_are_found(
 
 
 @pytest.mark.parametrize("gains", [True, False])
-def test_torch_and_the_fused_iteration_agree_on_gains(gains: bool) -> None:
+def test_torch_and_the_fused_iteration_agree_on_gains(gains):
     from tests.helpers.space_fused import SCENE, parameters, views_of
     from tests.helpers.space_parameters import EXTENT
     from tg4mm.fit.space import train as stage

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.fit.space.scenes import capsule_mask, intrinsics, orbit, views_of
 from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import CaptureError
-from tg4mm.fit.space import RestViews, initial
+from tg4mm.fit.space import initial
 from tg4mm.fit.space.initial import (
     _project,
     hull_points,
@@ -22,7 +22,7 @@ SIZE = 128
 GRID = 48  # cells of the hull's box, a third of what training uses
 
 
-def silhouettes(capsules: list[tuple[np.ndarray, float]], n: int = 24, size: int = SIZE) -> RestViews:
+def silhouettes(capsules, n=24, size=SIZE):
     """Views of the union of capsules (ends [2, 3], radius) by n cameras that look at CENTRE."""
     viewmats, K = orbit(n, CENTRE), intrinsics(size)
     masks = [
@@ -33,32 +33,30 @@ def silhouettes(capsules: list[tuple[np.ndarray, float]], n: int = 24, size: int
 
 
 @pytest.fixture(scope="module")
-def ball() -> RestViews:
+def ball():
     return silhouettes([(np.array([CENTRE, CENTRE]), RADIUS)])
 
 
 @pytest.fixture(scope="module")
-def shell(ball: RestViews) -> tuple[np.ndarray, float] | None:
+def shell(ball):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(initial, "HULL_GRID", GRID)
         return hull_shell(ball)
 
 
 @pytest.fixture(autouse=True)
-def _small_grid(
-    monkeypatch: pytest.MonkeyPatch, ball: RestViews, shell: tuple[np.ndarray, float] | None
-) -> None:
+def _small_grid(monkeypatch, ball, shell):
     """The ball's shell, which takes a second, is found once for all tests."""
     monkeypatch.setattr(initial, "HULL_GRID", GRID)
     monkeypatch.setattr(initial, "hull_shell", lambda views: shell if views is ball else hull_shell(views))
 
 
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(0)
 
 
 class TestHull:
-    def test_a_balls_hull_lies_on_the_ball_within_a_cell(self, ball: RestViews) -> None:
+    def test_a_balls_hull_lies_on_the_ball_within_a_cell(self, ball):
         cell = 2 * RADIUS / GRID
         points, cells = hull_points(ball, 4000, rng()) or pytest.fail("no hull")
         assert cells > len(points) == 4000
@@ -71,7 +69,7 @@ class TestHull:
         octant = ((points > CENTRE) * [1, 2, 4]).sum(1)
         assert np.bincount(octant, minlength=8).min() > len(points) / 8 * 0.8
 
-    def test_what_lies_before_few_cameras_is_left_out(self) -> None:
+    def test_what_lies_before_few_cameras_is_left_out(self):
         """The box's corner lies before one camera, on its ball's silhouette, and in no other picture."""
         viewmats, K, size, centre = orbit(12, np.zeros(3)), intrinsics(64, angle=0.4), 64, np.zeros(3)
         turn, _ = Rotation.align_vectors(-viewmats[0, 2, :3], np.full(3, -(3**-0.5)))
@@ -86,13 +84,13 @@ class TestHull:
         assert np.linalg.norm(points, axis=1).max() < 0.7
 
     @pytest.mark.parametrize("value", [1.0, 0.0])
-    def test_masks_that_cut_nothing_or_all_give_none(self, value: float) -> None:
+    def test_masks_that_cut_nothing_or_all_give_none(self, value):
         views = views_of(orbit(4, CENTRE), intrinsics(16), np.full((4, 16, 16), value))
         assert hull_points(views, 100, rng()) is None
 
 
 class TestChoice:
-    def test_auto_takes_the_first_that_is_there(self, ball: RestViews) -> None:
+    def test_auto_takes_the_first_that_is_there(self, ball):
         given = SurfacePoints(
             rng().uniform(-1, 1, (50, 3)).astype(np.float32), np.full((50, 3), 51, np.uint8)
         )
@@ -103,7 +101,7 @@ class TestChoice:
         assert initial_points(ball, given, "random", 100, rng()).source == "random"
         assert initial_points(ball, given, "hull", 100, rng()).source == "hull"
 
-    def test_colours_are_the_mean_of_the_pixels_that_see_them(self) -> None:
+    def test_colours_are_the_mean_of_the_pixels_that_see_them(self):
         """One camera sees red, its opposite blue; a point that only one sees has its colour, no one's is grey."""
         viewmats = np.stack([np.eye(4)] * 2)
         viewmats[1, :3, :3] = np.diag([-1.0, 1, -1])  # turned about y: looks back
@@ -122,7 +120,7 @@ class TestChoice:
             ("cloud", "init is 'cloud', expected auto, points, sfm, hull, random"),
         ],
     )
-    def test_what_is_not_there_is_refused(self, kind: str, match: str) -> None:
+    def test_what_is_not_there_is_refused(self, kind, match):
         opaque = views_of(orbit(4, CENTRE), intrinsics(16), np.ones((4, 16, 16)))
         with pytest.raises(CaptureError, match=match):
             initial_points(opaque, None, kind, 100, rng())

@@ -1,19 +1,14 @@
 """Coarse to fine: every iteration has its level, and smaller pictures show the same from the same place."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.fit.space.scenes import intrinsics, orbit, views_of
 from tests.helpers.space_train import psnr_of_test_views
-from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.density import EVERY
 from tg4mm.fit.space.levels import check_levels, level_at, levels, sampled
-from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
 FULL = (1080, 1920)
@@ -21,7 +16,7 @@ FULL = (1080, 1920)
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 @pytest.mark.parametrize("iterations", [1, 36, 1000, 9561])
-def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
+def test_every_iteration_has_one_level(n, iterations):
     found = levels(SpaceConfig(iterations=iterations, max_gaussians=1000, levels=n), FULL)
     assert [level.shrink for level in found] == [1 << (n - 1 - i) for i in range(n)]
     assert [found[0].begin, *(level.end for level in found[:-1])] == [level.begin for level in found]
@@ -44,15 +39,13 @@ def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
         ((540, 960), 72_000, 2, 0.0, [1, 1]),
     ],
 )
-def test_of_large_pictures_some_one_pixel_for_each_gaussian_is_seen(
-    size: tuple[int, int], most: int, n: int, dssim: float, spacing: list[int]
-) -> None:
+def test_of_large_pictures_some_one_pixel_for_each_gaussian_is_seen(size, most, n, dssim, spacing):
     config = SpaceConfig(iterations=1200, max_gaussians=most, levels=n, dssim=dssim)
     assert [level.spacing for level in levels(config, size)] == spacing
 
 
 @pytest.mark.parametrize("turn", range(9))
-def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
+def test_pixels_that_are_seen_keep_their_place(turn):
     """The picture's own coordinates as colours: a pixel's centre, unprojected, lies on the ray that it lay on."""
     given = views_of(orbit(1, np.zeros(3)), intrinsics(32), np.ones((1, 17, 31)))
     y, x = np.mgrid[:17, :31] + 0.5
@@ -65,7 +58,7 @@ def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
         np.testing.assert_allclose(ray, expected, atol=1e-6)
 
 
-def test_levels_that_leave_no_picture_are_refused() -> None:
+def test_levels_that_leave_no_picture_are_refused():
     check_levels(2, (48, 32))
     with pytest.raises(
         Tg4mmError, match=r"\Asetting space.levels is 3: pictures of 48×32 would be 12×8 at the"
@@ -73,12 +66,7 @@ def test_levels_that_leave_no_picture_are_refused() -> None:
         check_levels(3, (48, 32))
 
 
-def test_it_fits_from_coarse_to_fine(
-    views: RestViews,
-    points: SurfacePoints,
-    data: Path,
-    new_run: Callable[[], Run],
-) -> None:
+def test_it_fits_from_coarse_to_fine(views, points, data, new_run):
     """With intrinsics of the wrong size it ends below 30 dB; it starts at 24.5."""
     config = SpaceConfig(iterations=500, max_gaussians=1500, levels=2)
     assert psnr_of_test_views(train_space(new_run(), views, points, config), data) > 35.5

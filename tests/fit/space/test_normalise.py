@@ -1,9 +1,6 @@
 """The space stage and what a camera sees do not depend on the unit that a scene is in, nor on where it lies."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +9,6 @@ from plyfile import PlyData, PlyElement
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm import SpaceConfig, fit_space, load_capture
-from tg4mm.capture import Capture
 from tg4mm.capture.pictures import pictures_for
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.view import view_jacobian
@@ -23,7 +19,7 @@ from tg4mm.show.render.image import render_image
 SHORT = SpaceConfig(iterations=120, max_gaussians=900)
 
 
-def moved(data: Path, scale: float, offset: np.ndarray) -> Path:
+def moved(data, scale, offset):
     """The dataset in another unit, elsewhere; its points in double precision."""
     for file in data.rglob("transforms_*.json"):
         content = json.loads(file.read_text())
@@ -42,25 +38,23 @@ def moved(data: Path, scale: float, offset: np.ndarray) -> Path:
     return data
 
 
-def fitted(folder: Path, scale: float, offset: float) -> tuple[Capture, Gaussians]:
+def fitted(folder, scale, offset):
     make_synthetic_dataset(folder, n_views=5, n_timesteps=8, size=40, alphas=())
     capture = load_capture(moved(folder, scale, offset * np.array([1.0, -1.0, 0.7])))
     return capture, fit_space(capture, SHORT)
 
 
-def picture(capture: Capture, gaussians: Gaussians) -> np.ndarray:
+def picture(capture, gaussians):
     return render_image(gaussians, capture.viewmats[0], capture.Ks[0], capture.width, capture.height)
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Gaussians]:
+def plain(tmp_path_factory):
     return fitted(tmp_path_factory.mktemp("plain") / "data", 1.0, 0.0)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-4, 0.0), (1e4, 0.0), (1.0, 1e6)])
-def test_a_scene_in_another_unit_and_place_is_fitted_and_drawn_alike(
-    plain: tuple[Capture, Gaussians], tmp_path: Path, scale: float, offset: float
-) -> None:
+def test_a_scene_in_another_unit_and_place_is_fitted_and_drawn_alike(plain, tmp_path, scale, offset):
     capture, gaussians = fitted(tmp_path / "data", scale, offset)
     there, here = picture(capture, gaussians), picture(*plain)
     mse = [float(((p - plain_rgb(plain[0])) ** 2).mean()) for p in (there, here)]
@@ -70,14 +64,12 @@ def test_a_scene_in_another_unit_and_place_is_fitted_and_drawn_alike(
     assert (capture.origin != 0).any() == (offset != 0)
 
 
-def plain_rgb(capture: Capture) -> np.ndarray:
+def plain_rgb(capture):
     return pictures_for(capture).rgb(0)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
-def test_the_motion_stages_view_has_all_gaussians_in_any_unit(
-    plain: tuple[Capture, Gaussians], scale: float
-) -> None:
+def test_the_motion_stages_view_has_all_gaussians_in_any_unit(plain, scale):
     capture, gaussians = plain
     frames = observe(capture, pictures_for(capture)).frames[0]
     larger = Gaussians(
@@ -93,7 +85,7 @@ def test_the_motion_stages_view_has_all_gaussians_in_any_unit(
     assert torch.isfinite(larger.means).all()
 
 
-def test_on_a_device_what_is_nearer_than_the_near_plane_goes_behind_the_camera() -> None:
+def test_on_a_device_what_is_nearer_than_the_near_plane_goes_behind_the_camera():
     generator = torch.Generator().manual_seed(0)
     viewmat = torch.eye(4)
     viewmat[:3, 3] = torch.tensor([0.1, -0.2, 0.3])

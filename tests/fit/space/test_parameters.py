@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from tests.helpers.space_parameters import EXTENT, N, gradients, take_step
 from tg4mm.fit.space.fused import FusedAdam
@@ -12,28 +11,27 @@ from tg4mm.fit.space.parameters import (
     LEARNING_RATES,
     SH_C0,
     ParameterAdam,
-    ParameterRows,
     activate,
     initial_parameters,
 )
 
 
-def points(n: int = N) -> InitialPoints:
+def points(n=N):
     rng = np.random.default_rng(0)
     xyz, rgb, spacing = rng.normal(size=(n, 3)), rng.uniform(size=(n, 3)), rng.uniform(0.01, 0.2, n)
     return InitialPoints(*(a.astype(np.float32) for a in (xyz, rgb, spacing)), "points")
 
 
-def parameters(degree: int = 1) -> dict[str, Tensor]:
+def parameters(degree=1):
     return initial_parameters(points(), degree, torch.Generator().manual_seed(0))
 
 
-def rows(values: dict[str, Tensor], keep: Tensor) -> dict[str, Tensor]:
+def rows(values, keep):
     return {k: v[keep] for k, v in values.items()}
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_initial_gaussians_are_round_and_show_the_colour(degree: int) -> None:
+def test_initial_gaussians_are_round_and_show_the_colour(degree):
     start = points()
     g = activate(initial_parameters(start, degree, torch.Generator().manual_seed(0)))
     assert g.sh.shape == (N, (degree + 1) ** 2, 3)
@@ -45,14 +43,14 @@ def test_initial_gaussians_are_round_and_show_the_colour(degree: int) -> None:
     np.testing.assert_allclose(torch.linalg.vector_norm(g.quats, dim=1), 1, rtol=1e-6)
 
 
-def rate(name: str, progress: float) -> float:
+def rate(name, progress):
     """The schedule in words: means fall to 1 % exponentially, the others to 10 % over the second half."""
     if name == "means":
         return 1.6e-3 * EXTENT * 0.01**progress
     return LEARNING_RATES[name] * (1 if progress <= 0.5 else 0.1 ** ((progress - 0.5) / 0.5))
 
 
-def test_it_is_torch_adam_while_nothing_comes_or_goes() -> None:
+def test_it_is_torch_adam_while_nothing_comes_or_goes():
     adam = ParameterAdam(parameters(), EXTENT)
     plain = {k: v.clone().requires_grad_() for k, v in parameters().items()}
     groups = [{"params": [p], "name": k} for k, p in plain.items()]
@@ -85,9 +83,7 @@ NEW = -1  # in what `expected` says of a row: it holds the next of those added
     ],
 )
 @pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
-def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero(
-    kind: type[ParameterRows], gone: list[int], n_added: int, expected: list[int]
-) -> None:
+def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero(kind, gone, n_added, expected):
     plain = ParameterAdam(parameters(), EXTENT)
     for i in range(3):
         take_step(plain, gradients(plain.parameters, i))

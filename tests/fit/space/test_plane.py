@@ -8,7 +8,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tg4mm.core.errors import CaptureError, Tg4mmError
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space.plane import FINEST, RIDGE, plane_gaussians, plane_psnr, quadtree, solve_colours
@@ -20,12 +19,12 @@ from tg4mm.show.render.image import render_image
 VIEWMAT = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)
 
 
-def camera(width: int, height: int) -> np.ndarray:
+def camera(width, height):
     f = max(width, height)
     return np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], np.float32)
 
 
-def textured(width: int, height: int) -> np.ndarray:
+def textured(width, height):
     """Stripes and an edge at the left, a slow ramp at the right."""
     v, u = np.mgrid[:height, :width] + 0.5
     left = 0.5 + 0.3 * np.sin(u / 2.5) * np.cos(v / 3) + 0.15 * (v > height / 3)
@@ -33,7 +32,7 @@ def textured(width: int, height: int) -> np.ndarray:
     return np.stack([grey, 0.8 * grey, 1 - grey], -1).astype(np.float32)
 
 
-def views_of(picture: np.ndarray, count: int = 1) -> RestViews:
+def views_of(picture, count=1):
     height, width = picture.shape[:2]
     K = np.stack([camera(width, height)] * count)
     rgb, alpha = np.stack([picture] * count), np.ones((count, height, width), np.float32)
@@ -41,7 +40,7 @@ def views_of(picture: np.ndarray, count: int = 1) -> RestViews:
     return RestViews(np.stack([VIEWMAT] * count), K, rgb, alpha, rows)
 
 
-def fitted(picture: np.ndarray, budget: int, iterations: int = 14) -> Gaussians:
+def fitted(picture, budget, iterations=14):
     K = camera(picture.shape[1], picture.shape[0])
     return solve_colours(plane_gaussians(picture, K, VIEWMAT, budget), picture, VIEWMAT, K, iterations)
 
@@ -49,7 +48,7 @@ def fitted(picture: np.ndarray, budget: int, iterations: int = 14) -> Gaussians:
 # The quadtree.
 
 
-def test_detail_gets_the_small_cells_and_the_budget_holds() -> None:
+def test_detail_gets_the_small_cells_and_the_budget_holds():
     picture = textured(128, 96)
     cells = quadtree(picture, 700)
     assert 600 < len(cells.sides) <= 700
@@ -60,7 +59,7 @@ def test_detail_gets_the_small_cells_and_the_budget_holds() -> None:
 # The discs.
 
 
-def test_discs_lie_at_distance_one_and_face_the_camera_wherever_it_is() -> None:
+def test_discs_lie_at_distance_one_and_face_the_camera_wherever_it_is():
     picture = textured(96, 64)
     K, viewmat = camera(96, 64), np.eye(4)
     viewmat[:3, :3] = Rotation.from_rotvec([0.3, -0.8, 1.9]).as_matrix()
@@ -80,7 +79,7 @@ def test_discs_lie_at_distance_one_and_face_the_camera_wherever_it_is() -> None:
 # The colours.
 
 
-def test_colours_are_the_minimum_of_the_quadratic() -> None:
+def test_colours_are_the_minimum_of_the_quadratic():
     """Against the normal equations, A made column by column."""
     picture = 0.25 + 0.5 * textured(24, 16)
     K = camera(24, 16)
@@ -100,7 +99,7 @@ def test_colours_are_the_minimum_of_the_quadratic() -> None:
     assert np.allclose(0.5 + found.sh[:, 0].numpy() * 0.28209479177387814, exact, atol=2e-3)
 
 
-def test_the_picture_is_met_and_colours_are_none_below_black() -> None:
+def test_the_picture_is_met_and_colours_are_none_below_black():
     picture = textured(160, 120) * np.linspace(0, 1, 160, dtype=np.float32)[:, None]
     K = camera(160, 120)
     means = plane_gaussians(picture, K, VIEWMAT, 6000)
@@ -113,7 +112,7 @@ def test_the_picture_is_met_and_colours_are_none_below_black() -> None:
 # The stage.
 
 
-def test_the_run_holds_the_plane_and_its_figures(tmp_path: Path) -> None:
+def test_the_run_holds_the_plane_and_its_figures(tmp_path):
     picture = textured(96, 64)
     run = Run.create(tmp_path / "run", tmp_path, "modal", {})
     gaussians = train_plane(run, views_of(picture), SpaceConfig())
@@ -133,7 +132,7 @@ def test_the_run_holds_the_plane_and_its_figures(tmp_path: Path) -> None:
     assert len(train_plane(Run.create(tmp_path / "few", tmp_path, "modal", {}), views_of(picture), few)) <= 50
 
 
-def test_what_is_not_flat_is_refused(tmp_path: Path) -> None:
+def test_what_is_not_flat_is_refused(tmp_path):
     run = Run.create(tmp_path / "run", tmp_path, "modal", {})
     with pytest.raises(CaptureError, match="this one has 2"):
         train_plane(run, views_of(textured(48, 32), 2), SpaceConfig())
@@ -147,7 +146,7 @@ BABY = Path(__file__).resolve().parents[4] / "shared" / "data" / "evm" / "baby.m
 
 @pytest.mark.slow
 @pytest.mark.skipif(not BABY.is_file(), reason="the video is not here")
-def test_a_real_videos_mean_picture_is_met_above_32_db() -> None:
+def test_a_real_videos_mean_picture_is_met_above_32_db():
     import imageio_ffmpeg
 
     frames = imageio_ffmpeg.read_frames(str(BABY))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from tests.fit.space.scenes import capture_of
@@ -16,16 +15,16 @@ from tg4mm.core.progress import PlainProgress
 from tg4mm.fit.space import rest_views
 
 
-def pictures(n: int, seed: int = 0) -> np.ndarray:
+def pictures(n, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (n, 3, 5, 4)).astype(np.uint8)
 
 
-def over_white(data: np.ndarray) -> np.ndarray:
+def over_white(data):
     d = data.astype(np.float64) / 255
     return d[..., :3] * d[..., 3:] + 1 - d[..., 3:]
 
 
-def test_a_fixed_camera_gives_its_mean_over_time() -> None:
+def test_a_fixed_camera_gives_its_mean_over_time():
     """Cameras 0 and 1 take turns; the pictures of each are composited over white, then averaged."""
     data = pictures(6)
     capture, images = capture_of([0, 1, 0, 1, 0, 1], [0, 0, 1, 1, 2, 2], data)
@@ -40,9 +39,7 @@ def test_a_fixed_camera_gives_its_mean_over_time() -> None:
     assert np.abs(views.rgb[0] - (mean[..., :3] * mean[..., 3:] + 1 - mean[..., 3:])).max() > 0.01
 
 
-def test_each_picture_is_decoded_once_and_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_picture_is_decoded_once_and_shown(tmp_path, monkeypatch, capsys):
     """Pictures stay on disk; what takes long says how far it is and how long it will take."""
     data = pictures(6)
     capture, images = capture_of([0, 1, 0, 1, 0, 1], [0, 0, 1, 1, 2, 2], data)
@@ -51,7 +48,7 @@ def test_each_picture_is_decoded_once_and_shown(
         Image.fromarray(picture).save(path)
     seen = list[Path]()
 
-    def slow(path: Path) -> np.ndarray:
+    def slow(path):
         seen.append(path)
         time.sleep(0.05)
         return decode(path)

@@ -1,8 +1,6 @@
 """Training at rest: it fits, says what it did, does the same twice, and a kill at any moment costs nothing."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,9 +11,7 @@ from tests.helpers.space_train import (
     killed_after,
     psnr_of_test_views,
 )
-from tg4mm.capture import SurfacePoints
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, SpaceConfig, density
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.levels import levels
@@ -25,14 +21,14 @@ from tg4mm.run.stages.space import train_space
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
-def equal(a: Gaussians, b: Gaussians) -> bool:
+def equal(a, b):
     return all(torch.equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
 
 
 LEVELS = replace(SHORT, levels=2, gains=True)
 
 
-def dense_events(patch: pytest.MonkeyPatch) -> None:
+def dense_events(patch):
     """Checkpoints after every iteration, density control after every fifth from the tenth on."""
     patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     patch.setattr(density, "FIRST", 10)
@@ -40,9 +36,7 @@ def dense_events(patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def unbroken(
-    views: RestViews, points: SurfacePoints, data: Path, tmp_path_factory: pytest.TempPathFactory
-) -> dict[SpaceConfig, Run]:
+def unbroken(views, points, data, tmp_path_factory):
     """Runs that nobody killed."""
     runs = {
         c: Run.create(tmp_path_factory.mktemp("whole") / "run", data, "modal", {}) for c in (SHORT, LEVELS)
@@ -55,9 +49,7 @@ def unbroken(
     return runs
 
 
-def test_it_fits_views_it_has_not_seen(
-    views: RestViews, points: SurfacePoints, data: Path, new_run: Callable[[], Run]
-) -> None:
+def test_it_fits_views_it_has_not_seen(views, points, data, new_run):
     """38 dB (37.7 to 38.5, three seeds). It starts at 24.5; with opacities or rotations frozen it comes to 36,
     with gradients never cleared to 30, with learning rates ten times too small to 27."""
     run = new_run()
@@ -73,9 +65,7 @@ def test_it_fits_views_it_has_not_seen(
     assert run.load_checkpoint("space") is None
 
 
-def test_without_points_it_starts_from_the_hull(
-    views: RestViews, data: Path, new_run: Callable[[], Run]
-) -> None:
+def test_without_points_it_starts_from_the_hull(views, data, new_run):
     """28.3 dB (three seeds); without density control 26.4; it starts at 17.3."""
     run = new_run()
     config = SpaceConfig(iterations=600, max_gaussians=1500, init_points=1200)
@@ -88,9 +78,9 @@ def test_without_points_it_starts_from_the_hull(
     [*((SHORT, at) for at in (1, 2, 10, 11, 16, 25, 36)), *((LEVELS, at) for at in (17, 21, 22, 30))],
 )
 def test_killed_once_it_ends_as_if_it_had_not_been(
-    config: SpaceConfig, killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run],
-    unbroken: dict[SpaceConfig, Run], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    config, killed_at, views, points, new_run,
+    unbroken, monkeypatch
+):  # fmt: skip
     """Before the first checkpoint, after density control, in the middle of a round of views, at the very end; and
     with gains and two sizes of the pictures, the second from iteration 20 on."""
     expected, run = unbroken[config], new_run()
@@ -124,9 +114,7 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
         ({"seed": -1}, "space.seed is -1, expected 0 to"),
     ],
 )
-def test_settings_out_of_range_are_refused(
-    wrong: dict, match: str, views: RestViews, new_run: Callable[[], Run]
-) -> None:
+def test_settings_out_of_range_are_refused(wrong, match, views, new_run):
     run = new_run()
     with pytest.raises(Tg4mmError, match=rf"\Asetting [^\n]*{match}[^\n]*\Z"):
         train_space(run, views, None, SpaceConfig(**wrong))
@@ -134,9 +122,7 @@ def test_settings_out_of_range_are_refused(
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_one_camera_keeps_its_gaussians(
-    given: bool, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
-) -> None:
+def test_one_camera_keeps_its_gaussians(given, views, points, new_run):
     """It says nothing of depth, but its own picture can be fitted, from points or from the hull's cone."""
     one = RestViews(*(getattr(views, name)[:1] for name in ("viewmats", "Ks", "rgb", "alpha", "images")))
     run = new_run()

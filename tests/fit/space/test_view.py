@@ -12,14 +12,14 @@ SCENE = make_scene(0)
 SIZE = (SCENE.width, SCENE.height)
 
 
-def gaussians() -> Gaussians:
+def gaussians():
     tensors = [
         t.detach().float() for t in (SCENE.means, SCENE.quats, SCENE.scales, SCENE.opacities, SCENE.colors)
     ]
     return Gaussians(*(t.requires_grad_() for t in tensors))
 
 
-def dense(features: torch.Tensor, use_sh: bool) -> tuple[torch.Tensor, torch.Tensor]:
+def dense(features, use_sh):
     return rasterize_dense(
         SCENE.means, SCENE.quats, SCENE.scales, SCENE.opacities, features, SCENE.viewmats[0], SCENE.Ks[0],
         *SIZE, use_sh=use_sh,
@@ -27,7 +27,7 @@ def dense(features: torch.Tensor, use_sh: bool) -> tuple[torch.Tensor, torch.Ten
 
 
 @pytest.mark.parametrize("degree", [0, 2, 3])
-def test_the_picture_stands_over_white(degree: int) -> None:
+def test_the_picture_stands_over_white(degree):
     safe = thresholds(SCENE).safe[..., None]
     view = render_view(gaussians(), SCENE.viewmats[0].float(), SCENE.Ks[0].float(), SIZE, degree)
     image, alpha = dense(SCENE.colors[:, : (degree + 1) ** 2], True)
@@ -35,7 +35,7 @@ def test_the_picture_stands_over_white(degree: int) -> None:
     assert (view.carrier == 0).all()
 
 
-def test_shares_are_blending_weight_times_error() -> None:
+def test_shares_are_blending_weight_times_error():
     safe = thresholds(SCENE).safe
     error = torch.rand(SIZE[1], SIZE[0], generator=torch.Generator().manual_seed(1)) * safe
     g = gaussians()

@@ -1,7 +1,5 @@
 """A tiny dataset with exact truth, and settings that train it in a second."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
@@ -17,7 +15,7 @@ PAPER = {
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("bench") / "sway_5Hz_0_02"
     make_synthetic_dataset(path, n_views=5, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5, 20), n_test=1)
     return path

@@ -3,7 +3,6 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,20 +23,20 @@ from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
 
-def every() -> list[tuple[str, str]]:
+def every():
     return [(name, preset) for name, ablation in ABLATIONS.items() for preset in ablation.presets]
 
 
-def silent(_: str) -> None:
+def silent(_):
     """No messages."""
 
 
-def lines_of(out: Path) -> list[dict]:
+def lines_of(out):
     return json.loads((out / "results.json").read_text(encoding="utf-8"))["lines"]
 
 
 @pytest.mark.parametrize(("name", "preset"), every())
-def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str) -> None:
+def test_every_row_can_be_trained_and_no_two_are_the_same(name, preset):
     rows = rows_of(name, preset, {})
     assert len(rows) >= 2
     for row in rows:
@@ -49,7 +48,7 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
 
 
-def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
+def test_filters_are_scored_on_one_run(data, tmp_path):
     run_ablation("filter-phase", [data], tmp_path / "out", None, PAPER, Plan(alphas=(20.0,)), silent)
     assert len(list((tmp_path / "out").glob("runs/*/*/run"))) == 1
     lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
@@ -70,14 +69,12 @@ def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
     assert len(set(pictures)) == len(pictures)
 
 
-def test_views_are_left_out_and_rows_that_cannot_be_or_fail_are_named(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_views_are_left_out_and_rows_that_cannot_be_or_fail_are_named(data, tmp_path, monkeypatch):
     from tg4mm.research.bench.ablation import run as runner
 
     measured, out = runner.measure, tmp_path / "out"
 
-    def measure(place: Path, *arguments: Any) -> dict[str, Any]:
+    def measure(place, *arguments):
         if "5_views" in place.name:
             raise ArithmeticError("a matrix is singular")
         return measured(place, *arguments)
@@ -98,7 +95,7 @@ def test_views_are_left_out_and_rows_that_cannot_be_or_fail_are_named(
     assert "in measure" in (out / "runs" / data.name / "traceback.txt").read_text(encoding="utf-8")
 
 
-def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Path, capsys) -> None:
+def test_a_broken_set_is_reported_and_the_rest_goes_on(data, tmp_path, capsys):
     (tmp_path / "broken").mkdir()
     torn, bare = (shutil.copytree(data, tmp_path / name) for name in ("torn", "bare"))
     picture = torn / "001" / "train" / "r_000.png"
@@ -118,7 +115,7 @@ def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Pat
     assert (out / "slices.png").is_file()
 
 
-def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_is_filmed_in_every_way(data, tmp_path, monkeypatch):
     """An orbit is there as it is; the others are rendered, here by a copy that says what it was asked for."""
     source = shutil.copytree(data, tmp_path / data.name)
     scene = json.loads((source / "scene.json").read_text(encoding="utf-8"))
@@ -133,7 +130,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     (source / "scene.json").write_text(json.dumps(scene | made_by))
     asked: list[list[str]] = []
 
-    def generator(arguments: list[str]) -> int:
+    def generator(arguments):
         asked.append(arguments)
         made = dict(zip(arguments[1::2], arguments[2::2], strict=True))
         root = shutil.copytree(source, Path(made["--out"]) / "mic_3.4Hz")
@@ -155,7 +152,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     assert len(asked) == len(KINDS) - 1  # what is there is not rendered again
 
 
-def by_hand(values: dict[tuple[str, str], tuple[dict[str, float], float | None]]) -> dict[str, Any]:
+def by_hand(values):
     """Results of two rows on two sets: {(set, row): ({α: SSIM}, displacement error)}."""
     rows = list(dict.fromkeys(row for _, row in values))
     lines = [
@@ -169,7 +166,7 @@ def by_hand(values: dict[tuple[str, str], tuple[dict[str, float], float | None]]
     return {"lines": lines, "rows": rows, "columns": ["displacement_error"], "picture": "ssim"}
 
 
-def test_means_over_sets_are_of_all_of_them() -> None:
+def test_means_over_sets_are_of_all_of_them():
     """What a set has for one row alone gives that row no mean that looks better for lack of the harder set."""
     results = by_hand({
         ("a", "one"): ({"5": 0.8, "20": 0.8}, 0.1), ("b", "one"): ({"5": 0.6}, None),

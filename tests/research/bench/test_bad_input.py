@@ -1,13 +1,11 @@
 """What the command refuses: exit code 2, one line, nothing written."""
 
-from pathlib import Path
-
 import pytest
 
 from tg4mm.cli import main
 
 
-def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def refused(arguments, capsys):
     assert main(["bench", *arguments]) == 2
     message = capsys.readouterr().err
     assert len(message.strip().splitlines()) == 1, message
@@ -44,7 +42,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         (["--external", "-x=."], "must not begin with . or -"),
     ],
 )
-def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_path: Path, capsys) -> None:
+def test_options_of_scenes(options, message, data, tmp_path, capsys):
     out = tmp_path / "out"
     assert message in refused(["scenes", str(data), "--out", str(out), *options], capsys)
     assert not out.exists()
@@ -61,14 +59,14 @@ def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_pat
         (["amplitude"], "cannot be made with another amplitude"),
     ],
 )
-def test_options_of_ablation(arguments: list[str], message: str, data: Path, tmp_path: Path, capsys) -> None:
+def test_options_of_ablation(arguments, message, data, tmp_path, capsys):
     out = tmp_path / "out"
     given = ["ablation", arguments[0], str(data), "--out", str(out), *arguments[1:]]
     assert message in refused(given, capsys)
     assert not out.exists()
 
 
-def test_datasets_that_are_none(tmp_path: Path, capsys) -> None:
+def test_datasets_that_are_none(tmp_path, capsys):
     out = tmp_path / "out"
     assert "nowhere" in refused(["scenes", "/nowhere", "--out", str(out)], capsys)
     (tmp_path / "empty").mkdir()
@@ -76,7 +74,7 @@ def test_datasets_that_are_none(tmp_path: Path, capsys) -> None:
     assert not out.exists()
 
 
-def test_folders_of_something_else_are_left_alone(data: Path, tmp_path: Path, capsys) -> None:
+def test_folders_of_something_else_are_left_alone(data, tmp_path, capsys):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "letter.txt").write_text("mine")

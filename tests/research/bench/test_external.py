@@ -7,7 +7,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from tg4mm.research.bench.sets import open_set
 ROOT = Path(__file__).parents[3]
 
 
-def example() -> tuple[str, str]:
+def example():
     """(the program, the command) of the page."""
     page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.S)
@@ -34,7 +33,7 @@ def example() -> tuple[str, str]:
 
 
 @pytest.fixture(scope="module")
-def joined(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+def joined(data, tmp_path_factory):
     """The example run as the page has it, in a folder with a dataset, and beside it a broken one."""
     folder = tmp_path_factory.mktemp("join")
     shutil.copytree(data, folder / "data" / "mic_5Hz_0_005")
@@ -52,7 +51,7 @@ def joined(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return out, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
-def test_it_appears_in_every_table_of_pictures(joined: tuple[Path, dict]) -> None:
+def test_it_appears_in_every_table_of_pictures(joined):
     out, results = joined
     page = (out / "results.html").read_text(encoding="utf-8")
     for table in tables_of(results, groups_of(results)[0]):
@@ -63,20 +62,20 @@ def test_it_appears_in_every_table_of_pictures(joined: tuple[Path, dict]) -> Non
     assert page.count("blend") > 5
 
 
-def test_its_scores_are_what_the_example_does(joined: tuple[Path, dict]) -> None:
+def test_its_scores_are_what_the_example_does(joined):
     """It mixes the neighbours in time, so it loses some of the motion."""
     (line,) = [x for x in joined[1]["lines"] if x["row"] == "blend"]
     assert list(line["alphas"]) == ["0", "5", "20"]
     assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
 
 
-def run_linear(data: Path, out: Path, *more: str) -> tuple[int, dict]:
+def run_linear(data, out, *more):
     """Exit status and results of the quickest method."""
     status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
     return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
-def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tmp_path: Path, capsys) -> None:
+def test_an_ablation_without_results_does_not_take_the_page_along(data, tmp_path, capsys):
     out = tmp_path / "out"
     status, results = run_linear(data, out, "--ablation", str(tmp_path / "gone"))
     assert status == 1
@@ -85,12 +84,10 @@ def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tm
     assert "ablation gone" in (out / "results.md").read_text(encoding="utf-8")
 
 
-def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
-    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(data, tmp_path, capsys, monkeypatch):
     from tg4mm.research.bench.methods.video import Phase2D
 
-    def broken(*arguments: object) -> None:
+    def broken(*arguments):
         raise ArithmeticError("a matrix is singular\nsecond line")
 
     monkeypatch.setattr(Phase2D, "fit", broken)
@@ -104,9 +101,7 @@ def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
     )
 
 
-def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
-    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_finds_and_leaves_its_results_where_the_tables_look(data, tmp_path, capsys, monkeypatch):
     """Two datasets of one name: the name in the tables does not depend on which others are named beside it."""
     out, other = tmp_path / "out", tmp_path / "other" / data.name
     shutil.copytree(data, other)
@@ -116,7 +111,7 @@ def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
     places = [Path(line) for line in capsys.readouterr().out.splitlines()]
     assert places == [out / "runs" / name / "linear-2d" for name in (data.name, "second")]
 
-    def forbidden(*_: object) -> None:
+    def forbidden(*_):
         raise AssertionError("done again")
 
     monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
@@ -124,9 +119,7 @@ def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
     assert (status, [s["label"] for s in results["sets"]]) == (0, [data.name, "second"])
 
 
-def test_results_of_another_dataset_of_that_name_are_not_overwritten(
-    data: Path, tmp_path: Path, capsys
-) -> None:
+def test_results_of_another_dataset_of_that_name_are_not_overwritten(data, tmp_path, capsys):
     out, other = tmp_path / "out", tmp_path / "other" / data.name
     run_linear(data, out)
     shutil.copytree(data, other)
@@ -136,13 +129,11 @@ def test_results_of_another_dataset_of_that_name_are_not_overwritten(
     assert "holds results of another one of that name" in capsys.readouterr().err
 
 
-def test_collecting_runs_nothing_and_says_what_is_not_there(
-    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_collecting_runs_nothing_and_says_what_is_not_there(data, tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
     run_linear(data, out)
 
-    def forbidden(*_: object) -> None:
+    def forbidden(*_):
         raise AssertionError("something is run")
 
     monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
@@ -158,7 +149,7 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(
     assert (out / "results.html").is_file()
 
 
-def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: Path) -> None:
+def test_ground_truth_that_has_changed_is_scored_against(data, tmp_path):
     own, out = tmp_path / data.name, tmp_path / "out"
     shutil.copytree(data, own)
     before = run_linear(own, out)[1]["lines"][0]["alphas"]
@@ -169,7 +160,7 @@ def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: P
     assert after["20"]["psnr_db"] != before["20"]["psnr_db"]
 
 
-def test_pictures_that_have_changed_are_magnified_anew(data: Path, tmp_path: Path) -> None:
+def test_pictures_that_have_changed_are_magnified_anew(data, tmp_path):
     """A 2D method sees the test views unmagnified, which no digest of the dataset covers."""
     own, out = tmp_path / data.name, tmp_path / "out"
     shutil.copytree(data, own)
@@ -184,7 +175,7 @@ def test_pictures_that_have_changed_are_magnified_anew(data: Path, tmp_path: Pat
     assert after["20"]["gain"] == pytest.approx(0, abs=0.01)  # a still video
 
 
-def test_methods_join_a_dataset_of_exr_pictures_by_png(data: Path, tmp_path: Path) -> None:
+def test_methods_join_a_dataset_of_exr_pictures_by_png(data, tmp_path):
     exr = pytest.importorskip("OpenEXR")
     own, theirs = tmp_path / data.name, tmp_path / "theirs"
     shutil.copytree(data, own)
@@ -205,13 +196,13 @@ def test_methods_join_a_dataset_of_exr_pictures_by_png(data: Path, tmp_path: Pat
     assert "<video" in (tmp_path / "out" / "results.html").read_text(encoding="utf-8")
 
 
-def other_bytes(path: Path) -> None:
+def other_bytes(path):
     raw = bytearray(path.read_bytes())
     raw[-1] ^= 1
     path.write_bytes(raw)
 
 
-def move_a_test_camera(path: Path) -> None:
+def move_a_test_camera(path):
     cameras = json.loads(path.read_text())
     cameras["frames"][0]["transform_matrix"][0][3] += 0.5
     path.write_text(json.dumps(cameras))
@@ -224,9 +215,7 @@ def move_a_test_camera(path: Path) -> None:
         (move_a_test_camera, "003/transforms_test.json"),
     ],
 )
-def test_a_dataset_whose_training_data_or_cameras_have_changed_is_refused(
-    change: Callable[[Path], None], what: str, data: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_whose_training_data_or_cameras_have_changed_is_refused(change, what, data, tmp_path):
     own, out = shutil.copytree(data, tmp_path / data.name), tmp_path / "out"
     assert run_linear(own, out)[0] == 0
     copied = shutil.copytree(own, tmp_path / "copied" / data.name, copy_function=shutil.copyfile)
@@ -235,7 +224,7 @@ def test_a_dataset_whose_training_data_or_cameras_have_changed_is_refused(
     assert main(["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]) == 2
 
 
-def spoilt_at_20(data: Path, theirs: Path, content: bytes | None) -> Path:
+def spoilt_at_20(data, theirs, content):
     """All of a method's pictures of the dataset, one of them at α = 20 with other content, or not there."""
     for part in ("magnified", *(f"{t:03d}" for t in range(6))):
         shutil.copytree(data / part, theirs / data.name / part)
@@ -246,7 +235,7 @@ def spoilt_at_20(data: Path, theirs: Path, content: bytes | None) -> Path:
     return picture
 
 
-def encoded(kind: str, size: tuple[int, int]) -> bytes:
+def encoded(kind, size):
     buffer = io.BytesIO()
     Image.new("RGB", size).save(buffer, kind)
     return buffer.getvalue()
@@ -260,9 +249,7 @@ def encoded(kind: str, size: tuple[int, int]) -> bytes:
         (encoded("JPEG", (32, 32)), "is no PNG file"),
     ],
 )
-def test_a_bad_picture_takes_its_alpha_along_and_no_more(
-    content: bytes | None, message: str, data: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_bad_picture_takes_its_alpha_along_and_no_more(content, message, data, tmp_path, capsys):
     """And it is said before anything is run."""
     spoilt_at_20(data, tmp_path / "theirs", content)
     status, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
@@ -279,9 +266,7 @@ def test_a_bad_picture_takes_its_alpha_along_and_no_more(
     assert [list(x["alphas"]) for x in collected[1]["lines"]] == [["0", "5", "20"], ["0", "5"]]
 
 
-def test_scores_are_of_the_weights_and_programs_as_they_are(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scores_are_of_the_weights_and_programs_as_they_are(data, tmp_path, monkeypatch):
     """LPIPS by weights in a file, video quality by a program: both are in the scores, and change with the files."""
     weights, program = tmp_path / "alex.pth", tmp_path / "test_video.py"
     monkeypatch.setattr(
@@ -289,7 +274,7 @@ def test_scores_are_of_the_weights_and_programs_as_they_are(
     )
     opened, method = open_set(data, data.name), Linear2D()
 
-    def scored(lpips: str, quality: str) -> tuple[float, float]:
+    def scored(lpips, quality):
         weights.write_text(lpips)
         program.write_text(f"print('score', {quality})")
         plan = Plan(alphas=(5.0,), lpips_weights=(weights,))

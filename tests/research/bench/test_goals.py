@@ -11,14 +11,12 @@ from tg4mm.research.bench.pages.markdown import judge
 GROUP = "128×128, 0.2 px"
 
 
-def row(modal: float, ceiling: float = 0.99, still: float = 0.9) -> dict[str, Any]:
+def row(modal, ceiling=0.99, still=0.9):
     values = {"nothing moves": still, "modal": modal, "ceiling": ceiling}
     return {name: {"ssim": v, "psnr_db": 30.0, "flip": 0.1, "lpips": None} for name, v in values.items()}
 
 
-def run_of(
-    label: str, gaps: dict[str, float], error: float, leak: float, seconds: tuple[float, float]
-) -> dict:
+def run_of(label, gaps, error, leak, seconds):
     return {
         "set": label, "row": "modal", "preset": "modal", "ways": ["modal"],
         "rows": {a: row(0.99 - gap) for a, gap in gaps.items()},
@@ -28,13 +26,13 @@ def run_of(
     }  # fmt: skip
 
 
-def rival_of(label: str, ssim: dict[str, float], total: float, name: str = "paper-tuned") -> dict:
+def rival_of(label, ssim, total, name="paper-tuned"):
     made = run_of(label, dict.fromkeys(ssim, 0.0), 0.9, 0.1, (total / 2, total / 2))
     rows = {a: {"linear": {"ssim": v}, "phase": {"ssim": v - 0.01}} for a, v in ssim.items()}
     return made | {"row": name, "preset": "paper-tuned", "ways": ["linear", "phase"], "rows": rows}
 
 
-def results(**changes: Any) -> dict[str, Any]:
+def results(**changes):
     gaps = {"5": 0.0005, "20": 0.0015, "50": 0.004}
     runs = [run_of("a", gaps, 0.04, 0.015, (30, 20)), run_of("b", gaps, 0.05, 0.02, (30, 25))]
     runs += [rival_of(label, {"5": 0.98, "20": 0.95, "50": 0.92}, 60.0) for label in ("a", "b")]
@@ -45,12 +43,12 @@ def results(**changes: Any) -> dict[str, Any]:
     return found
 
 
-def verdict(found: dict[str, Any], part: str) -> dict[str, Any]:
+def verdict(found, part):
     (one,) = [v for v in judge(found) if part in v["goal"]]
     return one
 
 
-def changed(index: int, path: list[Any], value: Any) -> dict[str, Any]:
+def changed(index, path, value):
     runs = copy.deepcopy(results()["runs"])
     target = runs[index]
     for key in path[:-1]:
@@ -59,7 +57,7 @@ def changed(index: int, path: list[Any], value: Any) -> dict[str, Any]:
     return results(runs=runs)
 
 
-def test_all_are_reached_by_figures_at_or_inside_the_goals() -> None:
+def test_all_are_reached_by_figures_at_or_inside_the_goals():
     assert {v["goal"]: v["reached"] for v in judge(results())} == {
         "SSIM within 0.002 of the ceiling at α ≤ 20": True,
         "SSIM within 0.005 of the ceiling at α = 50": True,
@@ -80,20 +78,20 @@ def test_all_are_reached_by_figures_at_or_inside_the_goals() -> None:
         (["seconds"], {"space": 30, "motion": 60, "total": 90}, "motion stage", "slower on 1 of 2: a"),
     ],
 )
-def test_a_mean_beyond_the_goal_misses_it(path: list[Any], value: Any, part: str, shortfall: str) -> None:
+def test_a_mean_beyond_the_goal_misses_it(path, value, part, shortfall):
     before, after = verdict(results(), part), verdict(changed(0, path, value), part)
     assert (before["reached"], after["reached"]) == (True, False)
     assert shortfall in after["detail"]
 
 
 @pytest.mark.parametrize("method", ["linear", "phase"])
-def test_one_alpha_of_one_scene_is_enough_to_lose_to_the_rival(method: str) -> None:
+def test_one_alpha_of_one_scene_is_enough_to_lose_to_the_rival(method):
     after = verdict(changed(3, ["rows", "20", method, "ssim"], 0.9985), "beats")
     assert after["reached"] is False
     assert after["detail"] == "missed in 1 of 6: b at α = 20 by 0.0100"
 
 
-def test_a_rival_that_had_less_time_proves_nothing() -> None:
+def test_a_rival_that_had_less_time_proves_nothing():
     short = changed(2, ["seconds", "total"], 10.0)
     assert verdict(short, "beats")["reached"] is None
     assert "had less time than modal on a" in verdict(short, "beats")["detail"]
@@ -101,7 +99,7 @@ def test_a_rival_that_had_less_time_proves_nothing() -> None:
     assert verdict(results(runs=[*short["runs"], again]), "beats")["reached"] is True
 
 
-def test_what_was_not_measured_is_not_judged() -> None:
+def test_what_was_not_measured_is_not_judged():
     no_alpha = results(runs=[run_of(x, {"5": 0.0}, 0.04, 0.01, (3, 2)) for x in ("a", "b")])
     assert verdict(no_alpha, "α = 50")["reached"] is None
     assert verdict(no_alpha, "beats")["reached"] is None

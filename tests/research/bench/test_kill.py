@@ -6,15 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.research.bench.conftest import MODAL, PAPER
 
 
-def command(data: Path, out: Path) -> list[str]:
+def command(data, out):
     settings = {**MODAL, **PAPER, "paper.motion_iterations": "60"}
     options = [part for k, v in settings.items() for part in ("--set", f"{k}={v}")]
     given = [str(data), "--out", str(out), "--same-time", "never", "--alphas", "20", *options]
@@ -22,13 +20,13 @@ def command(data: Path, out: Path) -> list[str]:
     return [sys.executable, "-m", "tg4mm", "bench", "scenes", *given]
 
 
-def figures(out: Path) -> list[Any]:
+def figures(out):
     """What must not depend on a kill: everything but seconds and memory."""
     runs = json.loads((out / "results.json").read_text(encoding="utf-8"))["runs"]
     return [{k: run[k] for k in ("set", "row", "model", "rows", "displacement")} for run in runs]
 
 
-def wait_for(process: subprocess.Popen[bytes], file: Path) -> None:
+def wait_for(process, file):
     deadline = time.monotonic() + 300
     while not file.exists():
         assert process.poll() is None, "ended before it could be killed"
@@ -37,7 +35,7 @@ def wait_for(process: subprocess.Popen[bytes], file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_killed_twice(data: Path, tmp_path: Path) -> None:
+def test_killed_twice(data, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     subprocess.run(command(data, whole), check=True, capture_output=True, timeout=600)
     runs = killed / "runs" / data.name

@@ -22,11 +22,11 @@ from tg4mm.run import Run
 T, FPS, HZ = 30, 30.0, 5.0
 
 
-def band_set(low: float, high: float) -> BenchSet:
+def band_set(low, high):
     return BenchSet("a", Path("a"), 64, 64, T, 1, FPS, HZ, 0.2, (low, high), (5,), "rig", "0")
 
 
-def moving(shift: float, hz: float = HZ, noise: float = 0.0) -> np.ndarray:
+def moving(shift, hz=HZ, noise=0.0):
     """[T, 64, 64, 3] grey blobs that swing by `shift` pixels along x."""
     y, x = np.mgrid[:64, :64].astype(np.float64)
     frames = []
@@ -37,7 +37,7 @@ def moving(shift: float, hz: float = HZ, noise: float = 0.0) -> np.ndarray:
     return (video + np.random.default_rng(1).normal(0, noise, video.shape)).astype(np.float32)
 
 
-def gain(made: np.ndarray, wanted: np.ndarray, of: np.ndarray) -> float:
+def gain(made, wanted, of):
     """How far the change of `made` goes along the change that is wanted."""
     a, c = (v[..., 0].astype(np.float64) - of[..., 0] for v in (made, wanted))
     return float((a * c).sum() / (c * c).sum())
@@ -48,9 +48,7 @@ def gain(made: np.ndarray, wanted: np.ndarray, of: np.ndarray) -> float:
     ("method", "alpha", "least"),
     [(Phase2D(), 10.0, 0.9), (Phase2D(), 4.0, 0.95), (Linear2D(cutoff=4.0), 4.0, 0.7)],
 )
-def test_motion_in_the_band_grows_by_one_plus_alpha(
-    method: Phase2D | Linear2D, alpha: float, least: float
-) -> None:
+def test_motion_in_the_band_grows_by_one_plus_alpha(method, alpha, least):
     video = moving(0.1)
     response = band_response(band_set(3.5, 6.5), alpha, Plan())
     made = method.magnified(video, response, alpha)
@@ -58,13 +56,13 @@ def test_motion_in_the_band_grows_by_one_plus_alpha(
 
 
 @pytest.mark.parametrize("method", [Phase2D(), Linear2D(cutoff=4.0)])
-def test_motion_outside_the_band_stays(method: Phase2D | Linear2D) -> None:
+def test_motion_outside_the_band_stays(method):
     video = moving(0.1, hz=12.0)
     made = method.magnified(video, band_response(band_set(3.5, 6.5), 10.0, Plan()), 10.0)
     assert abs(gain(made, moving(1.1, hz=12.0), video)) < 0.03
 
 
-def texture(shift: float) -> np.ndarray:
+def texture(shift):
     """[T, 64, 64] of all wavelengths, swinging by `shift` pixels along x."""
     k = np.fft.fftfreq(64)[None]
     spectrum = np.fft.fft2(np.random.default_rng(0).random((64, 64))) * np.exp(-20 * (k**2 + k.T**2))
@@ -74,7 +72,7 @@ def texture(shift: float) -> np.ndarray:
     )
 
 
-def test_the_smoothing_takes_noise_out_of_the_motion() -> None:
+def test_the_smoothing_takes_noise_out_of_the_motion():
     response = band_response(band_set(3.5, 6.5), 10.0, Plan())
     still, wanted = texture(0.05), texture(0.55)
     video = still + np.random.default_rng(3).normal(0, 0.01, still.shape).astype(np.float32)
@@ -86,8 +84,8 @@ def test_the_smoothing_takes_noise_out_of_the_motion() -> None:
 
 
 @pytest.mark.parametrize(("chroma", "share"), [(True, 1.0), (False, 0.0)])
-def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: float) -> None:
-    def coloured(shift: float) -> np.ndarray:
+def test_colour_moves_along_unless_only_luma_is_asked_for(chroma, share):
+    def coloured(shift):
         video = moving(shift)
         video[..., 2] = 0.5  # so that there is chroma, which moves
         return video
@@ -101,14 +99,14 @@ def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: f
 
 @pytest.mark.parametrize("band", [(0.0, 3.5), (1.5, 4.5), (3.5, 6.5)])
 @pytest.mark.parametrize("method", [Phase2D(), Linear2D()])
-def test_a_still_video_stays(method: Phase2D | Linear2D, band: tuple[float, float]) -> None:
+def test_a_still_video_stays(method, band):
     """A filter of one second leaves some of 0 Hz in a low band, which α would multiply."""
     video = np.repeat(moving(0.0)[:1], T, axis=0)
     made = method.magnified(video, band_response(band_set(*band), 50.0, Plan()), 50.0)
     assert np.abs(made - video).max() < 1e-4
 
 
-def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> None:
+def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient():
     field = HexPlane(4, 2, 5, 3, 8, seed=0)
     points = torch.rand(20, 3) * 2 - 1
     assert not field(points, 0.3).any()
@@ -118,7 +116,7 @@ def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> 
 
 
 @pytest.mark.slow
-def test_training_finds_the_motion_and_a_second_call_does_not_train(data: Path, tmp_path: Path) -> None:
+def test_training_finds_the_motion_and_a_second_call_does_not_train(data, tmp_path):
     method = tracking(MODAL, {"tracking.iterations": "400", "tracking.resolution": "16"})
     first = method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,)))
     assert first["displacement"]["per_frequency"][0]["mac"] > 0.3

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,7 @@ from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
 
 
 @pytest.fixture(scope="module")
-def made(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(data, tmp_path_factory):
     """A benchmark of methods without training."""
     folder = tmp_path_factory.mktemp("page")
     shutil.copytree(data, folder / "theirs" / data.name)
@@ -24,14 +23,14 @@ def made(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_the_page_loads_nothing(made: Path) -> None:
+def test_the_page_loads_nothing(made):
     page = (made / "results.html").read_text(encoding="utf-8")
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*\"", page)
     assert page.count("<video") == 4  # the ground truth and three methods
     assert page.count('class="compare"') == 1
 
 
-def test_in_a_browser(made: Path) -> None:
+def test_in_a_browser(made):
     with browser() as opened:
         page = opened.new_page()
         errors: list[Any] = []
@@ -57,7 +56,7 @@ def test_in_a_browser(made: Path) -> None:
         assert not errors
 
 
-def test_curves_pass_through_their_values() -> None:
+def test_curves_pass_through_their_values():
     series = {"ours": [0.9, 0.8, 0.7], "ceiling": [0.9, None, 0.9]}
     lines = points_of(curves(["0", "5", "20"], series, "α", "SSIM"))
     ours, ceiling = lines["ours, 0"], lines["ceiling, 0"]

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[3]
 SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
 
 
-def accepted(line: str) -> dict[str, Any]:
+def accepted(line):
     """The values that the program reads from a command, by the parsers of its own command line."""
     python, *module, name = (words := shlex.split(line))[:4]
     assert [python, *module] == [sys.executable, "-m", "tg4mm"]
@@ -39,7 +39,7 @@ def accepted(line: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_dry_run_prints_commands_that_the_program_accepts(name: str, capsys) -> None:
+def test_a_dry_run_prints_commands_that_the_program_accepts(name, capsys):
     assert main(["bench", "--preset", name, "--out", "out", "--dry-run"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(steps_of(name, "out"))
@@ -48,7 +48,7 @@ def test_a_dry_run_prints_commands_that_the_program_accepts(name: str, capsys) -
     assert {folder.partition("/")[0] for folder in folders} == {"out"}
 
 
-def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path: Path) -> None:
+def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path):
     choices = Choices(("theirs=dir",), "5,20", "cuda", ("alex.pth", "heads.pth"), "md", "fast", "python3.9")
     for step in steps_of("small", "out", choices=choices):
         found = accepted(shlex.join(step.command))
@@ -63,7 +63,7 @@ def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path: Path) -> Non
             assert found["vqa_python"] == "python3.9"
 
 
-def test_a_configuration_file_has_the_same_choices() -> None:
+def test_a_configuration_file_has_the_same_choices():
     config = {"preset": "small", "alphas": 20, "lpips_weights": ["a", "b"], "external": ["t=d"], "threads": 2}
     assert choices_from(config) == Choices(("t=d",), "20", lpips_weights=("a", "b"))
     with pytest.raises(BenchError, match="external is 't=d', expected a list of texts"):
@@ -85,13 +85,13 @@ def test_a_configuration_file_has_the_same_choices() -> None:
         (["--preset", "smoke", "--out", "x", "--external", "modal=."], "that is the name of a row here"),
     ],
 )
-def test_what_is_refused(arguments: list[str], message: str, capsys) -> None:
+def test_what_is_refused(arguments, message, capsys):
     assert main(["bench", *arguments]) == 2
     assert message in capsys.readouterr().err
 
 
-def test_what_fails_is_said_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def step(name: str, code: str, *needs: str) -> Step:
+def test_what_fails_is_said_and_the_rest_goes_on(tmp_path, monkeypatch):
+    def step(name, code, *needs):
         return Step(name, (sys.executable, "-c", code), needs)
 
     mark = tmp_path / "mark"
@@ -108,7 +108,7 @@ def test_what_fails_is_said_and_the_rest_goes_on(tmp_path: Path, monkeypatch: py
     assert any("job/a/m: left out, since data/a failed" in line for line in said)
 
 
-def run_snakemake(folder: Path, config: dict[str, object], *more: str) -> subprocess.CompletedProcess[str]:
+def run_snakemake(folder, config, *more):
     (folder / "config.json").write_text(json.dumps(config))
     command = [snakemake(), "-s", str(SNAKEFILE), "--configfile", "config.json", *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(folder / "cache")}
@@ -129,7 +129,7 @@ sys.exit("does not work" if os.path.exists({fail!r}) and " linear-2d --out" in l
 """
 
 
-def test_the_page_is_made_though_a_job_failed(tmp_path: Path) -> None:
+def test_the_page_is_made_though_a_job_failed(tmp_path):
     program, log, fail = (tmp_path / name for name in ("python", "calls.txt", "fail"))
     program.write_text(STAND_IN.format(python=sys.executable, root=str(ROOT), log=str(log), fail=str(fail)))
     program.chmod(0o755)
@@ -153,7 +153,7 @@ def test_the_page_is_made_though_a_job_failed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_smoke(tmp_path: Path) -> None:
+def test_smoke(tmp_path):
     """The benchmark whole, from rendering to the page."""
     pytest.importorskip("bpy")
     command = [sys.executable, "-m", "tg4mm", "bench", "--preset", "smoke", "--out", str(tmp_path / "out")]

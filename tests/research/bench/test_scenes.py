@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,17 +30,17 @@ REQUEST = ScenesRequest(
 Done = tuple[Path, dict[str, Any]]
 
 
-def silent(_: str) -> None:
+def silent(_):
     """No messages."""
 
 
 @pytest.fixture(scope="module")
-def done(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
+def done(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("scenes") / "out"
     return out, run_scenes([data], out, REQUEST, silent)
 
 
-def entry(results: dict[str, Any], name: str) -> dict[str, Any]:
+def entry(results, name):
     (found,) = [r for r in results["runs"] if r["row"] == name]
     return found
 
@@ -49,9 +48,7 @@ def entry(results: dict[str, Any], name: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("row", "way"), [("modal", "modal"), ("paper-tuned", "linear"), ("paper-tuned", "phase")]
 )
-def test_the_numbers_are_those_of_evaluate(
-    done: Done, data: Path, tmp_path: Path, row: str, way: str
-) -> None:
+def test_the_numbers_are_those_of_evaluate(done, data, tmp_path, row, way):
     out, results = done
     run = Run.open(out / "runs" / data.name / row / "run")
     again = evaluate_run(
@@ -70,7 +67,7 @@ def test_the_numbers_are_those_of_evaluate(
     assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
 
 
-def cells(page: str, title: str, *first: str) -> list[str]:
+def cells(page, title, *first):
     """The numbers of the line that begins with `first`, in the table under `title`."""
     part = page.split(f"### {title}\n")[1].split("###")[0]
     lines = [[c.strip() for c in x.split("|")[1:-1]] for x in part.splitlines() if x.startswith("|")]
@@ -78,7 +75,7 @@ def cells(page: str, title: str, *first: str) -> list[str]:
     return found
 
 
-def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None:
+def test_the_page_prints_the_numbers_of_the_json(done, data):
     out, results = done
     page = (out / "results.md").read_text(encoding="utf-8")
     for line in results["lines"]:
@@ -95,10 +92,10 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
-def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_finished_is_not_done_again(done, data, monkeypatch):
     out, results = done
 
-    def forbidden(*_: Any, **__: Any) -> None:
+    def forbidden(*_, **__):
         raise AssertionError("done again")
 
     for name in ("measure.train", "measure.evaluate_run", "jobs.write_png", "jobs.score_pictures"):
@@ -107,9 +104,7 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
     assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
 
 
-def test_other_alphas_are_scored_without_training(
-    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_alphas_are_scored_without_training(done, data, monkeypatch):
     out, results = done
     space = out / "runs" / data.name / "modal" / "run" / "space.safetensors"
     before = space.stat().st_mtime_ns
@@ -121,7 +116,7 @@ def test_other_alphas_are_scored_without_training(
 
 
 class TestSameTime:
-    def test_all_iterations_are_scaled(self) -> None:
+    def test_all_iterations_are_scaled(self):
         training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
         config = parse_settings(training.settings, "paper-tuned")["paper"]
         assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
@@ -135,14 +130,14 @@ class TestSameTime:
             ("never", 90.0, 60.0, None),
         ],
     )
-    def test_when(self, rule: str, modal_s: float, paper_s: float, factor: float | None) -> None:
+    def test_when(self, rule, modal_s, paper_s, factor):
         figures = {"modal": {"seconds": {"total": modal_s}}, "paper-tuned": {"seconds": {"total": paper_s}}}
         found = same_time_trainings(figures, ScenesRequest(same_time=rule))
         expected = [] if factor is None else [same_time_training("paper-tuned", {}, factor)]
         assert found == expected
 
 
-def test_means_of_a_table_are_of_the_same_sets() -> None:
+def test_means_of_a_table_are_of_the_same_sets():
     """What one row lacks in a set it has no mean of; what every row lacks there is the mean of the other sets."""
     values = {
         ("one", "a"): (0.5, 0.7),
@@ -159,18 +154,18 @@ def test_means_of_a_table_are_of_the_same_sets() -> None:
     assert b["alphas"]["5"] == {"closure": pytest.approx(0.2), "gain": pytest.approx(0.9)}
 
 
-def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:
+def test_a_record_stays_until_the_first_new_picture(data, tmp_path):
     """A folder with pictures of two recipes has no record."""
     opened, capture = open_set(data, data.name), truth_at(open_set(data, data.name), 0)
     record, made = tmp_path / "pictures" / "ours" / "x000.json", 0
 
-    def render(*_: object) -> Iterator[tuple[int, np.ndarray]]:
+    def render(*_):
         for i in range(made):
             yield i, np.zeros((capture.height, capture.width, 3), np.float32)
         if made < len(capture):
             raise RunError("it was killed")
 
-    def method(version: int) -> Any:
+    def method(version):
         return SimpleNamespace(recipe=lambda *_: {"version": version}, render=render)
 
     made = len(capture)
@@ -182,7 +177,7 @@ def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) 
         assert record.exists() == stays
 
 
-def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
+def test_a_run_of_another_device_is_refused(done, data):
     """Its seconds would be taken for the other's."""
     method = methods.Trained(Training("modal", "modal", MODAL))
     opened = open_set(data, data.name)
@@ -190,11 +185,11 @@ def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
         method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
 
 
-def test_figures_are_of_the_test_pictures_as_they_are(data: Path, tmp_path: Path) -> None:
+def test_figures_are_of_the_test_pictures_as_they_are(data, tmp_path):
     own = shutil.copytree(data, tmp_path / data.name)
     training = Training("modal", "modal", MODAL)
 
-    def asked(*alphas: float) -> dict[str, Any]:
+    def asked(*alphas):
         return _request(open_set(own, "x"), training, Plan(alphas=alphas))
 
     before, other = asked(20.0), asked(5.0)

@@ -3,14 +3,13 @@
 import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
 from tg4mm.core.pictures.frames import write_png
@@ -20,7 +19,6 @@ from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.observed import AGREES, agreement, observed_figures, rms_motion
 from tg4mm.research.bench.scored import (
     PROGRAMS,
-    Checkout,
     cameras_of,
     checkouts,
     score_pictures,
@@ -33,11 +31,11 @@ from tg4mm.show.weights import blending_weights
 
 
 @pytest.fixture(scope="module")
-def truth(data: Path) -> Capture:
+def truth(data):
     return load_capture(data, split="test", magnification=20)
 
 
-def written(capture: Capture, folder: Path, share: float, offset: float = 0.0) -> Path:
+def written(capture, folder, share, offset=0.0):
     """Pictures whose change over time is `share` of the truth's, all brighter by `offset`."""
     for rows in cameras_of(capture):
         video = video_of(capture, rows)
@@ -47,7 +45,7 @@ def written(capture: Capture, folder: Path, share: float, offset: float = 0.0) -
     return folder
 
 
-def test_the_truth_itself_is_perfect(truth: Capture) -> None:
+def test_the_truth_itself_is_perfect(truth):
     scores = score_pictures(truth, truth.root)
     assert (scores["ssim"], scores["psnr_db"], scores["flip"]) == (1.0, 100.0, 0.0)
     assert (scores["ssim_moving"], scores["psnr_moving_db"]) == (1.0, 100.0)
@@ -56,7 +54,7 @@ def test_the_truth_itself_is_perfect(truth: Capture) -> None:
     assert scores["n_images"] == len(truth)
 
 
-def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth: Capture, tmp_path: Path) -> None:
+def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth, tmp_path):
     """Half of the pictures are the truth itself: half of the squared error, 3 dB more, and no mean with 100 dB."""
     whole, half = written(truth, tmp_path / "whole", 0.0), written(truth, tmp_path / "half", 0.0)
     for i in range(0, len(truth), 2):
@@ -69,15 +67,13 @@ def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth: Capture
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_the_gain_is_the_share_of_the_motion_whatever_stands_still_wrong(
-    truth: Capture, tmp_path: Path, share: float
-) -> None:
+def test_the_gain_is_the_share_of_the_motion_whatever_stands_still_wrong(truth, tmp_path, share):
     scores = score_pictures(truth, written(truth, tmp_path, share, offset=-0.02))
     assert scores["gain"] == pytest.approx(share, abs=0.02)
     assert scores["residual"] == pytest.approx(0, abs=0.06)
 
 
-def test_the_residual_is_what_the_motion_does_not_explain(truth: Capture, tmp_path: Path) -> None:
+def test_the_residual_is_what_the_motion_does_not_explain(truth, tmp_path):
     """Half of the motion, and noise of its own: by least squares on the files, camera by camera."""
     rng, change, true = np.random.default_rng(0), [], []
     for rows in cameras_of(truth):
@@ -97,7 +93,7 @@ def test_the_residual_is_what_the_motion_does_not_explain(truth: Capture, tmp_pa
     assert scores["residual"] > 0.2
 
 
-def test_what_moves_is_scored_by_itself(truth: Capture, tmp_path: Path) -> None:
+def test_what_moves_is_scored_by_itself(truth, tmp_path):
     folder = written(truth, tmp_path, 0.0)
     scores = score_pictures(truth, folder)
     values = []
@@ -111,7 +107,7 @@ def test_what_moves_is_scored_by_itself(truth: Capture, tmp_path: Path) -> None:
     assert 0 < scores["moving_share"] < 1
 
 
-def test_pictures_that_will_not_do(truth: Capture, tmp_path: Path) -> None:
+def test_pictures_that_will_not_do(truth, tmp_path):
     folder = written(truth, tmp_path / "made", 1.0)
     first = folder / truth.paths[0].relative_to(truth.root)
     whole = first.read_bytes()
@@ -133,13 +129,13 @@ def test_pictures_that_will_not_do(truth: Capture, tmp_path: Path) -> None:
 VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
 
 
-def checkout(folder: Path, metric: str, program: str) -> Checkout:
+def checkout(folder, metric, program):
     (folder / PROGRAMS[metric][0]).write_text(program)
     (found,) = checkouts({metric: folder}, sys.executable)
     return found
 
 
-def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
+def test_the_two_are_called_as_their_authors_say(tmp_path):
     says = "import sys\nassert open(sys.argv[-1], 'rb').read(12)[4:8] == b'ftyp'\n"
     md = checkout(
         tmp_path, "md_vqa", says + "assert sys.argv[1] == '-i'\nprint('loaded 3 models')\nprint(81.04)\n"
@@ -159,7 +155,7 @@ def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
         ("", "the last line that it printed is ''"),
     ],
 )
-def test_what_goes_wrong_is_said(tmp_path: Path, program: str, message: str) -> None:
+def test_what_goes_wrong_is_said(tmp_path, program, message):
     with pytest.raises(BenchError, match=message):
         checkout(tmp_path, "md_vqa", program)(VIDEO, 30.0)
 
@@ -168,7 +164,7 @@ Scene = tuple[Gaussians, ModalMotion, BenchSet]
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory):
     root = tmp_path_factory.mktemp("observed") / "sway"
     made = make_synthetic_dataset(
         root, n_views=3, n_timesteps=6, size=48, freqs=(5.0,), amplitude=0.02, alphas=(5,), n_test=3
@@ -176,25 +172,25 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return *made, open_set(root, "sway")
 
 
-def moving(motion: ModalMotion) -> np.ndarray:
+def moving(motion):
     size = rms_motion(motion)
     return size > 0.3 * size.max()
 
 
-def test_the_true_motion_is_observed(scene: Scene) -> None:
+def test_the_true_motion_is_observed(scene):
     gaussians, motion, data = scene
     agrees = agreement(gaussians, motion, data)
     assert (agrees[moving(motion)] > 0.9).mean() > 0.9
 
 
-def test_a_motion_that_the_pictures_do_not_show_is_not(scene: Scene) -> None:
+def test_a_motion_that_the_pictures_do_not_show_is_not(scene):
     """As of a mirror: the surface moves, what is seen in it does not, or moves otherwise."""
     gaussians, motion, data = scene
     late = replace(motion, displacement=motion.displacement * 1j)  # a quarter of a period
     assert (agreement(gaussians, late, data)[moving(motion)] >= AGREES).mean() < 0.1
 
 
-def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_what_is_not_observed_do_not_count(scene, monkeypatch):
     """Half of what moves is observed, the motion is right there and 40 % too small elsewhere."""
     gaussians, motion, data = scene
     train = load_capture(data.root)

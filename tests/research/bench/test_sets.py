@@ -22,16 +22,16 @@ from tg4mm.research.bench.sets import (
 )
 
 
-def one_line(match: str) -> pytest.RaisesExc:
+def one_line(match):
     return pytest.raises(BenchError, match=rf"\A[^\n]*{match}[^\n]*\Z")
 
 
-def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
+def test_pixels_are_those_of_the_projected_vertices(data):
     found, capture = open_set(data, "x"), load_capture(data)
     truth = load_truth(data, capture.fps, capture.n_timesteps)
     viewmat, k = capture.viewmats[0], capture.Ks[0]
 
-    def pixels(points: np.ndarray) -> np.ndarray:
+    def pixels(points):
         seen = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ k.T
         return seen[:, :2] / seen[:, 2:]
 
@@ -56,14 +56,12 @@ def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
         (0.0, None, "0 px"),
     ],
 )
-def test_which_goal_an_amplitude_stands_for(pixels: float, goal: float | None, name: str) -> None:
+def test_which_goal_an_amplitude_stands_for(pixels, goal, name):
     assert goal_amplitude(pixels) == goal
     assert amplitude_name(pixels) == name
 
 
-def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(
-    data: Path, tmp_path: Path
-) -> None:
+def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(data, tmp_path):
     other = tmp_path / "px002" / data.name
     shutil.copytree(data, other)
     given = Path(f"px002={other}")
@@ -77,7 +75,7 @@ def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(
         open_sets([data, Path(f"again={data}")])
 
 
-def test_what_cannot_be_benchmarked_is_refused(data: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_benchmarked_is_refused(data, tmp_path):
     with one_line("is named twice"):
         open_sets([data, data / ".." / data.name])
     with one_line("no dataset is named"):
@@ -95,7 +93,7 @@ def test_what_cannot_be_benchmarked_is_refused(data: Path, tmp_path: Path) -> No
 
 
 class TestViews:
-    def test_cameras_are_thinned_evenly_and_the_original_stays(self, data: Path, tmp_path: Path) -> None:
+    def test_cameras_are_thinned_evenly_and_the_original_stays(self, data, tmp_path):
         whole, before = load_capture(data), (data / "scene.json").read_bytes()
         thin = load_capture(with_views(open_set(data, "x"), 3, tmp_path / "three"))
         assert [p.name for p in thin.paths[:3]] == ["r_000.png", "r_002.png", "r_004.png"]
@@ -111,7 +109,7 @@ class TestViews:
             test.viewmats, load_capture(data, split="test", magnification=20).viewmats
         )
 
-    def test_an_unfinished_copy_is_made_again(self, data: Path, tmp_path: Path) -> None:
+    def test_an_unfinished_copy_is_made_again(self, data, tmp_path):
         left = tmp_path / "a" / f".{data.name}.tmp"
         left.mkdir(parents=True)
         (left / "half").write_text("")
@@ -121,7 +119,7 @@ class TestViews:
 
 
 class TestAmplitudes:
-    def test_everything_but_the_amplitude_is_the_datasets_own(self, data: Path, tmp_path: Path) -> None:
+    def test_everything_but_the_amplitude_is_the_datasets_own(self, data, tmp_path):
         scene = {
             "scene": "mic", "fps": 24.0, "frequency_hz": 4.0, "n_test": 2, "seed": 7, "images": "png16",
             "background": "white", "engine": {"name": "CYCLES", "samples": 11}, "cameras": {"kind": "rig"},
@@ -157,7 +155,7 @@ class TestAmplitudes:
             {"sensor": {"iso": 100}},
         ],
     )
-    def test_what_could_not_be_made_alike_is_refused(self, other: dict, data: Path, tmp_path: Path) -> None:
+    def test_what_could_not_be_made_alike_is_refused(self, other, data, tmp_path):
         scene = {"scene": "mic", "frequency_hz": 4.0, "n_test": 2, "cameras": {"kind": "rig"}}
         scene |= {"engine": {"name": "CYCLES", "samples": 8}}
         found = replace(open_set(data, "x"), root=tmp_path)
@@ -168,11 +166,11 @@ class TestAmplitudes:
             generator_arguments(found, {}, tmp_path / "out")
 
 
-def contents(root: Path) -> dict[str, bytes]:
+def contents(root):
     return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
 
 
-def test_noise_of_the_size_asked_for_on_training_pictures_alone(data: Path, tmp_path: Path) -> None:
+def test_noise_of_the_size_asked_for_on_training_pictures_alone(data, tmp_path):
     before = contents(data)
     root = with_noise(open_set(data, "a"), 5.0, tmp_path)
     clean, noisy = (load_images(load_capture(r)).data.astype(np.float64) for r in (data, root))

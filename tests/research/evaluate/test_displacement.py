@@ -12,22 +12,22 @@ from tg4mm.research.evaluate.subject import uncertainty_figures
 FPS, T, N = 30.0, 30, 40
 
 
-def motion(modes: dict[float, np.ndarray], fps: float = FPS, n_timesteps: int = T) -> ModalMotion:
+def motion(modes, fps=FPS, n_timesteps=T):
     displacement = np.stack(list(modes.values())).astype(np.complex64)
     return ModalMotion(np.array(list(modes)), displacement, np.zeros_like(displacement), fps, n_timesteps)
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(0)
 
 
 @pytest.fixture
-def true(rng) -> ModalMotion:
+def true(rng):
     return motion({3.0: 1e-3 * (rng.standard_normal((N, 3)) + 1j * rng.standard_normal((N, 3)))})
 
 
-def test_the_truth_itself_has_no_error(true) -> None:
+def test_the_truth_itself_has_no_error(true):
     figures = displacement_figures(true, true, np.ones(N))
     assert figures["relative_error"] == 0.0
     row = figures["per_frequency"][0]
@@ -36,7 +36,7 @@ def test_the_truth_itself_has_no_error(true) -> None:
     assert row["phase_error_deg"] == pytest.approx(0, abs=1e-5)
 
 
-def test_a_phase_error_is_found_with_its_sign(true) -> None:
+def test_a_phase_error_is_found_with_its_sign(true):
     """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
     phi = np.radians(18)
     figures = displacement_figures(
@@ -49,7 +49,7 @@ def test_a_phase_error_is_found_with_its_sign(true) -> None:
     assert row["relative_error"] == pytest.approx(2 * np.sin(phi / 2), rel=1e-5)
 
 
-def test_a_turned_direction_is_found_and_weighted(rng) -> None:
+def test_a_turned_direction_is_found_and_weighted(rng):
     """Half of the weight turned by 30°, with an opposite sign that is a matter of phase, not of direction."""
     along = np.zeros((4, 3))
     along[:, 0] = 2e-3
@@ -62,19 +62,19 @@ def test_a_turned_direction_is_found_and_weighted(rng) -> None:
     assert row["amplitude_true"] == pytest.approx(2e-3)
 
 
-def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng) -> None:
+def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng):
     noise = motion({3.0: 1e-4 * rng.standard_normal((N, 3)), 7.0: 2e-4j * rng.standard_normal((N, 3))})
     estimated = motion({3.0: true.displacement[0] + noise.displacement[0], 7.0: noise.displacement[1]})
     weights = rng.uniform(0, 5, N)
     t = np.arange(T)[:, None, None]
 
-    def series(m: ModalMotion) -> np.ndarray:
+    def series(m):
         return sum(
             (d * np.exp(2j * np.pi * f * t / FPS)).real
             for f, d in zip(m.freqs_hz, m.displacement, strict=True)
         )
 
-    def rms(x: np.ndarray) -> float:
+    def rms(x):
         return float(np.sqrt(((x**2).sum(2) * weights).sum() / (T * weights.sum())))
 
     expected = rms(series(estimated) - series(true)) / rms(series(true))
@@ -87,7 +87,7 @@ def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng) -> Non
     assert abs(displacement_figures(estimated, true, np.ones(N))["relative_error"] - expected) > 1e-4
 
 
-def test_a_known_leak_is_measured() -> None:
+def test_a_known_leak_is_measured():
     """Half of the Gaussians move by 1, the others stand still (one creeps below 1 %) and are given 0.05."""
     true, estimated = np.zeros((4, 3)), np.zeros((4, 3))
     true[:2, 2], true[3, 2] = 1e-3, 0.5e-5
@@ -100,7 +100,7 @@ def test_a_known_leak_is_measured() -> None:
     assert none_still["static_leak"] is None
 
 
-def test_lengths_are_in_mm_only_when_the_scale_is_known(true) -> None:
+def test_lengths_are_in_mm_only_when_the_scale_is_known(true):
     plain = displacement_figures(true, true, np.ones(N))
     scaled = displacement_figures(true, true, np.ones(N), unit_scale_m=0.2)
     assert not [k for k in [*plain, *plain["per_frequency"][0]] if k.endswith("_mm")]
@@ -109,7 +109,7 @@ def test_lengths_are_in_mm_only_when_the_scale_is_known(true) -> None:
     assert row["amplitude_true_mm"] == pytest.approx(200 * row["amplitude_true"])
 
 
-def test_each_frequency_is_judged_by_itself() -> None:
+def test_each_frequency_is_judged_by_itself():
     a, b = np.zeros((2, 3)), np.zeros((2, 3))
     a[:, 0], b[:, 1] = 1e-3, 4e-3
     rows = frequency_figures(motion({5.0: b * 0.5, 3.0: a, 9.0: b}), motion({3.0: a, 5.0: b}), np.ones(2))
@@ -118,7 +118,7 @@ def test_each_frequency_is_judged_by_itself() -> None:
     assert [r["amplitude_true"] for r in rows] == pytest.approx([1e-3, 4e-3], rel=1e-6)
 
 
-def test_a_frequency_between_bins_is_compared_by_what_both_do_there() -> None:
+def test_a_frequency_between_bins_is_compared_by_what_both_do_there():
     """4.5 Hz seen for one second, rebuilt from its DFT bins: none holds 4.5 Hz, yet it is the same motion."""
     shape = np.array([[1e-3, 0, 0], [0, 2e-3, 0]])
     true = motion({4.5: -1j * shape})
@@ -133,12 +133,12 @@ def test_a_frequency_between_bins_is_compared_by_what_both_do_there() -> None:
 
 
 @pytest.mark.parametrize("frequency", [0.0, 15.0])
-def test_the_ends_of_the_spectrum_are_not_counted_twice(frequency) -> None:
+def test_the_ends_of_the_spectrum_are_not_counted_twice(frequency):
     row = frequency_figures(*[motion({frequency: np.full((2, 3), 1e-3)})] * 2, np.ones(2))[0]
     assert row["amplitude_true"] == pytest.approx(np.sqrt(3) * 1e-3, rel=1e-6)
 
 
-def test_what_does_not_fit_together_is_refused(true) -> None:
+def test_what_does_not_fit_together_is_refused(true):
     with pytest.raises(ValueError, match="'weights': 39"):
         displacement_figures(true, true, np.ones(N - 1))
     with pytest.raises(ValueError, match=r"\(25.0, 30\), \(30.0, 30\)"):
@@ -151,14 +151,14 @@ MANY = 400
 
 
 @pytest.fixture
-def errors() -> np.ndarray:
+def errors():
     """Peak displacement errors [N, 3] along x, a half normal of 1e-3."""
     out = np.zeros((MANY, 3))
     out[:, 0] = 1e-3 * np.abs(np.random.default_rng(0).standard_normal(MANY))
     return out
 
 
-def test_errors_are_rms_over_time_and_weighted(errors) -> None:
+def test_errors_are_rms_over_time_and_weighted(errors):
     weights = np.zeros(MANY)
     weights[:2] = 1, 3
     figures = uncertainty_figures(

@@ -17,19 +17,19 @@ from tg4mm.research.evaluate.lpips import load_lpips
 
 
 @pytest.fixture
-def pair() -> tuple[np.ndarray, np.ndarray]:
+def pair():
     rng = np.random.default_rng(0)
     truth = rng.random((40, 33, 3)).astype(np.float32)
     return np.clip(truth + 0.1 * rng.standard_normal(truth.shape), 0, 1).astype(np.float32), truth
 
 
-def plain_ssim(a: np.ndarray, b: np.ndarray) -> float:
+def plain_ssim(a, b):
     """Wang et al.'s formula with an explicit 11×11 window, one channel at a time, window inside the image."""
     offsets = np.arange(-5, 6)
     line = np.exp(-(offsets**2) / (2 * 1.5**2))
     window = np.outer(line, line) / line.sum() ** 2
 
-    def mean(x: np.ndarray) -> np.ndarray:
+    def mean(x):
         return correlate(x, window)[5:-5, 5:-5]
 
     values = []
@@ -42,19 +42,19 @@ def plain_ssim(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.mean(values))
 
 
-def test_psnr_of_a_known_error() -> None:
+def test_psnr_of_a_known_error():
     truth = np.full((8, 8, 3), 0.5)
     image = truth.copy()
     image[:4] += 0.1  # half of the pixels: mse 0.005
     assert psnr(image, truth) == pytest.approx(10 * np.log10(1 / 0.005))
 
 
-def test_ssim_is_the_formula_with_an_11_by_11_window(pair) -> None:
+def test_ssim_is_the_formula_with_an_11_by_11_window(pair):
     assert ssim(*pair) == pytest.approx(plain_ssim(*pair), abs=1e-12)
     assert ssim(pair[1], pair[1]) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_flip_is_the_evaluators_mean_and_leaves_its_input_alone(pair) -> None:
+def test_flip_is_the_evaluators_mean_and_leaves_its_input_alone(pair):
     image, truth = pair
     before = image.copy(), truth.copy()
     errors, mean, _ = flip_evaluator.evaluate(truth, image, "LDR", applyMagma=False)
@@ -69,7 +69,7 @@ def test_flip_is_the_evaluators_mean_and_leaves_its_input_alone(pair) -> None:
 LAYERS = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
 
 
-def made_up_weights(trunk: str = "features.{}") -> dict[str, torch.Tensor]:
+def made_up_weights(trunk="features.{}"):
     """Weights of the right shapes and a sensible size; random, hence no LPIPS, only its arithmetic."""
     g = torch.Generator().manual_seed(0)
     state = {}
@@ -83,14 +83,14 @@ def made_up_weights(trunk: str = "features.{}") -> dict[str, torch.Tensor]:
     return state
 
 
-def conv(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int, padding: int) -> np.ndarray:
+def conv(x, weight, bias, stride, padding):
     """Plain convolution of x [C, H, W]: windows times weights."""
     x = np.pad(x, ((0, 0), (padding, padding), (padding, padding)))
     windows = sliding_window_view(x, weight.shape[2:], axis=(1, 2))[:, ::stride, ::stride]
     return np.einsum("chwij,ocij->ohw", windows, weight, optimize=True) + bias[:, None, None]
 
 
-def plain_lpips(a: np.ndarray, b: np.ndarray, state: dict[str, torch.Tensor]) -> float:
+def plain_lpips(a, b, state):
     """LPIPS v0.1 as Zhang et al. describe it, float64 numpy."""
     w = {k: v.double().numpy() for k, v in state.items()}
     shift, scale = np.array([-0.030, -0.088, -0.188]), np.array([0.458, 0.448, 0.450])
@@ -110,13 +110,13 @@ def plain_lpips(a: np.ndarray, b: np.ndarray, state: dict[str, torch.Tensor]) ->
 
 
 @pytest.fixture(scope="module")
-def images() -> tuple[np.ndarray, np.ndarray]:
+def images():
     rng = np.random.default_rng(1)
     truth = rng.random((47, 64, 3)).astype(np.float32)
     return np.clip(truth + 0.2 * rng.standard_normal(truth.shape), 0, 1).astype(np.float32), truth
 
 
-def test_equals_a_plain_computation(images, tmp_path) -> None:
+def test_equals_a_plain_computation(images, tmp_path):
     state = made_up_weights()
     save_file(state, tmp_path / "both.safetensors")
     metric = load_lpips(tmp_path / "both.safetensors")
@@ -127,7 +127,7 @@ def test_equals_a_plain_computation(images, tmp_path) -> None:
     assert metric(*images) == pytest.approx(metric(*images[::-1]), rel=1e-6)
 
 
-def test_files_of_every_kind_give_the_same_metric(images, tmp_path) -> None:
+def test_files_of_every_kind_give_the_same_metric(images, tmp_path):
     state = made_up_weights()
     trunk = {k: v for k, v in state.items() if k.startswith("features")}
     heads = {k: v for k, v in state.items() if k.startswith("lin")}
@@ -161,7 +161,7 @@ def test_files_of_every_kind_give_the_same_metric(images, tmp_path) -> None:
         (lambda s: s | {"features.0.bias": torch.full((64,), np.nan)}, "not finite"),
     ],
 )
-def test_weights_that_are_none_of_this_network_are_named(tmp_path, change, message) -> None:
+def test_weights_that_are_none_of_this_network_are_named(tmp_path, change, message):
     save_file(change(made_up_weights()), tmp_path / "w.safetensors")
     with pytest.raises(EvaluationError, match=message):
         load_lpips(tmp_path / "w.safetensors")
@@ -173,9 +173,7 @@ class Payload:
 
 
 @pytest.mark.parametrize("protocol", [None, 4])
-def test_a_pickle_with_code_is_refused_in_one_line_and_does_not_run(
-    tmp_path, monkeypatch, recwarn, protocol
-) -> None:
+def test_a_pickle_with_code_is_refused_in_one_line_and_does_not_run(tmp_path, monkeypatch, recwarn, protocol):
     monkeypatch.chdir(tmp_path)
     if protocol is None:
         torch.save({"features.0.weight": Payload()}, tmp_path / "evil.pth")
@@ -198,7 +196,7 @@ def test_a_pickle_with_code_is_refused_in_one_line_and_does_not_run(
         ("torn.safetensors", 20_000, "cannot be read"),
     ],
 )
-def test_what_is_no_weight_file_is_one_line(tmp_path, name, content, message) -> None:
+def test_what_is_no_weight_file_is_one_line(tmp_path, name, content, message):
     path = tmp_path / name
     if content == 20_000:  # the first bytes of a whole one
         torch.save(made_up_weights(), path) if name.endswith("pth") else save_file(made_up_weights(), path)

@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import psnr
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.research.evaluate.wanted import format_table
@@ -27,12 +24,12 @@ EXTRAS = {"n_views": 3, "n_timesteps": 10, "size": 40, "n_test": 2, "alphas": (5
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> tuple[Path, Gaussians, ModalMotion]:
+def scene(tmp_path_factory):
     root = tmp_path_factory.mktemp("scene") / "posts_3Hz_0_02"
     return root, *make_synthetic_dataset(root, **EXTRAS)
 
 
-def make_run(folder: Path, dataset: Path, gaussians: Gaussians, motion: ModalMotion | None) -> Run:
+def make_run(folder, dataset, gaussians, motion):
     run = Run.create(folder / "run", dataset, "modal", {"seed": 0})
     run.save_space(gaussians, {})
     if motion is not None:
@@ -41,17 +38,17 @@ def make_run(folder: Path, dataset: Path, gaussians: Gaussians, motion: ModalMot
 
 
 @pytest.fixture
-def half(scene, tmp_path) -> Run:
+def half(scene, tmp_path):
     """A run that found half of the amplitude, in the right place and phase."""
     root, gaussians, motion = scene
     return make_run(tmp_path, root, gaussians, replace(motion, displacement=0.5 * motion.displacement))
 
 
-def rows_of(metrics: dict, alpha: int) -> dict:
+def rows_of(metrics, alpha):
     return next(e["rows"] for e in metrics["alphas"] if e["alpha"] == alpha)
 
 
-def test_the_exact_motion_reaches_the_ceiling_and_the_ceiling_the_ground_truth(scene, tmp_path) -> None:
+def test_the_exact_motion_reaches_the_ceiling_and_the_ceiling_the_ground_truth(scene, tmp_path):
     root, gaussians, motion = scene
     metrics = evaluate_run(make_run(tmp_path, root, gaussians, motion))
     assert [e["alpha"] for e in metrics["alphas"]] == [0, 5, 20]
@@ -67,7 +64,7 @@ def test_the_exact_motion_reaches_the_ceiling_and_the_ceiling_the_ground_truth(s
     assert rows_of(metrics, 20)[STATIC]["flip"] > 2 * rows_of(metrics, 20)[CEILING]["flip"]
 
 
-def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half) -> None:
+def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half):
     metrics = evaluate_run(half)
     assert metrics["displacement"]["relative_error"] == pytest.approx(0.5, abs=1e-3)
     assert metrics["displacement_error"] == {
@@ -92,7 +89,7 @@ def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half) -> None:
     )
 
 
-def test_caching_changes_no_number_and_saves_work(half, monkeypatch) -> None:
+def test_caching_changes_no_number_and_saves_work(half, monkeypatch):
     calls = []
     monkeypatch.setattr("tg4mm.research.evaluate.wanted.psnr", lambda a, b: calls.append(1) or psnr(a, b))
     cached = evaluate_run(half, out=half.path / "cached.json")
@@ -112,10 +109,10 @@ def test_caching_changes_no_number_and_saves_work(half, monkeypatch) -> None:
     assert cached["displacement"] == plain["displacement"]
 
 
-def test_the_file_is_what_is_returned_and_strict_json(half) -> None:
+def test_the_file_is_what_is_returned_and_strict_json(half):
     metrics = evaluate_run(half, alphas=[5])
 
-    def refuse(text: str) -> None:
+    def refuse(text):
         raise AssertionError(text)
 
     assert json.loads((half.path / "metrics.json").read_text(), parse_constant=refuse) == metrics
@@ -125,7 +122,7 @@ def test_the_file_is_what_is_returned_and_strict_json(half) -> None:
     assert sorted(p.name for p in half.path.iterdir() if p.name.startswith(".")) == []
 
 
-def test_what_is_there_of_the_ground_truth_is_scored(scene, tmp_path) -> None:
+def test_what_is_there_of_the_ground_truth_is_scored(scene, tmp_path):
     root, gaussians, motion = scene
     part = tmp_path / "part"
     shutil.copytree(root, part, ignore=shutil.ignore_patterns("truth"))
@@ -138,7 +135,7 @@ def test_what_is_there_of_the_ground_truth_is_scored(scene, tmp_path) -> None:
     assert metrics["alphas"][-1]["n_images"] == len(load_capture(part, magnification=5))
 
 
-def test_what_is_absent_is_said(scene, tmp_path) -> None:
+def test_what_is_absent_is_said(scene, tmp_path):
     root, gaussians, motion = scene
     bare = tmp_path / "bare"
     shutil.copytree(
@@ -155,7 +152,7 @@ def test_what_is_absent_is_said(scene, tmp_path) -> None:
         assert f"Not measured: {what}: " in text
 
 
-def test_a_capture_of_one_timestep_is_scored_at_rest(scene, tmp_path) -> None:
+def test_a_capture_of_one_timestep_is_scored_at_rest(scene, tmp_path):
     root, gaussians, _ = scene
     metrics = evaluate_run(make_run(tmp_path, root / "000", gaussians, None))
     assert list(rows_of(metrics, 0)) == [STATIC]
@@ -165,7 +162,7 @@ def test_a_capture_of_one_timestep_is_scored_at_rest(scene, tmp_path) -> None:
     assert "nothing moves" in format_table(metrics)
 
 
-def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
+def test_what_is_there_but_broken_is_an_error(scene, tmp_path):
     root, gaussians, motion = scene
     copy = tmp_path / "copy"
     shutil.copytree(root, copy)
@@ -178,7 +175,7 @@ def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
         evaluate_run(run)
 
 
-def test_a_foreign_file_is_not_overwritten_by_figures(half) -> None:
+def test_a_foreign_file_is_not_overwritten_by_figures(half):
     for name in ("space.safetensors", "config.json"):
         before = (half.path / name).read_bytes()
         with pytest.raises(EvaluationError, match=rf"--out .*{name}: exists, and is no tg4mm-metrics"):
@@ -188,7 +185,7 @@ def test_a_foreign_file_is_not_overwritten_by_figures(half) -> None:
         evaluate_run(half, out="/proc/m.json")
 
 
-def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
+def test_unusable_requests_are_refused(half, scene, tmp_path):
     with pytest.raises(EvaluationError, match="-3"):
         evaluate_run(half, alphas=[-3])
     with pytest.raises(CaptureError, match="half the frame rate"):
@@ -205,7 +202,7 @@ def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
 
 
 @pytest.fixture
-def killed(half, monkeypatch) -> tuple[Run, list[float]]:
+def killed(half, monkeypatch):
     """An evaluation that was killed before α = 20, and the α that are scored from then on."""
     original, scored = module.Scorer.score, []
 
@@ -222,7 +219,7 @@ def killed(half, monkeypatch) -> tuple[Run, list[float]]:
     return half, scored
 
 
-def test_a_killed_evaluation_goes_on_where_it_was(killed) -> None:
+def test_a_killed_evaluation_goes_on_where_it_was(killed):
     half, scored = killed
     before = len(scored)
     metrics = evaluate_run(half)
@@ -230,7 +227,7 @@ def test_a_killed_evaluation_goes_on_where_it_was(killed) -> None:
     assert metrics["alphas"] == evaluate_run(half, out=half.path / "whole.json")["alphas"]
 
 
-def test_a_damaged_partial_result_is_scored_anew(killed) -> None:
+def test_a_damaged_partial_result_is_scored_anew(killed):
     """One other digit in a finished α is no score of this run."""
     half, _ = killed
     partial = half.path / ".metrics.json.partial.tmp"
@@ -240,14 +237,14 @@ def test_a_damaged_partial_result_is_scored_anew(killed) -> None:
     assert evaluate_run(half)["alphas"] == evaluate_run(half, out=half.path / "whole.json")["alphas"]
 
 
-def test_a_changed_run_is_not_resumed(killed, scene) -> None:
+def test_a_changed_run_is_not_resumed(killed, scene):
     half, _ = killed
     half.save_motion(scene[2], {})
     rows = rows_of(evaluate_run(half), 5)
     assert rows[OURS]["psnr_db"] == pytest.approx(rows[CEILING]["psnr_db"], abs=0.05)
 
 
-def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path) -> None:
+def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path):
     root = tmp_path / "two"
     gaussians, motion = make_synthetic_dataset(root, **EXTRAS | {"freqs": (3.0, 6.0), "alphas": (20,)})
     wrong = motion.displacement.copy()
@@ -264,7 +261,7 @@ def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path) -> 
     assert rows_of(metrics, 20)[OURS]["psnr_db"] < rows_of(everything, 20)[OURS]["psnr_db"] - 0.5
 
 
-def test_motion_that_the_ground_truth_does_not_magnify_is_noted(tmp_path) -> None:
+def test_motion_that_the_ground_truth_does_not_magnify_is_noted(tmp_path):
     root = tmp_path / "two"
     gaussians, motion = make_synthetic_dataset(root, **EXTRAS | {"freqs": (3.0, 6.0), "alphas": (20,)})
     file = root / "truth" / "motion.npz"

@@ -15,16 +15,14 @@ from tg4mm.research.evaluate.scores import Candidate, change_figures, closure
 FPS, T = 30.0, 30
 
 
-def method(
-    modes: dict[float, complex], band: tuple[float, float] | None = None, rotation: complex = 0
-) -> Candidate:
+def method(modes, band=None, rotation=0):
     shape = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0]])
     displacement = np.stack([m * shape for m in modes.values()]).astype(np.complex64)
     motion = ModalMotion(np.array(list(modes)), displacement, rotation * displacement, FPS, T)
     return Candidate("ours", motion, Magnification.of(1.0, *([band] if band else [])))
 
 
-def displacement(m: Candidate, t: int, alpha: float) -> np.ndarray:
+def displacement(m, t, alpha):
     gain = 1 + alpha * (m.magnified.inside(m.motion.freqs_hz) & (m.motion.freqs_hz > 0))  # 0 Hz stands still
     phase = gain * np.exp(2j * np.pi * m.motion.freqs_hz * t / FPS)
     return np.einsum("k,knc->nc", phase, m.motion.displacement).real
@@ -40,7 +38,7 @@ def displacement(m: Candidate, t: int, alpha: float) -> np.ndarray:
         method({0.0: 1.0, 7.0: 0.0}),
     ],
 )
-def test_keys_are_equal_exactly_when_poses_are(m) -> None:
+def test_keys_are_equal_exactly_when_poses_are(m):
     moments = [(t, alpha) for t in range(T) for alpha in (0.0, 5.0)]
     poses = [displacement(m, *moment) for moment in moments]
     keys = [m.state(*moment) for moment in moments]
@@ -53,18 +51,18 @@ Scene = tuple[Capture, Gaussians, ModalMotion]
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory):
     root = tmp_path_factory.mktemp("change") / "posts_3Hz_0_02"
     made = make_synthetic_dataset(root, n_views=3, n_timesteps=10, size=40, n_test=2, alphas=())
     return load_capture(root, split="test"), *made
 
 
-def figures(scene: Scene, motion: ModalMotion | None, alpha: float = 0.0) -> dict[str, float | None]:
+def figures(scene, motion, alpha=0.0):
     capture, gaussians, exact = scene
     return change_figures(gaussians, Candidate("ours", motion), Candidate("ceiling", exact), capture, alpha)
 
 
-def scaled(motion: ModalMotion, by: complex) -> ModalMotion:
+def scaled(motion, by):
     return replace(
         motion,
         displacement=(by * motion.displacement).astype(np.complex64),
@@ -72,19 +70,19 @@ def scaled(motion: ModalMotion, by: complex) -> ModalMotion:
     )
 
 
-def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene: Scene) -> None:
+def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene):
     found = figures(scene, scene[2], alpha=5.0)
     assert found["change_gain"] == pytest.approx(1)
     assert found["change_residual"] == pytest.approx(0, abs=1e-6)
 
 
-def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene: Scene) -> None:
+def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene):
     found = figures(scene, scaled(scene[2], 1j))
     assert found["change_gain"] == pytest.approx(0, abs=0.15)
     assert found["change_residual"] == pytest.approx(1, abs=0.15)
 
 
-def test_closure_is_where_ssim_lies_between_nothing_and_the_ceiling() -> None:
+def test_closure_is_where_ssim_lies_between_nothing_and_the_ceiling():
     assert closure(0.95, 0.9, 1.0) == pytest.approx(0.5)
     assert closure(0.85, 0.9, 1.0) == pytest.approx(-0.5)
     assert closure(0.9, 0.9, 0.9) is None

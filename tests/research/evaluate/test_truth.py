@@ -1,7 +1,6 @@
 """The exact motion: an analytic bending beam, rigid motion, objects that stand still, and broken files."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section
 AMPLITUDE = 0.005 * np.exp(0.4j)
 
 
-def box_mesh(n_along: int = 40, n_across: int = 4) -> tuple[np.ndarray, np.ndarray]:
+def box_mesh(n_along=40, n_across=4):
     """Surface of the beam, x in 0..LENGTH, as a triangle mesh with shared vertices within each side."""
     x, s = np.linspace(0, LENGTH, n_along + 1), np.linspace(-HALF, HALF, n_across + 1)
     vertices, faces = [], []
@@ -33,36 +32,36 @@ def box_mesh(n_along: int = 40, n_across: int = 4) -> tuple[np.ndarray, np.ndarr
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def bending(points: np.ndarray) -> np.ndarray:
+def bending(points):
     """Euler-Bernoulli bending w(x) = A x² along z: sections stay plane, u = (−z w', 0, w). [N, 3] complex."""
     x, z = points[:, 0], points[:, 2]
     return np.stack([-z * 2 * AMPLITUDE * x, 0 * x, AMPLITUDE * x**2], 1)
 
 
-def bending_rotation(points: np.ndarray) -> np.ndarray:
+def bending_rotation(points):
     """Half the curl of `bending`: (∂u_x/∂z − ∂u_z/∂x)/2 = −w' about y."""
     w_prime = 2 * AMPLITUDE * points[:, 0]
     return np.stack([0 * w_prime, -w_prime, 0 * w_prime], 1)
 
 
-def truth_of(*objects: TruthObject, freqs: tuple[float, ...] = (3.0,)) -> Truth:
+def truth_of(*objects, freqs=(3.0,)):
     return Truth(np.array(freqs), objects, FPS, T)
 
 
 @pytest.fixture(scope="module")
-def beam() -> TruthObject:
+def beam():
     vertices, faces = box_mesh()
     return TruthObject("beam", vertices, faces, bending(vertices)[None])
 
 
-def surface_points(rng: np.random.Generator, n: int, margin: float) -> np.ndarray:
+def surface_points(rng, n, margin):
     """Points on the beam's four long sides, at least `margin` from its ends."""
     along, across = rng.uniform(margin, LENGTH - margin, n), rng.uniform(-HALF, HALF, n)
     side, sign = rng.integers(0, 2, n), rng.choice([-HALF, HALF], n)
     return np.stack([along, np.where(side, sign, across), np.where(side, across, sign)], 1)
 
 
-def test_points_on_a_bending_beam_move_as_the_analytic_field(beam) -> None:
+def test_points_on_a_bending_beam_move_as_the_analytic_field(beam):
     points = surface_points(np.random.default_rng(0), 500, 0.0)
     motion = exact_motion(truth_of(beam), points)
     assert motion.displacement.shape == (1, 500, 3)
@@ -74,7 +73,7 @@ def test_points_on_a_bending_beam_move_as_the_analytic_field(beam) -> None:
     assert mesh_error / 20 < error < 1.01 * mesh_error < 1e-3 * scale
 
 
-def test_their_rotation_is_half_the_curl(beam) -> None:
+def test_their_rotation_is_half_the_curl(beam):
     points = surface_points(np.random.default_rng(1), 500, 0.05)
     rotation = exact_motion(truth_of(beam), points).rotation[0]
     error = np.linalg.norm(rotation - bending_rotation(points), axis=1)
@@ -83,7 +82,7 @@ def test_their_rotation_is_half_the_curl(beam) -> None:
     assert np.sqrt((error**2).mean()) < 0.01 * scale
 
 
-def test_a_rigid_rotation_is_found_exactly_also_on_a_flat_plate() -> None:
+def test_a_rigid_rotation_is_found_exactly_also_on_a_flat_plate():
     """A plate shows no gradient along its normal; its out-of-plane rotation must not come out halved."""
     grid = np.linspace(-1, 1, 6)
     plate = np.array([(x, y, 0.5) for x in grid for y in grid])
@@ -97,7 +96,7 @@ def test_a_rigid_rotation_is_found_exactly_also_on_a_flat_plate() -> None:
     np.testing.assert_allclose(motion.displacement[0], shift + np.cross(omega, points), atol=1e-7)
 
 
-def test_what_stands_still_gives_zeros_and_the_nearest_object_decides(beam) -> None:
+def test_what_stands_still_gives_zeros_and_the_nearest_object_decides(beam):
     vertices, faces = box_mesh(4, 2)
     floor = TruthObject("floor", vertices - [0, 0, 1], faces, np.zeros((1, len(vertices), 3), complex))
     points = np.array([[1.5, 0, HALF], [1.5, 0, -1 + HALF], [1.5, 0, -0.46], [1.5, 0, -0.54]])
@@ -107,7 +106,7 @@ def test_what_stands_still_gives_zeros_and_the_nearest_object_decides(beam) -> N
         assert np.abs(motion.rotation[0]).max(1).astype(bool).tolist() == [True, False, True, False]
 
 
-def good_arrays() -> dict[str, np.ndarray]:
+def good_arrays():
     vertices, faces = box_mesh(3, 1)
     return {
         "objects": np.array(["beam"]),
@@ -118,13 +117,13 @@ def good_arrays() -> dict[str, np.ndarray]:
     }
 
 
-def write(root: Path, arrays: dict[str, np.ndarray]) -> Path:
+def write(root, arrays):
     (root / "truth").mkdir(exist_ok=True)
     np.savez_compressed(root / "truth" / "motion.npz", **arrays)
     return root / "truth" / "motion.npz"
 
 
-def test_a_written_file_reads_back(tmp_path) -> None:
+def test_a_written_file_reads_back(tmp_path):
     arrays = good_arrays()
     write(tmp_path, arrays)
     truth = load_truth(tmp_path, FPS, T)
@@ -158,7 +157,7 @@ def test_a_written_file_reads_back(tmp_path) -> None:
         ),
     ],
 )
-def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message) -> None:
+def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message):
     arrays = good_arrays()
     arrays.pop(key)
     if value is not None:
@@ -170,7 +169,7 @@ def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message) 
     assert "\n" not in str(caught.value)
 
 
-def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path) -> None:
+def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path):
     with pytest.raises(CaptureError, match=r"motion\.npz does not exist"):
         load_truth(tmp_path, FPS, T)
     (tmp_path / "truth").mkdir()
@@ -180,7 +179,7 @@ def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path) -> None:
         load_truth(tmp_path, FPS, T)
 
 
-def test_a_link_out_of_the_dataset_is_refused(tmp_path) -> None:
+def test_a_link_out_of_the_dataset_is_refused(tmp_path):
     outside, root = tmp_path / "outside", tmp_path / "root"
     outside.mkdir()
     (root / "truth").mkdir(parents=True)
@@ -192,13 +191,13 @@ def test_a_link_out_of_the_dataset_is_refused(tmp_path) -> None:
 # Modes that are no steady sinusoids, or are not magnified.
 
 
-def ring_down(n: int = T) -> np.ndarray:
+def ring_down(n=T):
     """Gains [2, n]: a 4.3 Hz vibration (between bins) that rings down, and a drift."""
     t = np.arange(n) / FPS
     return np.stack([np.exp(2j * np.pi * 4.3 * t - t / 0.4), 1j * t])
 
 
-def two_modes() -> dict[str, np.ndarray]:
+def two_modes():
     arrays = good_arrays()
     mode = arrays["mode_0"]
     shift = np.zeros_like(mode) + np.array([0, -0.02j, 0], np.complex64)
@@ -211,7 +210,7 @@ def two_modes() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("alpha", [0.0, 10.0])
-def test_a_decaying_mode_and_a_drift_move_exactly_as_their_gains_say_at_every_alpha(tmp_path, alpha) -> None:
+def test_a_decaying_mode_and_a_drift_move_exactly_as_their_gains_say_at_every_alpha(tmp_path, alpha):
     arrays = two_modes()
     write(tmp_path, arrays)
     motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
@@ -222,7 +221,7 @@ def test_a_decaying_mode_and_a_drift_move_exactly_as_their_gains_say_at_every_al
         np.testing.assert_allclose(displacement_at(motion, t, alpha), expected, atol=1e-7 * (1 + alpha))
 
 
-def test_the_displacement_error_of_an_exact_ring_down_against_itself_is_zero(tmp_path) -> None:
+def test_the_displacement_error_of_an_exact_ring_down_against_itself_is_zero(tmp_path):
     arrays = two_modes()
     write(tmp_path, arrays)
     motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
@@ -233,7 +232,7 @@ def test_the_displacement_error_of_an_exact_ring_down_against_itself_is_zero(tmp
     assert displacement_figures(steady, motion, weights)["relative_error"] > 0.5
 
 
-def test_the_figures_per_frequency_are_the_fourier_sums_of_the_true_series(tmp_path) -> None:
+def test_the_figures_per_frequency_are_the_fourier_sums_of_the_true_series(tmp_path):
     arrays = two_modes()
     write(tmp_path, arrays)
     motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
@@ -256,14 +255,14 @@ def test_the_figures_per_frequency_are_the_fourier_sums_of_the_true_series(tmp_p
         ("magnified", np.array([True]), r"magnified has shape \(1,\), expected \(2,\)"),
     ],
 )
-def test_broken_gains_are_refused(tmp_path, key, value, message) -> None:
+def test_broken_gains_are_refused(tmp_path, key, value, message):
     write(tmp_path, two_modes() | {key: value})
     with pytest.raises(CaptureError, match=message) as caught:
         load_truth(tmp_path, FPS, T)
     assert "\n" not in str(caught.value)
 
 
-def brute_force_distance(point: np.ndarray, corners: np.ndarray, n: int = 400) -> float:
+def brute_force_distance(point, corners, n=400):
     """Least distance from a point to a dense grid on the triangle: an upper bound, close to exact."""
     u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
     keep = u + v <= 1 + 1e-12
@@ -271,7 +270,7 @@ def brute_force_distance(point: np.ndarray, corners: np.ndarray, n: int = 400) -
     return float(np.linalg.norm(grid - point, axis=1).min())
 
 
-def test_the_closest_point_is_the_brute_force_one() -> None:
+def test_the_closest_point_is_the_brute_force_one():
     rng = np.random.default_rng(0)
     corners, points = rng.standard_normal((60, 3, 3)), 2 * rng.standard_normal((60, 3))
     barycentric, distance = closest_on_triangles(points, corners)

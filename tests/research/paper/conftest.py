@@ -1,11 +1,8 @@
 """A tiny `paper` run, trained once."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.run import Run
 from tg4mm.run.train import train
 
 N_TIMESTEPS, SIZE = 6, 32
@@ -17,7 +14,7 @@ SETTINGS = {
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("paper") / "sway_5Hz_0_03"
     make_synthetic_dataset(
         path, n_views=4, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), amplitude=0.03, alphas=(5,)
@@ -26,5 +23,5 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def trained(data: Path) -> Run:
+def trained(data):
     return train(data, data.parent / "run", "paper-tuned", settings=SETTINGS)

@@ -19,7 +19,7 @@ from tg4mm.show.export.splat import smoothing_of
 IDEAL = TemporalFilter("ideal")
 
 
-def plan(alpha: float, method: str, filter: TemporalFilter | None = IDEAL) -> Magnification:
+def plan(alpha, method, filter=IDEAL):
     return Magnification((BandGain(4, 6, alpha),), method=method, filter=filter)
 
 
@@ -56,7 +56,7 @@ def test_motion_grows_with_alpha(trained, method):
     temporal = None if method == "modal" else IDEAL
     rest = trained.load_space().means
 
-    def size(alpha: float) -> float:
+    def size(alpha):
         poses = poses_of(trained, plan(alpha, method, temporal))
         return sum(float((poses.at(t).means - rest).norm()) for t in range(N_TIMESTEPS))
 

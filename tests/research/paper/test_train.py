@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,15 +21,14 @@ from tg4mm.fit.motion.animate import animate
 from tg4mm.research.paper.model import load_model, load_planes, planes_name
 from tg4mm.research.paper.motion import at_rest
 from tg4mm.research.paper.space import cameras_on, first_views, view_loss
-from tg4mm.run import Run
 from tg4mm.run.train import train
 
 
-def one_line(match: str) -> pytest.RaisesExc:
+def one_line(match):
     return pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z")
 
 
-def stored(path: Path) -> dict[str, torch.Tensor]:
+def stored(path):
     """Every tensor of every file. Not the bytes: safetensors puts its header's entries in any order."""
     tensors = {}
     for file in sorted(path.glob("*.safetensors")):
@@ -60,14 +58,14 @@ class TestSettings:
             ),
         ],
     )
-    def test_one_out_of_range_leaves_no_run(self, data, tmp_path, name, value, message) -> None:
+    def test_one_out_of_range_leaves_no_run(self, data, tmp_path, name, value, message):
         with one_line(message):
             train(data, tmp_path / "run", "paper", settings=SETTINGS | {name: value})
         assert not (tmp_path / "run").exists()
 
 
 class TestTraining:
-    def test_it_learns_the_scene_and_the_motion(self, trained: Run) -> None:
+    def test_it_learns_the_scene_and_the_motion(self, trained):
         log = trained.log()
         assert log["space"]["iterations"] == 60
         assert log["triplane"]["iterations"] == 80
@@ -83,7 +81,7 @@ class TestTraining:
         one, other = means[0] - means[2], means[3] - means[2]
         assert torch.nn.functional.cosine_similarity(one, other, dim=0) < -0.1
 
-    def test_the_rest_scene_and_its_modes_are_what_is_decoded(self, trained: Run) -> None:
+    def test_the_rest_scene_and_its_modes_are_what_is_decoded(self, trained):
         model, motion = load_model(trained), trained.load_motion()
         assert motion is not None
         rest = trained.load_space()
@@ -101,9 +99,7 @@ class TestResume:
     @pytest.mark.parametrize(
         "after", ["space.safetensors", "triplane.safetensors", "planes_0002.safetensors"]
     )
-    def test_a_killed_run_ends_bit_for_bit_the_same(
-        self, trained: Run, data: Path, tmp_path: Path, after
-    ) -> None:
+    def test_a_killed_run_ends_bit_for_bit_the_same(self, trained, data, tmp_path, after):
         """kill -9 soon after a file has appeared, checkpoints at every iteration; then the same command again."""
         run = tmp_path / "run"
         code = (
@@ -127,10 +123,10 @@ class TestResume:
 
 class TestRefusals:
     @pytest.fixture
-    def copy(self, trained: Run, tmp_path: Path) -> Run:
+    def copy(self, trained, tmp_path):
         return copied(trained, tmp_path / "copy")
 
-    def test_planes_of_another_timestep_or_run_are_refused(self, copy: Run, trained: Run) -> None:
+    def test_planes_of_another_timestep_or_run_are_refused(self, copy, trained):
         model = load_model(copy)
         shutil.copy(copy.part_file(planes_name(1)), copy.part_file(planes_name(2)))
         with pytest.raises(
@@ -140,7 +136,7 @@ class TestRefusals:
         with pytest.raises(RunError, match=r"has no planes_0009\.safetensors: its training is not finished"):
             load_planes(copy, 9, model)
 
-    def test_shapes_that_do_not_fit_are_refused(self, copy: Run) -> None:
+    def test_shapes_that_do_not_fit_are_refused(self, copy):
         model = load_model(copy)
         copy.save_part(planes_name(1), {"values": torch.zeros(4, 3)})
         with pytest.raises(RunError, match=r"values have shape \(4, 3\) torch.float32, expected \(4, \d+\)"):
@@ -168,12 +164,12 @@ class TestRefusals:
 
 
 @pytest.fixture(scope="module")
-def views(data: Path):
+def views(data):
     capture = load_capture(data)
     return first_views(capture, load_images(capture))
 
 
-def test_static_errors_cost_nothing(trained: Run, views) -> None:
+def test_static_errors_cost_nothing(trained, views):
     model = load_model(trained)
     first = at_rest(model, views)
     # A picture with the model's error, an unmodelled gradient on top, and nothing that moved.

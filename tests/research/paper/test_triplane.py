@@ -21,11 +21,11 @@ R, C, N = 16, 8, 60
 
 
 @pytest.fixture
-def points() -> np.ndarray:
+def points():
     return np.random.default_rng(0).normal(size=(N, 3)) * [1.0, 0.5, 2.0]
 
 
-def dense_sample(planes: torch.Tensor, points: np.ndarray, box: np.ndarray) -> torch.Tensor:
+def dense_sample(planes, points, box):
     """The twin: planes [3, C, R, R] by torch's grid_sample."""
     unit = torch.from_numpy((points - box[0]) / (box[1] - box[0]) * 2 - 1).to(planes)
     parts = [
@@ -37,7 +37,7 @@ def dense_sample(planes: torch.Tensor, points: np.ndarray, box: np.ndarray) -> t
     return torch.cat(parts, 1)
 
 
-def active(planes: torch.Tensor, dense: np.ndarray) -> torch.Tensor:
+def active(planes, dense):
     return planes.permute(0, 2, 3, 1).reshape(-1, planes.shape[1])[torch.from_numpy(dense)]
 
 
@@ -104,7 +104,7 @@ def test_results_do_not_depend_on_the_number_of_threads(points):
 
 
 @pytest.fixture
-def gaussians() -> Gaussians:
+def gaussians():
     g = torch.Generator().manual_seed(0)
     return Gaussians(
         torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.01,

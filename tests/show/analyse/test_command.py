@@ -2,7 +2,6 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,13 @@ from tests.show.analyse.systems import driven, two_masses
 from tg4mm.cli.program import main
 
 
-def write(path: Path, head: str, *columns: np.ndarray) -> Path:
+def write(path, head, *columns):
     np.savetxt(path, np.stack(columns, 1), delimiter=",", header=head, comments="", fmt="%.9g")
     return path
 
 
 @pytest.fixture
-def film(tmp_path: Path) -> Path:
+def film(tmp_path):
     values, *_ = two_masses(600, 60.0, 1)
     noise = 0.01 * np.random.default_rng(0).normal(size=(600, 2))
     a, b = (values + noise).T
@@ -26,7 +25,7 @@ def film(tmp_path: Path) -> Path:
     return write(tmp_path / "film.csv", head, np.arange(600) / 60, a, sure, b, sure)
 
 
-def test_everything_of_a_csv_file(film: Path, tmp_path: Path, capsys) -> None:
+def test_everything_of_a_csv_file(film, tmp_path, capsys):
     pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
     out = tmp_path / "out"
     words = ["analyse", str(film), "--out", str(out), "--band", "1", "25", "--modes", "--against", str(film)]
@@ -51,7 +50,7 @@ def test_everything_of_a_csv_file(film: Path, tmp_path: Path, capsys) -> None:
     assert not (out / "stabilisation.csv").exists()
 
 
-def test_a_hammer_beside_the_film(tmp_path: Path, capsys) -> None:
+def test_a_hammer_beside_the_film(tmp_path, capsys):
     pytest.importorskip("sdypy.EMA", reason="the extra `modal` is not installed")
     pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
     fast = np.arange(0, 20, 1 / 960)
@@ -100,9 +99,7 @@ def test_a_hammer_beside_the_film(tmp_path: Path, capsys) -> None:
         (None, ["--against", "nowhere"], "neither a CSV file nor a folder"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_one_line_and_nothing_is_written(
-    film: Path, tmp_path: Path, capsys, content: str | None, words: list[str], message: str
-) -> None:
+def test_what_is_wrong_is_one_line_and_nothing_is_written(film, tmp_path, capsys, content, words, message):
     if content is not None:
         film = tmp_path / "bad.csv"
         film.write_text(content)

@@ -28,7 +28,7 @@ HALF = Value(0.5 / 960, 0.0)
 TONES = ((1.0, 3.3, 0.4), (0.3, 11.7, 1.0))  # amplitude, Hz, phase
 
 
-def tones(times: np.ndarray, order: int = 0, filtered: bool = False) -> np.ndarray:
+def tones(times, order=0, filtered=False):
     """Of the order-th derivative; as the band's filter leaves it."""
     out = np.zeros(len(times))
     for a, f, p in TONES:
@@ -39,7 +39,7 @@ def tones(times: np.ndarray, order: int = 0, filtered: bool = False) -> np.ndarr
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("quantity", "order"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
-def test_levels_are_the_true_ones_and_scatter_by_their_deviations(quantity: str, order: int) -> None:
+def test_levels_are_the_true_ones_and_scatter_by_their_deviations(quantity, order):
     """Over 50 records; the truth is that of the part that is judged: the ends are left out."""
     inner = converted(channel(tones(T), RATE), quantity, BAND, 4)[2]
     true = tones(np.arange(4 * len(T))[inner] / RATE / 4, order, True)
@@ -57,13 +57,13 @@ def test_levels_are_the_true_ones_and_scatter_by_their_deviations(quantity: str,
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_alone_has_no_decibels_and_no_crest_factor(seed: int) -> None:
+def test_noise_alone_has_no_decibels_and_no_crest_factor(seed):
     found = levels_of(channel(np.zeros(len(T)), RATE, 0.05, seed), "acceleration", BAND)
     assert found.rms.value <= 2 * found.rms.deviation
     assert np.isnan([found.db.value, found.db.deviation, found.crest.value]).all()
 
 
-def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity() -> None:
+def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity():
     omega = 2 * np.pi * 7.3
     c = channel(0.1 * np.cos(omega * T), RATE)
     for order, quantity in enumerate(("displacement", "velocity", "acceleration")):
@@ -84,12 +84,12 @@ def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity() -> Non
         levels_of(acceleration, "velocity", (0, 20))
 
 
-def test_noise_alone_is_no_vibration() -> None:
+def test_noise_alone_is_no_vibration():
     scores = [levels_of(channel(0 * T, RATE, 0.1, seed), "velocity", BAND).rms for seed in range(50)]
     assert np.mean([v.value > 2 * v.deviation for v in scores]) < 0.1
 
 
-def test_a_density_lies_in_its_interval_in_95_records_of_100() -> None:
+def test_a_density_lies_in_its_interval_in_95_records_of_100():
     found = [density_of(channel(0 * T, RATE, 1.0, seed)) for seed in range(100)]
     inner = slice(2, -2)
     share = np.mean([(d.low[inner] < 2 / RATE) & (d.high[inner] > 2 / RATE) for d in found])
@@ -99,7 +99,7 @@ def test_a_density_lies_in_its_interval_in_95_records_of_100() -> None:
     assert found[0].noise == pytest.approx(2 / RATE)
 
 
-def test_zones_are_those_of_the_class_and_say_what_is_not_covered() -> None:
+def test_zones_are_those_of_the_class_and_say_what_is_not_covered():
     times, omega = np.arange(4000) / 4000, 2 * np.pi * 50
     for rms, machine, zone in (
         (1.0, "I", "B"),
@@ -122,7 +122,7 @@ def test_zones_are_those_of_the_class_and_say_what_is_not_covered() -> None:
 
 
 @pytest.mark.slow
-def test_an_accelerometers_lag_is_found_within_its_deviation() -> None:
+def test_an_accelerometers_lag_is_found_within_its_deviation():
     """Over 50 pairs of records, film at 60 Hz, accelerometer at 1000 Hz, both with a clock of its own."""
     scores = []
     for seed in range(50):
@@ -143,7 +143,7 @@ def test_an_accelerometers_lag_is_found_within_its_deviation() -> None:
             lag_of(a, b)
 
 
-def forced(seed: int, noise: float) -> tuple:
+def forced(seed, noise):
     """Film at 60 Hz of the mass, and its force at 960 Hz, held from sample to sample: half of one late; 40 s."""
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.normal(size=40 * 120), 8)
@@ -153,7 +153,7 @@ def forced(seed: int, noise: float) -> tuple:
     )
 
 
-def test_a_transfer_function_is_that_of_the_mass_within_its_deviation() -> None:
+def test_a_transfer_function_is_that_of_the_mass_within_its_deviation():
     scores, turns = [], []
     for seed in range(12):
         found = transfer_of(*forced(seed, 0.05), Averaging(segment_s=6), HALF)
@@ -168,7 +168,7 @@ def test_a_transfer_function_is_that_of_the_mass_within_its_deviation() -> None:
     assert np.abs(found.h2[keep]) == pytest.approx(np.abs(true), rel=0.5)
 
 
-def test_lscf_of_transfer_functions_finds_the_mass() -> None:
+def test_lscf_of_transfer_functions_finds_the_mass():
     pytest.importorskip("sdypy.EMA", reason="the extra `modal` is not installed")
     found = transfer_of(*forced(3, 0.02), Averaging(segment_s=8), HALF)
     modes = from_transfers([found], (3.0, 16.0))
@@ -178,7 +178,7 @@ def test_lscf_of_transfer_functions_finds_the_mass() -> None:
 
 
 @pytest.mark.slow
-def test_operational_modes_of_two_masses_scatter_by_their_deviations() -> None:
+def test_operational_modes_of_two_masses_scatter_by_their_deviations():
     scores: list[float] = []
     for seed in range(10):
         pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
@@ -199,7 +199,7 @@ def test_operational_modes_of_two_masses_scatter_by_their_deviations() -> None:
     assert found.diagram.shape[1] == 3
 
 
-def test_a_region_ahead_of_another_has_its_phase() -> None:
+def test_a_region_ahead_of_another_has_its_phase():
     a, b = (
         channel(tones(T), RATE, 0.02, 1),
         channel(2 * np.cos(2 * np.pi * 3.3 * T + 1.0), RATE, 0.02, 2, name="b"),
@@ -210,8 +210,8 @@ def test_a_region_ahead_of_another_has_its_phase() -> None:
     assert strongest.ratio.value == pytest.approx(2.0, abs=4 * strongest.ratio.deviation)
 
 
-def test_what_changed_is_named_and_what_did_not_is_not() -> None:
-    def machine(size: float, seed: int):
+def test_what_changed_is_named_and_what_did_not_is_not():
+    def machine(size, seed):
         return _of_channel(channel(size * tones(T), RATE, 0.05, seed))
 
     false = [any(c.changed for c in compared(machine(1, s), machine(1, s + 100))[0]) for s in range(30)]

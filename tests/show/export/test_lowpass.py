@@ -1,7 +1,6 @@
 """The low-pass in exported scales: as wide as the rasteriser's own seen from a training camera, right at any size."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import gsply
 import numpy as np
@@ -16,7 +15,6 @@ from tg4mm.cli import main
 from tg4mm.core.splatfile import read_splat
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
-from tg4mm.run import Run
 from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_variance, widened
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, smoothing_of
 from tg4mm.show.render.sequence import RenderRequest
@@ -25,11 +23,11 @@ EPS = 1e-6  # square pixels: a viewer without a low-pass
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     return moving_run(tmp_path, n_views=4, n_timesteps=5, size=24, freqs=(3.0,))
 
 
-def picture(gaussians: Gaussians, scales: torch.Tensor, viewmat, K, side: int, eps2d: float) -> np.ndarray:
+def picture(gaussians, scales, viewmat, K, side, eps2d):
     g = gaussians
     size = side / 24
     scaled = torch.tensor(K * [[size], [size], [1]], dtype=torch.float32)
@@ -40,7 +38,7 @@ def picture(gaussians: Gaussians, scales: torch.Tensor, viewmat, K, side: int, e
     return torch.cat([rgb, alpha], -1)[0].numpy()
 
 
-def one_camera_needles(capture, n: int = 40) -> Gaussians:
+def one_camera_needles(capture, n=40):
     """Gaussians of a twentieth of a pixel in the middle of the first camera's picture."""
     rng = np.random.default_rng(2)
     centre, forward = -capture.viewmats[0, :3, :3].T @ capture.viewmats[0, :3, 3], capture.viewmats[0, 2, :3]
@@ -88,7 +86,7 @@ def test_from_close_up_a_run_and_its_exported_file_look_alike_and_training_views
             assert psnr(picture(gaussians, gaussians.scales, *view, 0.3), exported) < 40
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
+def psnr(a, b):
     return -10 * np.log10(np.square(a - b).mean())
 
 

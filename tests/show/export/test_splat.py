@@ -1,7 +1,6 @@
 """What is exported is what was trained: splat files read back, numbered files show the magnified motion."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,14 +9,13 @@ import torch
 from tests.helpers.synthetic import moving_run
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
-from tg4mm.run import Run
 from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
 from tg4mm.show.render.sequence import RenderRequest
 from tg4mm.show.result.line import mode_deviations
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     return moving_run(tmp_path, n_views=1, n_timesteps=5, size=16, freqs=(3.0, 6.0))
 
 
@@ -65,7 +63,7 @@ def test_a_killed_sequence_goes_on(run, tmp_path):
     assert before["frame_0002.ply"][0] == after["frame_0002.ply"][0]
 
 
-def with_uncertainty(run: Run, deviation: float, noise: float) -> None:
+def with_uncertainty(run, deviation, noise):
     n = len(run.load_space())
     parts = {"displacement": torch.full((n,), deviation), "noise": torch.full((n,), noise)}
     run.save_part("uncertainty", parts)
@@ -95,5 +93,5 @@ def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_a
     assert len(run.load_motion().freqs_hz) == 3
 
 
-def sure(run: Run) -> tuple[np.ndarray, np.ndarray]:
+def sure(run):
     return run.load_uncertainty(), run.load_noise()

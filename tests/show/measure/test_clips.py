@@ -1,14 +1,12 @@
 """Clips: one answer in x, y, z from series with clocks of their own, with deviations that hold."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.helpers.synthetic import _viewmats
 from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.show.measure import measure, parse_sensor, prepare
-from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
+from tg4mm.show.measure.clips import KnownPhases, together
 from tg4mm.show.measure.locate import sight_axes
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.triangulation import Rows, triangulated
@@ -20,9 +18,7 @@ AXES = [sight_axes(v, np.zeros(3)) for v in _viewmats(6, 0.0)]
 NONE = KnownPhases(np.zeros(0), np.zeros((6, 0)))
 
 
-def clip(
-    c: int, rng: np.random.Generator, sigma: float, phasor: np.ndarray = PHASOR, hz: float = HZ
-) -> Series:
+def clip(c, rng, sigma, phasor=PHASOR, hz=HZ):
     """What clip c shows of the phasor, with white noise, and 30 times as much of it along the sight."""
     times = np.arange(SAMPLES) / FPS
     noise = sigma * np.array([1.0, 1.0, 30.0])
@@ -36,13 +32,13 @@ def clip(
     )  # fmt: skip
 
 
-def found(seed: int, sigma: float = 0.1, known: KnownPhases = NONE, **how) -> tuple[Together, ClipPhases]:
+def found(seed, sigma=0.1, known=NONE, **how):
     rng = np.random.default_rng(seed)
     (own,), phases = together([[clip(c, rng, sigma, **how) for c in range(6)]], known, [0.0])
     return own, phases
 
 
-def test_a_vibration_has_its_phasor_and_the_clips_their_phases() -> None:
+def test_a_vibration_has_its_phasor_and_the_clips_their_phases():
     own, phases = found(0)
     (peak,) = own.spectrum.peaks
     assert peak.frequency_hz == pytest.approx(HZ, abs=4 * peak.frequency_deviation_hz)
@@ -54,7 +50,7 @@ def test_a_vibration_has_its_phasor_and_the_clips_their_phases() -> None:
 
 
 @pytest.mark.parametrize("is_known", [False, True])
-def test_deviations_are_the_scatter_over_many_records(is_known: bool) -> None:
+def test_deviations_are_the_scatter_over_many_records(is_known):
     known = KnownPhases(np.array([HZ]), THETA[:, None]) if is_known else NONE
     peaks = [found(seed, 0.15, known)[0].spectrum.peaks[0] for seed in range(24)]
     errors = np.array([np.abs(p.phasor) - np.abs(PHASOR) for p in peaks]) / [p.deviation for p in peaks]
@@ -62,7 +58,7 @@ def test_deviations_are_the_scatter_over_many_records(is_known: bool) -> None:
     assert abs(errors.mean()) < 0.4
 
 
-def test_what_the_clips_disagree_on_is_in_the_deviation() -> None:
+def test_what_the_clips_disagree_on_is_in_the_deviation():
     rows, rng = [], np.random.default_rng(3)
     for c in range(6):
         seen = AXES[c][:2] @ PHASOR * np.exp(1j * THETA[c])
@@ -72,11 +68,11 @@ def test_what_the_clips_disagree_on_is_in_the_deviation() -> None:
     assert np.abs(phasor[0] - PHASOR).max() < 4 * np.sqrt(variance[0]).max()
 
 
-def test_noise_alone_makes_no_peak() -> None:
+def test_noise_alone_makes_no_peak():
     assert not any(found(seed, phasor=np.zeros(3))[0].spectrum.peaks for seed in range(20))
 
 
-def test_a_direction_that_no_clip_shows_is_not_observed() -> None:
+def test_a_direction_that_no_clip_shows_is_not_observed():
     rng = np.random.default_rng(0)
     clips = [clip(0, rng, 0.1) for _ in range(2)]
     spread = np.where([True, True, False], clips[0].noise, np.inf)
@@ -92,7 +88,7 @@ def test_a_direction_that_no_clip_shows_is_not_observed() -> None:
     assert np.isinf(own.spectrum.floor[0][sight.argmax()])
 
 
-def test_pictures_of_clips_tell_amplitude_and_phase_in_three_directions(tmp_path: Path) -> None:
+def test_pictures_of_clips_tell_amplitude_and_phase_in_three_directions(tmp_path):
     along, starts = np.array([0.016, -0.008, 0.012]), [0.0, 0.31, 0.17, 0.45, 0.08, 0.23]
     run = run_of(
         tmp_path,

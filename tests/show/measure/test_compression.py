@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ FPS = 30.0
 TIMES = np.arange(90) / FPS
 
 
-def test_what_a_modulation_with_the_codecs_period_makes_is_marked() -> None:
+def test_what_a_modulation_with_the_codecs_period_makes_is_marked():
     """A motion of which every fourth frame keeps all and the others nine tenths."""
     kept = np.where(np.arange(90) % 4 == 0, 1.0, 0.9)
     values = (kept * np.cos(2 * np.pi * 3.4 * TIMES + 0.4))[:, None] * np.ones(3)
@@ -36,18 +35,18 @@ def test_what_a_modulation_with_the_codecs_period_makes_is_marked() -> None:
     assert all(p.sideband is None for p in with_sidebands(peaks, None, FPS, 3.0))
 
 
-def peak(hz: float, size: float) -> Peak:
+def peak(hz, size):
     return Peak(hz, 1e-3, size * np.ones(3, complex), 1e-3 * np.ones(3), 1e-3 * np.ones(3))
 
 
 @pytest.mark.parametrize(("hz", "size"), [(4.5, 0.01), (4.1, 0.5)])
-def test_other_frequencies_and_strong_ones_are_not(hz: float, size: float) -> None:
+def test_other_frequencies_and_strong_ones_are_not(hz, size):
     strong, other = with_sidebands([peak(3.4, 1.0), peak(hz, size)], 4, FPS, 3.0)
     assert strong.sideband is None
     assert other.sideband is None
 
 
-def test_a_run_knows_it_by_its_datasets_scene_json(tmp_path: Path) -> None:
+def test_a_run_knows_it_by_its_datasets_scene_json(tmp_path):
     run = run_of(tmp_path, of_parts(ball=sine(4.0, [0.02, 0, 0.015])), n_timesteps=45)
     path = run.dataset / "scene.json"
     assert codec_period(run.dataset) is None

@@ -13,7 +13,7 @@ from tg4mm.show.measure.spectrum import spectrum_of
 FPS, HZ = 30.0, 4.0
 
 
-def driven(ratio: float, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def driven(ratio, n, seed):
     """Times [n] and values of an oscillator of that damping ratio under white noise, its exact recursion; 5 % noise."""
     rng, steps = np.random.default_rng(seed), 20
     omega, dt, settling = 2 * np.pi * HZ, 1 / FPS / 20, 600
@@ -24,7 +24,7 @@ def driven(ratio: float, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.05])
-def test_a_driven_oscillator_has_its_damping(ratio: float) -> None:
+def test_a_driven_oscillator_has_its_damping(ratio):
     found = [half_power(*driven(ratio, 3000, seed), HZ) for seed in range(8)]
     assert all(d is not None and d.method == "half-power bandwidth" for d in found)
     ratios = np.array([d.ratio for d in found if d is not None])
@@ -36,24 +36,24 @@ def test_a_driven_oscillator_has_its_damping(ratio: float) -> None:
     assert found[0].decay_per_s == pytest.approx(2 * np.pi * HZ * found[0].ratio, rel=0.1)
 
 
-def test_a_steady_tone_has_none() -> None:
+def test_a_steady_tone_has_none():
     times = np.arange(3000) / FPS
     noise = 0.05 * np.random.default_rng(0).normal(size=3000)
     assert half_power(times, np.sin(2 * np.pi * 4.03 * times) + noise, 4.03) is None
 
 
-def test_a_record_too_short_to_resolve_the_peak_has_none() -> None:
+def test_a_record_too_short_to_resolve_the_peak_has_none():
     assert half_power(*driven(0.01, 300, 0), HZ) is None
 
 
-def test_noise_alone_has_none() -> None:
+def test_noise_alone_has_none():
     times = np.arange(3000) / FPS
     found = [half_power(times, np.random.default_rng(s).normal(size=3000), HZ) for s in range(10)]
     assert sum(d is not None for d in found) <= 1
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.10])
-def test_what_is_over_early_in_the_record_has_the_right_one(ratio: float) -> None:
+def test_what_is_over_early_in_the_record_has_the_right_one(ratio):
     times, hz = np.arange(300) / FPS, 10.0
     values = np.exp(-ratio * 2 * np.pi * hz * times) * np.cos(2 * np.pi * hz * times)
     displacement = values[:, None] * np.array([1.0, 0, 0])
@@ -66,7 +66,7 @@ def test_what_is_over_early_in_the_record_has_the_right_one(ratio: float) -> Non
     assert found.ratio == pytest.approx(ratio / np.hypot(1, ratio), rel=0.001)
 
 
-def test_a_codec_that_takes_more_of_what_has_rung_down_is_in_the_dampings_deviation() -> None:
+def test_a_codec_that_takes_more_of_what_has_rung_down_is_in_the_dampings_deviation():
     ringing = Damping(0.012, 0.0003, 0.6)
     told = with_loss(ringing, Loss(0.97, 0.05), Loss(0.88, 0.05))
     assert told is not None

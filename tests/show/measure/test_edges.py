@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
-from tg4mm.show.measure import Measurement, measure, parse_sensor, prepare
+from tg4mm.show.measure import measure, parse_sensor, prepare
 
 SIZE, FPS, T, HZ = 48, 30.0, 45, 4.3
 FOCAL, AWAY = 1.4 * SIZE, 3.0
@@ -22,7 +21,7 @@ AMPLITUDE = np.array([0.15, 0, 0.15]) * PX  # to the right and up
 EDGE = "edge=box:-0.4,-0.1,0.12,0.4,0.1,0.345"
 
 
-def wall(texture: float) -> tuple[Gaussians, np.ndarray]:
+def wall(texture):
     """A light wall with a dark bar that moves, [N] bool, both with that much texture."""
     rng, step = np.random.default_rng(5), np.linspace(-1.2, 1.2, 72)
     x, z = (a.ravel() for a in np.meshgrid(step, step))
@@ -34,7 +33,7 @@ def wall(texture: float) -> tuple[Gaussians, np.ndarray]:
     return Gaussians(*(torch.from_numpy(np.asarray(a, np.float32)) for a in arrays)), bar
 
 
-def filmed(path: Path, gaussians: Gaussians, bar: np.ndarray) -> None:
+def filmed(path, gaussians, bar):
     """By one fixed camera, with noise."""
     rng, viewmat = np.random.default_rng(0), np.eye(4)
     viewmat[:3, :3], viewmat[2, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], AWAY
@@ -58,7 +57,7 @@ def filmed(path: Path, gaussians: Gaussians, bar: np.ndarray) -> None:
     (path / "scene.json").write_text(json.dumps({"fps": FPS, "kind": "rig"}))
 
 
-def measured(path: Path, texture: float, wrong: float) -> tuple[Measurement, np.ndarray]:
+def measured(path, texture, wrong):
     """By a run whose scene at rest has so much texture that is not there, and half of the motion to the right.
 
     With it the amplitudes found along right, up, sight, pixels.
@@ -76,13 +75,13 @@ def measured(path: Path, texture: float, wrong: float) -> tuple[Measurement, np.
     return found, (found["edge"].displacement * sinusoid[:, None]).sum(0) / (sinusoid @ sinusoid) / PX
 
 
-def test_a_region_is_not_held_by_the_modes_around_it(tmp_path: Path) -> None:
+def test_a_region_is_not_held_by_the_modes_around_it(tmp_path):
     found, amplitude = measured(tmp_path, texture=0.1, wrong=0.0)
     assert amplitude[:2] == pytest.approx([0.15, 0.15], rel=0.1)
     assert not any("can hardly be told" in note for note in found.notes)
 
 
-def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path: Path) -> None:
+def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path):
     """Along the edge the pictures show nothing; the scene at rest claims to see it."""
     found, amplitude = measured(tmp_path, texture=0.0, wrong=0.015)
     series = found["edge"].series

@@ -9,7 +9,7 @@ from tg4mm.show.measure.iterated import registered
 SIDE, FRAMES = 48, 60
 
 
-def moving(size_px: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def moving(size_px, seed):
     """Frames of speckle that moves as a whole, by the shift theorem, and its motion about the mean."""
     rng = np.random.default_rng(seed)
     fine = np.fft.rfft2(texture(SIDE, SIDE, rng, 0.35, 0.4, (1.3, 3.0)))
@@ -25,7 +25,7 @@ def moving(size_px: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("size_px", [0.5, 1.0, 2.0, 3.0])
-def test_motion_of_pixels_is_found_from_an_answer_that_lacks_a_third(size_px: float) -> None:
+def test_motion_of_pixels_is_found_from_an_answer_that_lacks_a_third(size_px):
     frames, motion = moving(size_px, round(10 * size_px))
     inside = np.zeros((SIDE, SIDE), bool)
     inside[10:-10, 10:-10] = True

@@ -1,7 +1,6 @@
 """Sensors on clips, each with a clock of its own, and before a camera that moves."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from tg4mm.show.measure.sides import HALVES, Sides
 AMPLITUDE = np.array([0.016, 0.0, 0.012])
 
 
-def test_a_moving_camera_shows_what_moves_before_it(tmp_path: Path) -> None:
+def test_a_moving_camera_shows_what_moves_before_it(tmp_path):
     run = run_of(tmp_path, of_parts(ball=sine(9.0, AMPLITUDE)), n_timesteps=40, walks=True, noise=0.004)
     scene = prepare(run)
     found = measure(scene, [parse_sensor(BALL_SPHERE)])
@@ -28,7 +27,7 @@ def test_a_moving_camera_shows_what_moves_before_it(tmp_path: Path) -> None:
     assert again.displacement == pytest.approx(ball.displacement, rel=1e-6, abs=1e-9)
 
 
-def test_sensors_read_from_the_pictures_what_is_pulled_back_to_gaussians(tmp_path: Path) -> None:
+def test_sensors_read_from_the_pictures_what_is_pulled_back_to_gaussians(tmp_path):
     run = run_of(tmp_path, of_parts(ball=sine(5.0, AMPLITUDE)), n_views=2, n_timesteps=24, noise=0.004)
     scene = prepare(run, keep=False)
     exposed = [

@@ -7,14 +7,14 @@ from scipy.ndimage import gaussian_filter
 from tg4mm.show.measure.linearity import missing_share, other_share
 
 
-def picture(sigma: float, x: float) -> np.ndarray:
+def picture(sigma, x):
     """[64, 96, 3] band-limited texture, moved to the right by x pixels exactly."""
     own = gaussian_filter(np.random.default_rng(0).normal(size=(64, 96)), sigma, mode="wrap")
     turned = np.fft.fft(own, axis=1) * np.exp(-2j * np.pi * np.fft.fftfreq(96) * x)
     return np.repeat(0.5 + 0.1 * np.fft.ifft(turned, axis=1).real[..., None] / own.std(), 3, -1)
 
 
-def linear_answer(sigma: float, x: float) -> float:
+def linear_answer(sigma, x):
     """Least squares by the gradient of the picture at rest."""
     rest = picture(sigma, 0)
     slope = np.gradient(rest, axis=1)[8:-8, 12:-12]
@@ -22,7 +22,7 @@ def linear_answer(sigma: float, x: float) -> float:
 
 
 @pytest.mark.parametrize(("sigma", "x"), [(1.2, 1.6), (6.0, 2.9), (1.2, -0.6)])
-def test_it_is_what_is_missing_of_the_true_motion(sigma: float, x: float) -> None:
+def test_it_is_what_is_missing_of_the_true_motion(sigma, x):
     answer = linear_answer(sigma, x)
     frames = np.stack([picture(sigma, x)] * 2)
     weights = np.zeros((64, 96))
@@ -32,12 +32,12 @@ def test_it_is_what_is_missing_of_the_true_motion(sigma: float, x: float) -> Non
     assert deviation == 0
 
 
-def test_blurred_texture_keeps_in_proportion_where_speckle_does_not() -> None:
+def test_blurred_texture_keeps_in_proportion_where_speckle_does_not():
     assert abs(2.9 / linear_answer(6.0, 2.9) - 1) < 0.1 < 1.6 / linear_answer(1.2, 1.6) - 1
 
 
 @pytest.mark.parametrize("passes", [False, True])
-def test_what_passes_is_told_from_motion(passes: bool) -> None:
+def test_what_passes_is_told_from_motion(passes):
     rng = np.random.default_rng(1)
     frames = np.stack([picture(1.2, x) for x in (0.5, 0.5, 0.4, 0, 0, 0)])
     if passes:

@@ -2,7 +2,6 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ AMPLITUDE = np.array([0.008, 0.0, 0.006])
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory):
+def run(tmp_path_factory):
     """A ball at 5 Hz, with its modes."""
     phasors = np.zeros((sum(PARTS), 3), complex)
     phasors[BALL] = AMPLITUDE
@@ -26,7 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.fixture(scope="module")
-def out(run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(run, tmp_path_factory):
     """The folder that the command wrote."""
     folder = tmp_path_factory.mktemp("out") / "measured"
     words = ["measure", str(run.path), "--out", str(folder), "--sensor", BALL_SPHERE, "--sensor", "all"]
@@ -34,7 +33,7 @@ def out(run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_json_and_tidy_csv_say_the_same_in_their_units(out: Path) -> None:
+def test_json_and_tidy_csv_say_the_same_in_their_units(out):
     found = json.loads((out / "measure.json").read_text())
     ball = found["sensors"][0]
     assert ball["peaks"][0]["frequency_hz"] == pytest.approx(5.0, abs=0.03)
@@ -49,7 +48,7 @@ def test_json_and_tidy_csv_say_the_same_in_their_units(out: Path) -> None:
     assert float(peaks[0]["amplitude_mm"]) == pytest.approx(0.8, rel=0.1)
 
 
-def test_another_program_reads_geometry_shapes_and_waveforms(out: Path) -> None:
+def test_another_program_reads_geometry_shapes_and_waveforms(out):
     import pyuff
 
     file = pyuff.UFF(str(out / "measure.uff"))
@@ -79,12 +78,10 @@ def test_another_program_reads_geometry_shapes_and_waveforms(out: Path) -> None:
     assert np.abs(waveform["data"]).max() == pytest.approx(0.0008, rel=0.15)
 
 
-def test_a_kept_pass_gives_the_same_and_needs_no_pictures(
-    run, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kept_pass_gives_the_same_and_needs_no_pictures(run, out, tmp_path, monkeypatch):
     assert run.has_part("residuals")
 
-    def read(*_: object) -> None:
+    def read(*_):
         raise AssertionError("the pictures were read again")
 
     monkeypatch.setattr("tg4mm.show.measure.prepared.weighed", read)
@@ -105,16 +102,14 @@ def test_a_kept_pass_gives_the_same_and_needs_no_pictures(
         (["--sensor", "tip=all", "--reference", "tap"], "is no sensor"),
     ],
 )
-def test_what_cannot_be_measured_is_one_line(
-    run, tmp_path: Path, capsys, words: list[str], message: str
-) -> None:
+def test_what_cannot_be_measured_is_one_line(run, tmp_path, capsys, words, message):
     assert main(["measure", str(run.path), "--out", str(tmp_path / "out"), *words]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert line.startswith("tg4mm: ")
     assert message in line
 
 
-def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run, out: Path) -> None:
+def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run, out):
     import h5py
     import openpyxl
     import pyuff
@@ -170,7 +165,7 @@ def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run
     np.testing.assert_allclose(told["displacement, standard deviation"], metres, rtol=1e-4)
 
 
-def test_sep005_is_what_the_standards_own_check_accepts(run) -> None:
+def test_sep005_is_what_the_standards_own_check_accepts(run):
     standard = pytest.importorskip("sdypy_sep005", reason="the extra `dev` is not installed")
     found = measure(run, [parse_sensor(BALL_SPHERE)])
     signals = sep005(found)
@@ -182,7 +177,7 @@ def test_sep005_is_what_the_standards_own_check_accepts(run) -> None:
     np.testing.assert_allclose(first["data"], 100 * found["ball"].displacement[:, 0])
 
 
-def test_a_measurement_is_analysed_in_its_unit(out: Path, tmp_path: Path, capsys) -> None:
+def test_a_measurement_is_analysed_in_its_unit(out, tmp_path, capsys):
     words = ["analyse", str(out), "--out", str(tmp_path / "a"), "--channel", "ball/x", "--against", str(out)]
     assert main([*words, "--machine-class", "I", "--band", "2", "12"]) == 0
     found = json.loads((tmp_path / "a" / "analysis.json").read_text())

@@ -18,7 +18,7 @@ CLIPS = os.environ.get(
 )  # a folder with baby.mp4 and wrist.mp4 of Eulerian video magnification
 
 
-def tuning_fork(path: Path) -> None:
+def tuning_fork(path):
     """A textured bar sways to the right and back, TIP_PX at its tip, before a still background."""
     rng, (width, height) = np.random.default_rng(2), SIZE
     y, x = np.mgrid[:height, :width].astype(float)
@@ -40,7 +40,7 @@ def tuning_fork(path: Path) -> None:
         container.mux(stream.encode())
 
 
-def run_of(video: Path, folder: Path, *settings: str) -> Path:
+def run_of(video, folder, *settings):
     """The trained run of a video."""
     assert main(["sfm", str(video), "--out", str(folder / "set")]) == 0
     options = [word for setting in settings for word in ("--set", setting)]
@@ -48,7 +48,7 @@ def run_of(video: Path, folder: Path, *settings: str) -> Path:
     return folder / "run"
 
 
-def measured(run: Path, *sensors: str) -> dict[str, dict]:
+def measured(run, *sensors):
     """What `measure` leaves of each sensor, by name."""
     asked = [word for sensor in sensors for word in ("--sensor", sensor)]
     out = run.parent / "measured"
@@ -57,7 +57,7 @@ def measured(run: Path, *sensors: str) -> dict[str, dict]:
 
 
 @pytest.mark.slow
-def test_a_tuning_forks_tone_is_measured_whole(tmp_path: Path) -> None:
+def test_a_tuning_forks_tone_is_measured_whole(tmp_path):
     tuning_fork(tmp_path / "fork.mp4")
     run = run_of(tmp_path / "fork.mp4", tmp_path, "space.iterations=600", "space.max_gaussians=3000")
     found = measured(run, "tip=pixel:fork,40,14,5", "wall=pixel:fork,80,40,8")
@@ -73,7 +73,7 @@ def test_a_tuning_forks_tone_is_measured_whole(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CLIPS, reason="TG4MM_CLIPS names no folder with the clips")
-def test_the_baby_breathes(tmp_path: Path) -> None:
+def test_the_baby_breathes(tmp_path):
     """No truth but what is seen: about one breath in two seconds, some tenths of a pixel."""
     run = run_of(Path(CLIPS) / "baby.mp4", tmp_path)
     log = json.loads((run / "log.json").read_text())

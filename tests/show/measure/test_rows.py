@@ -2,7 +2,6 @@
 
 import json
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,14 +12,13 @@ from tests.capture.sfm.videos import write_video
 from tests.show.measure.filmed import FPS, model, modes, of_parts, pictures, run_of, sine
 from tg4mm.cli import main
 from tg4mm.core.errors import RunError
-from tg4mm.run import Run
 from tg4mm.show.measure import measure, parse_sensor, prepare
 from tg4mm.show.result.read import reading_of
 
 HZ = 6.0
 
 
-def read_by_rows(run: Run, move, readout_s: float, in_turn: int = 4) -> None:
+def read_by_rows(run, move, readout_s, in_turn=4):
     """The pictures of the run's dataset anew, each `in_turn` rows at their own time."""
     rng = np.random.default_rng(1)
     for folder in sorted(p for p in run.dataset.iterdir() if p.name.isdecimal()):
@@ -38,12 +36,12 @@ def read_by_rows(run: Run, move, readout_s: float, in_turn: int = 4) -> None:
             Image.fromarray(picture).save(folder / f"{frame['file_path']}.png", compress_level=1)
 
 
-def say_readout(dataset: Path, readout_s: float) -> None:
+def say_readout(dataset, readout_s):
     path = dataset / "scene.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"readout_s": readout_s}))
 
 
-def phases(found, names) -> np.ndarray:
+def phases(found, names):
     """Degrees after the first sensor of motion along the picture's rows at HZ, on the clock of their own times."""
     out = []
     for name in names:
@@ -55,9 +53,7 @@ def phases(found, names) -> np.ndarray:
 
 
 @pytest.mark.parametrize("views", [1, 4])
-def test_every_height_of_a_swaying_post_has_one_phase_where_the_readout_is_given(
-    tmp_path: Path, views: int
-) -> None:
+def test_every_height_of_a_swaying_post_has_one_phase_where_the_readout_is_given(tmp_path, views):
     """Of one flat camera from the pictures and from what is pulled back to Gaussians; of a rig, together."""
     readout_s, sway = 0.03, sine(HZ, [0.02, 0.0, 0.0])
     move = of_parts(post=sway, ball=sway)
@@ -82,7 +78,7 @@ def test_every_height_of_a_swaying_post_has_one_phase_where_the_readout_is_given
         assert (np.diff(late) < -1e-3).all() if is_once and views == 1 else not any(late)
 
 
-def pole(path: Path, readout_s: float) -> Path:
+def pole(path, readout_s):
     """Three seconds of 96×160 pixels: a textured pole of full height sways by .3 px before a still wall."""
     rng, (width, height) = np.random.default_rng(0), (96, 160)
     y, x = np.mgrid[:height, :width].astype(float)
@@ -101,9 +97,7 @@ def pole(path: Path, readout_s: float) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("given", "least", "most"), [("20", 0, 5), ("", 9, 20)])
-def test_a_film_of_a_swaying_pole_is_measured_by_row_times(
-    tmp_path: Path, given: str, least: float, most: float
-) -> None:
+def test_a_film_of_a_swaying_pole_is_measured_by_row_times(tmp_path, given, least, most):
     """20 ms are 43° at 6 Hz: between heights 12 and 148 of 160, 37°, which is 12° rms."""
     video = pole(tmp_path / "pole.mp4", 0.02)
     asked = ["--readout", given] if given else []

@@ -1,7 +1,5 @@
 """Sensors from options and YAML, and what is wrong with them in one line."""
 
-from pathlib import Path
-
 import pytest
 
 from tg4mm.core.errors import Tg4mmError
@@ -20,7 +18,7 @@ from tg4mm.show.measure.sensors import STILL, Sensor, parse_sensor, read_sensors
         ("a=cluster:still", Sensor("a", "cluster", (STILL,))),
     ],
 )
-def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text: str, sensor: Sensor) -> None:
+def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text, sensor):
     assert parse_sensor(text) == sensor
     assert parse_sensor(str(sensor)) == sensor
 
@@ -40,14 +38,14 @@ def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text: str, senso
         ("", "is no region"),
     ],
 )
-def test_what_is_none_is_refused_with_its_value(text: str, words: str) -> None:
+def test_what_is_none_is_refused_with_its_value(text, words):
     with pytest.raises(Tg4mmError) as caught:
         parse_sensor(text)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_of_sensors(tmp_path: Path) -> None:
+def test_a_file_of_sensors(tmp_path):
     file = tmp_path / "sensors.yaml"
     file.write_text(
         "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam_00, 320, 96, 12]}\n"
@@ -76,7 +74,7 @@ def test_a_file_of_sensors(tmp_path: Path) -> None:
         (f"- [{', '.join(['long'] * 3000)}]", "… is no mapping"),
     ],
 )
-def test_a_file_that_is_wrong_says_where(tmp_path: Path, text: str, words: str) -> None:
+def test_a_file_that_is_wrong_says_where(tmp_path, text, words):
     file = tmp_path / "sensors.yaml"
     file.write_text(text)
     with pytest.raises(Tg4mmError, match=words) as caught:

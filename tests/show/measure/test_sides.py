@@ -10,7 +10,7 @@ SEEN = np.arange(50, 350)
 
 
 @pytest.fixture
-def exact() -> np.ndarray:
+def exact():
     """Noise of very different sizes from Gaussian to Gaussian; a quarter of them is not seen."""
     rng = np.random.default_rng(0)
     out = np.zeros((2, FRAMES, N, 6), np.float32)
@@ -19,14 +19,14 @@ def exact() -> np.ndarray:
     return out
 
 
-def motions(rows: np.ndarray) -> np.ndarray:
+def motions(rows):
     out = np.zeros((6, N, 6), np.float32)
     out[:, rows] = np.random.default_rng(1).normal(size=(6, len(rows), 6))
     return out
 
 
 @pytest.mark.parametrize("rows", [np.arange(60, 65), np.arange(0, 200), np.arange(N)])
-def test_rounding_adds_a_ten_thousandth_of_the_variance(exact: np.ndarray, rows: np.ndarray) -> None:
+def test_rounding_adds_a_ten_thousandth_of_the_variance(exact, rows):
     e = motions(rows)
     expected = np.einsum("knc,hfnc->hfk", e.astype(float), exact)
     error = Sides.of(exact).summed(e, rows) - expected

@@ -12,17 +12,17 @@ from tg4mm.show.measure.spectrum import spectrum_of, with_band
 TIMES = np.arange(60) / 30.0
 
 
-def noisy(values: np.ndarray, sigma: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def noisy(values, sigma, seed):
     noise = sigma * np.random.default_rng(seed).normal(size=(len(TIMES), 3))
     return values + noise, np.full((len(TIMES), 3), sigma)
 
 
-def sinusoid(hz: float, amplitude: float = 1.0, phase: float = 0.0) -> np.ndarray:
+def sinusoid(hz, amplitude=1.0, phase=0.0):
     return amplitude * np.cos(2 * np.pi * hz * TIMES + phase)[:, None] * np.array([1.0, 0.0, 0.5])
 
 
 @pytest.mark.parametrize("hz", [3.0, 3.13, 3.25, 7.77])
-def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz: float) -> None:
+def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz):
     values, sigma = noisy(sinusoid(hz, 1.0, 0.6), 0.05, 1)
     (peak,) = spectrum_of(TIMES, values, sigma).peaks
     assert peak.frequency_hz == pytest.approx(hz, abs=4 * peak.frequency_deviation_hz)
@@ -30,7 +30,7 @@ def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz: float) ->
     assert np.angle(peak.phasor[[0, 2]]) == pytest.approx(0.6, abs=0.15)
 
 
-def test_deviations_are_the_scatter_over_many_records() -> None:
+def test_deviations_are_the_scatter_over_many_records():
     peaks = [spectrum_of(TIMES, *noisy(sinusoid(4.4), 0.2, seed)).peaks[0] for seed in range(60)]
     hz = np.array([p.frequency_hz for p in peaks])
     assert hz.std() == pytest.approx(peaks[0].frequency_deviation_hz, rel=0.3)
@@ -38,7 +38,7 @@ def test_deviations_are_the_scatter_over_many_records() -> None:
     assert amplitude.std() == pytest.approx(peaks[0].deviation[0], rel=0.3)
 
 
-def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
+def test_noise_alone_passes_the_floor_in_few_records_of_many():
     found = sum(bool(spectrum_of(TIMES, *noisy(np.zeros((60, 3)), 1.0, s)).peaks) for s in range(300))
     assert found <= 15  # 1 % of 300, and what finer frequencies than 1 / duration add
     low = sum(
@@ -49,7 +49,7 @@ def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
     assert CHANCE == 0.01
 
 
-def test_two_tones_of_different_strength() -> None:
+def test_two_tones_of_different_strength():
     values, sigma = noisy(sinusoid(3.3) + sinusoid(6.9, 0.1), 0.01, 3)
     assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx(
         [3.3, 6.9], abs=0.02
@@ -58,7 +58,7 @@ def test_two_tones_of_different_strength() -> None:
 
 @pytest.mark.parametrize("missing", [1, 20])
 @pytest.mark.parametrize("hz", [12.4, 14.6])
-def test_frames_that_are_missing_make_no_frequency_above_half_the_rate(missing: int, hz: float) -> None:
+def test_frames_that_are_missing_make_no_frequency_above_half_the_rate(missing, hz):
     rng = np.random.default_rng(missing)
     gone = rng.choice(np.arange(1, 119), missing, replace=False)
     times = np.delete(np.arange(120), gone) / 30.0
@@ -68,7 +68,7 @@ def test_frames_that_are_missing_make_no_frequency_above_half_the_rate(missing: 
     assert found.peaks[0].frequency_hz == pytest.approx(hz, abs=0.02)
 
 
-def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() -> None:
+def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor():
     values, sigma = noisy(sinusoid(4.0), 0.05, 2)
     sigma[:, 2] = np.inf
     spectrum = spectrum_of(TIMES, values, sigma)
@@ -77,7 +77,7 @@ def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() ->
     assert np.isfinite(spectrum.peaks[0].amplitude).all()
 
 
-def test_velocity_and_acceleration_of_a_fast_tone() -> None:
+def test_velocity_and_acceleration_of_a_fast_tone():
     values, sigma = noisy(sinusoid(8.2), 1e-4, 0)
     found = derivatives_of(TIMES, values, spectrum_of(TIMES, values, sigma).peaks)
     omega = 2 * np.pi * 8.2
@@ -86,7 +86,7 @@ def test_velocity_and_acceleration_of_a_fast_tone() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
-def test_deviations_of_velocity_and_acceleration_are_their_scatter(share: float) -> None:
+def test_deviations_of_velocity_and_acceleration_are_their_scatter(share):
     """Over 50 records of a tone and noise; with a share, each record is that much too large or too small."""
     omega, rng, scores = 2 * np.pi * 8.2, np.random.default_rng(7), [[], []]
     velocity = omega * np.array([1.0, 0, 0.5]) * -np.sin(omega * TIMES)[:, None]
@@ -104,7 +104,7 @@ def test_deviations_of_velocity_and_acceleration_are_their_scatter(share: float)
         assert inside.mean() > 0.6  # a share counts along every axis, whatever moves there
 
 
-def test_an_orbit_is_the_ellipse() -> None:
+def test_an_orbit_is_the_ellipse():
     angle = 2 * np.pi * 4.0 * TIMES
     values = np.stack([2 * np.cos(angle + 0.3), np.sin(angle + 0.3), 0 * angle], 1)
     orbit = orbit_of(spectrum_of(TIMES, values, np.full((60, 3), 1e-3)).peaks[0])
@@ -126,13 +126,13 @@ FPS, RESOLUTION = 30.0, 0.5
         (3.5, 0.1, None),
     ],
 )
-def test_two_and_three_times_a_stronger_frequency(hz: float, size: float, expected: Harmonic | None) -> None:
+def test_two_and_three_times_a_stronger_frequency(hz, size, expected):
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
 
 
-def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none() -> None:
+def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():
     """Two seconds at 0.5 Hz; a band that holds a peak that was found stays as it is."""
     values, sigma = noisy(sinusoid(0.5, 1.0, 0.6), 0.05, 1)
     share = np.zeros(3)
@@ -147,7 +147,7 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none() -> None:
     assert with_band(fast, (7, 8), TIMES, values, sigma, share) is fast
 
 
-def test_a_spectrum_marks_them() -> None:
+def test_a_spectrum_marks_them():
     times = np.arange(90) / FPS
     values = np.cos(2 * np.pi * 4.6 * times) + 0.05 * np.cos(2 * np.pi * 9.2 * times + 1)
     noise = 0.002 * np.random.default_rng(0).normal(size=(90, 3))

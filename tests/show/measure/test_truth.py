@@ -1,38 +1,37 @@
 """Sensors on generated pictures of exact motion: amplitude, phase, decay, a neighbour; deviations that hold."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.show.measure.filmed import BALL_SPHERE, PARTS, POST, modes, of_parts, run_of, sine
 from tg4mm.core.errors import RunError
-from tg4mm.show.measure import Measurement, SensorResult, measure, parse_sensor, prepare
+from tg4mm.show.measure import measure, parse_sensor, prepare
 from tg4mm.show.result import result_of
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])  # a tenth of a pixel at the ball
 POST_BOX = "post=box:-0.6,-0.25,0.3,-0.1,0.25,1.5"
 
 
-def measured(run, *sensors: str) -> Measurement:
+def measured(run, *sensors):
     return measure(prepare(run, keep=False), [parse_sensor(s) for s in sensors])
 
 
-def truth_of(result: SensorResult, move) -> np.ndarray:
+def truth_of(result, move):
     values = np.stack([move(t) for t in result.times_s])
     return values - values.mean(0)
 
 
 @pytest.fixture(scope="module")
-def tone(tmp_path_factory: pytest.TempPathFactory):
+def tone(tmp_path_factory):
     """A ball at 4.3 Hz, off the bins of a second and a half, and a post at 7.1 Hz; a run that found no motion."""
     ball, post = sine(4.3, AMPLITUDE, 0.7), sine(7.1, [0, 0.01, 0], -1.2)
     run = run_of(tmp_path_factory.mktemp("tone"), of_parts(ball=ball, post=post))
     return measured(run, BALL_SPHERE, POST_BOX), ball, post
 
 
-def test_amplitude_frequency_and_phase_are_the_true_ones_though_no_mode_was_fitted(tone) -> None:
+def test_amplitude_frequency_and_phase_are_the_true_ones_though_no_mode_was_fitted(tone):
     found, _, _ = tone
     peak = found["ball"].spectrum.peaks[0]
     assert peak.frequency_hz == pytest.approx(4.3, abs=4 * peak.frequency_deviation_hz)
@@ -42,7 +41,7 @@ def test_amplitude_frequency_and_phase_are_the_true_ones_though_no_mode_was_fitt
     assert not peak.is_above[1]
 
 
-def test_two_thirds_of_the_samples_lie_within_a_deviation(tone) -> None:
+def test_two_thirds_of_the_samples_lie_within_a_deviation(tone):
     found, ball, post = tone
     shares = []
     for result, move in ((found["ball"], ball), (found["post"], post)):
@@ -52,7 +51,7 @@ def test_two_thirds_of_the_samples_lie_within_a_deviation(tone) -> None:
     assert 0.55 < np.mean(shares) < 0.80
 
 
-def test_the_floor_is_where_noise_ends(tone) -> None:
+def test_the_floor_is_where_noise_ends(tone):
     found, _, _ = tone
     spectrum = found["ball"].spectrum
     away = np.abs(spectrum.freqs_hz - 4.3) > 2.5
@@ -60,13 +59,13 @@ def test_the_floor_is_where_noise_ends(tone) -> None:
     assert (spectrum.amplitude[away] > 0.1 * spectrum.floor[away]).mean() > 0.5  # nor far above it
 
 
-def test_nothing_is_found_that_does_not_move(tmp_path: Path) -> None:
+def test_nothing_is_found_that_does_not_move(tmp_path):
     found = measured(run_of(tmp_path, of_parts(), n_timesteps=30), BALL_SPHERE, POST_BOX)
     assert not any(r.spectrum.peaks for r in found.sensors)
     assert any("nothing stands out" in note for note in found.notes)
 
 
-def test_ringing_down_has_its_damping(tmp_path: Path) -> None:
+def test_ringing_down_has_its_damping(tmp_path):
     decay = 1.5  # 1/s
     run = run_of(tmp_path, of_parts(ball=sine(5.0, 2 * AMPLITUDE, 0.0, decay)), n_timesteps=60)
     damping = measured(run, BALL_SPHERE)["ball"].damping[0]
@@ -75,7 +74,7 @@ def test_ringing_down_has_its_damping(tmp_path: Path) -> None:
     assert damping.deviation < 0.2 * damping.ratio
 
 
-def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path: Path) -> None:
+def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path):
     ball, post = sine(4.0, AMPLITUDE), sine(6.0, [0, 0.03, 0])
     phasors = np.zeros((sum(PARTS), 3), complex)
     phasors[POST] = [0, 0.03, 0]
@@ -85,7 +84,7 @@ def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path: Path) -> N
     assert result.spectrum.peaks[0].frequency_hz == pytest.approx(4.0, abs=0.03)
 
 
-def test_the_phase_against_a_reference(tmp_path: Path) -> None:
+def test_the_phase_against_a_reference(tmp_path):
     ball, post = sine(5.0, AMPLITUDE, 0.3), sine(5.0, [0, 0.01, 0], 1.2)
     found = measured(run_of(tmp_path, of_parts(ball=ball, post=post)), BALL_SPHERE, POST_BOX)
     at = found["post"].relation.phases[0]
@@ -93,7 +92,7 @@ def test_the_phase_against_a_reference(tmp_path: Path) -> None:
     assert at.deviation < 0.2
 
 
-def test_one_camera_says_which_direction_it_does_not_see(tmp_path: Path) -> None:
+def test_one_camera_says_which_direction_it_does_not_see(tmp_path):
     run = run_of(tmp_path, of_parts(ball=sine(4.0, AMPLITUDE)), n_views=1, noise=0.004)
     found = measured(run, BALL_SPHERE)
     result = found["ball"]
@@ -104,7 +103,7 @@ def test_one_camera_says_which_direction_it_does_not_see(tmp_path: Path) -> None
     assert any("one camera" in note for note in found.notes)
 
 
-def test_a_run_and_a_dataset_of_other_times_are_not_mixed(tmp_path: Path) -> None:
+def test_a_run_and_a_dataset_of_other_times_are_not_mixed(tmp_path):
     run = run_of(tmp_path, of_parts(), n_timesteps=12, n_views=1)
     motion = run.load_motion()
     assert motion is not None

@@ -1,18 +1,15 @@
 """A run whose model is exactly the one its dataset was rendered from."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.helpers.synthetic import exact_run
-from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 
 N_TIMESTEPS = 6
 
 
 @pytest.fixture(scope="session")
-def exact(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
+def exact(tmp_path_factory):
     settings = {
         "n_views": 3,
         "n_timesteps": N_TIMESTEPS,
@@ -25,12 +22,12 @@ def exact(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
 
 
 @pytest.fixture(scope="session")
-def dataset(exact: tuple[Run, ModalMotion]) -> Path:
+def dataset(exact):
     return exact[0].dataset
 
 
 @pytest.fixture
-def run(exact: tuple[Run, ModalMotion], tmp_path: Path) -> Run:
+def run(exact, tmp_path):
     made = Run.create(tmp_path / "run", exact[0].dataset, "modal", {"seed": 0})
     made.save_space(exact[0].load_space(), {"seconds": 1.0})
     made.save_motion(exact[1], {"seconds": 2.0})
@@ -38,7 +35,7 @@ def run(exact: tuple[Run, ModalMotion], tmp_path: Path) -> Run:
 
 
 @pytest.fixture
-def still_run(run: Run, dataset: Path, tmp_path: Path) -> Run:
+def still_run(run, dataset, tmp_path):
     """The same without motion."""
     made = Run.create(tmp_path / "still", dataset, "modal", {"seed": 0})
     made.save_space(run.load_space(), {"seconds": 1.0})

@@ -3,13 +3,12 @@
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.helpers.synthetic import CENTRE, RADIUS
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.show.render.cameras import (
     cameras_from_file,
@@ -20,7 +19,7 @@ from tg4mm.show.render.cameras import (
 
 
 @pytest.fixture
-def capture(dataset: Path) -> Capture:
+def capture(dataset):
     return load_capture(dataset)
 
 
@@ -36,7 +35,7 @@ def test_orbit_is_a_level_circle_with_the_median_radius_and_elevation(capture):
     np.testing.assert_allclose(np.diff(azimuths), 2 * math.pi / 5)
 
 
-def seen_from(capture: Capture, azimuths_deg: list[float]) -> Capture:
+def seen_from(capture, azimuths_deg):
     """The capture with cameras at these azimuths."""
     views = []
     for degrees in azimuths_deg:
@@ -47,7 +46,7 @@ def seen_from(capture: Capture, azimuths_deg: list[float]) -> Capture:
     return replace(capture, viewmats=np.tile(np.array(views), (count, 1, 1))[: len(capture.viewmats)])
 
 
-def degrees_of(cameras) -> np.ndarray:
+def degrees_of(cameras):
     arms = np.array([camera.position for camera in cameras]) - CENTRE
     return np.degrees(np.arctan2(arms[:, 1], arms[:, 0]))
 

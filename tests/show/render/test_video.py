@@ -16,7 +16,7 @@ def read_mp4(path):
     return meta, [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
 
 
-def flat(level: int, height: int = 24, width: int = 32) -> np.ndarray:
+def flat(level, height=24, width=32):
     return np.full((height, width, 3), level, np.uint8)
 
 

@@ -1,8 +1,5 @@
 """A small dataset with ground truth, a run of its exact model, and the scores of that run."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import torch
 
@@ -12,7 +9,7 @@ from tg4mm.run import UNCERTAINTY, Run
 
 
 @pytest.fixture(scope="session")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory):
     root = tmp_path_factory.mktemp("report")
     model = make_synthetic_dataset(
         root / "sway",
@@ -32,12 +29,12 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def metrics(run: Run) -> dict[str, Any]:
+def metrics(run):
     return evaluate_run(run)
 
 
 @pytest.fixture
-def bare_run(tmp_path: Path) -> Run:
+def bare_run(tmp_path):
     """A run on the least a dataset can be: training images, fps, nothing else."""
     model = make_synthetic_dataset(
         tmp_path / "bare", n_views=3, n_timesteps=6, size=32, freqs=(5.0,), n_test=0

@@ -29,7 +29,7 @@ from tg4mm.show.report.figures import (
 from tg4mm.show.weights import blending_weights
 
 
-def moving_dot(axis: str) -> np.ndarray:
+def moving_dot(axis):
     """A dot that moves along column 20 (or row 20) between pixels 10 and 14 of 40."""
     video = np.ones((8, 40, 40, 3))
     for t in range(8):
@@ -82,7 +82,7 @@ def test_uncertainty_shows_as_the_peak_of_a_sinusoid(tmp_path):
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
 
 
-def page(text: str) -> str:
+def page(text):
     figure = Figure([picture(np.zeros((2, 2, 3)), text), missing(text, text)], text, controls=True)
     chart = Figure([drawing(colour_bar(1.0, text, text))], text, width="narrow")
     table = Table([text, text], [[text, text]], text, ["ours"])

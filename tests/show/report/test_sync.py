@@ -1,8 +1,6 @@
 """The page's script in a browser: videos of a figure run in step, and its buttons and slider move all of them."""
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ VIDEOS = "[...document.querySelectorAll('video')]"
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(tmp_path_factory):
     frames = np.zeros((60, 32, 32, 3), np.uint8)
     frames[:, :, :16] = np.arange(60, dtype=np.uint8)[:, None, None, None] * 4
     films = [film(clip(frames, 30.0, SECONDS), frames[0], name) for name in ("left", "right")]
@@ -29,7 +27,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def until(page: Any, what: str) -> None:
+def until(page, what):
     """Asked again and again: the page's policy lets nothing in it evaluate text, so it cannot ask itself."""
     deadline = time.monotonic() + 30
     while not page.evaluate(what):
@@ -38,13 +36,13 @@ def until(page: Any, what: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
+def chromium():
     with browser() as opened:
         yield opened
 
 
 @pytest.fixture
-def page(file: Path, chromium: Any) -> Iterator[Any]:
+def page(file, chromium):
     opened = chromium.new_page()
     errors: list[Any] = []
     opened.on("pageerror", lambda error: errors.append(error))
@@ -55,11 +53,11 @@ def page(file: Path, chromium: Any) -> Iterator[Any]:
     assert not errors
 
 
-def of_videos(page: Any, name: str) -> list[Any]:
+def of_videos(page, name):
     return list(page.evaluate(f"{VIDEOS}.map(v => v.{name})"))
 
 
-def test_the_button_pauses_and_starts_all(page: Any) -> None:
+def test_the_button_pauses_and_starts_all(page):
     button = page.locator("[data-play]")
     assert button.inner_text() == "Pause"
     button.click()
@@ -70,7 +68,7 @@ def test_the_button_pauses_and_starts_all(page: Any) -> None:
     until(page, "document.querySelector('[data-play]').textContent == 'Pause'")
 
 
-def test_the_slider_takes_all_to_a_time_of_the_record(page: Any) -> None:
+def test_the_slider_takes_all_to_a_time_of_the_record(page):
     page.locator("[data-seek]").fill("1.5")
     assert of_videos(page, "paused") == [True, True]
     assert of_videos(page, "currentTime") == pytest.approx([1.5, 1.5])

@@ -1,8 +1,6 @@
 """Whole reports: of a full dataset, of the least there can be, of a scene with a hostile name."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +21,12 @@ from tg4mm.show.result.model import with_deviation
 from tg4mm.show.result.read import reading_of
 
 
-def report(made: Run, folder: Path, **options: Any) -> str:
+def report(made, folder, **options):
     return write_report(made, folder / "report.html", ReportOptions(**options)).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def full(run, metrics, tmp_path_factory) -> str:
+def full(run, metrics, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     orbit = folder / "orbit"
     orbit.mkdir()

@@ -10,7 +10,7 @@ AMPLITUDE, DEVIATION, NOISE = 0.02, 5e-4, 3e-4  # scene units
 
 
 @pytest.fixture(scope="session")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory):
     """The post sways at 3 Hz, the ball goes to and fro at 7.5 Hz, both by 0.02 units of 0.1 m: 2 mm. 1 s at 30 Hz."""
     root = tmp_path_factory.mktemp("result")
     gaussians, motion = make_synthetic_dataset(

@@ -4,7 +4,6 @@ import json
 import shlex
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,17 +14,17 @@ from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.show.result import Result, lines_of, result_of
+from tg4mm.show.result import lines_of, result_of
 from tg4mm.show.result.model import with_deviation
 
 
 @pytest.fixture(scope="module")
-def result(run: Run) -> Result:
+def result(run):
     return result_of(run)
 
 
 @pytest.fixture
-def copy(run: Run, tmp_path: Path) -> Run:
+def copy(run, tmp_path):
     """A copy of the run and its dataset."""
     shutil.copytree(run.dataset, tmp_path / "data")
     shutil.copytree(run.path, tmp_path / "run")
@@ -37,7 +36,7 @@ def copy(run: Run, tmp_path: Path) -> Run:
     return found
 
 
-def test_frequencies_and_amplitudes_are_the_motions(result: Result) -> None:
+def test_frequencies_and_amplitudes_are_the_motions(result):
     assert sorted(v.hz for v in result.vibrations) == [3.0, 7.5]
     for v in result.vibrations:
         assert v.amplitude.value == pytest.approx(AMPLITUDE, rel=0.1)
@@ -48,12 +47,12 @@ def test_frequencies_and_amplitudes_are_the_motions(result: Result) -> None:
     assert result.agreement == (0.99, 0.9)
 
 
-def test_pixels_are_how_far_a_point_lands_apart(result: Result, run: Run) -> None:
+def test_pixels_are_how_far_a_point_lands_apart(result, run):
     """Finite differences of the projection, of the largest among what the cameras see."""
     capture, means = load_capture(run.dataset), run.load_space().means.numpy().astype(float)
     motion = run.load_motion()
 
-    def land(points: np.ndarray, i: int) -> np.ndarray:
+    def land(points, i):
         q = (points @ capture.viewmats[i, :3, :3].T + capture.viewmats[i, :3, 3]) @ capture.Ks[i].T
         return q[:, :2] / q[:, 2:]
 
@@ -68,7 +67,7 @@ def test_pixels_are_how_far_a_point_lands_apart(result: Result, run: Run) -> Non
         assert v.pixels.deviation / v.pixels.value == pytest.approx(v.amplitude.deviation / v.amplitude.value)
 
 
-def test_the_lines_say_it_in_every_unit(result: Result, run: Run) -> None:
+def test_the_lines_say_it_in_every_unit(result, run):
     lines = lines_of(result)
     text = "\n".join(lines)
     assert len(lines) <= 14
@@ -85,7 +84,7 @@ def test_the_lines_say_it_in_every_unit(result: Result, run: Run) -> None:
     assert f"--band {result.band[0]:g} {result.band[1]:g}, which --band auto takes" in text
 
 
-def test_the_next_command_works(result: Result, run: Run, tmp_path: Path) -> None:
+def test_the_next_command_works(result, run, tmp_path):
     words = shlex.split(result.next_command)
     assert words[:3] == ["tg4mm", "render", str(run.path)]
     words[words.index("--out") + 1] = str(tmp_path / "o")
@@ -93,7 +92,7 @@ def test_the_next_command_works(result: Result, run: Run, tmp_path: Path) -> Non
     assert len(list((tmp_path / "o").rglob("*.png"))) == 2 * 30
 
 
-def test_without_its_dataset_a_run_tells_what_it_can(copy: Run) -> None:
+def test_without_its_dataset_a_run_tells_what_it_can(copy):
     shutil.rmtree(copy.dataset)
     found = result_of(copy)
     assert [v.pixels for v in found.vibrations] == [None, None]
@@ -101,7 +100,7 @@ def test_without_its_dataset_a_run_tells_what_it_can(copy: Run) -> None:
     assert "is not there" in "\n".join(lines_of(found))
 
 
-def test_without_uncertainty_no_deviation_is_made_up(copy: Run) -> None:
+def test_without_uncertainty_no_deviation_is_made_up(copy):
     copy.part_file(UNCERTAINTY).unlink()
     found = result_of(copy)
     assert all(v.amplitude.deviation is None and v.pixels.deviation is None for v in found.vibrations)
@@ -109,7 +108,7 @@ def test_without_uncertainty_no_deviation_is_made_up(copy: Run) -> None:
     assert "how sure the amplitudes are" in "\n".join(found.cannot)
 
 
-def test_what_is_smaller_than_its_own_deviation_is_no_vibration(copy: Run) -> None:
+def test_what_is_smaller_than_its_own_deviation_is_no_vibration(copy):
     parts, _ = copy.load_part(UNCERTAINTY)
     large = torch.full_like(parts["displacement"], 3 * AMPLITUDE)
     copy.save_part(UNCERTAINTY, parts | {"displacement": large})
@@ -119,7 +118,7 @@ def test_what_is_smaller_than_its_own_deviation_is_no_vibration(copy: Run) -> No
 
 
 @pytest.mark.parametrize("hz", [2.0, 2.4])
-def test_a_strong_drift_is_no_vibration_and_is_said(copy: Run, hz: float) -> None:
+def test_a_strong_drift_is_no_vibration_and_is_said(copy, hz):
     """Ten times as strong as the vibrations; a record of one second holds fewer than two and a half periods of it."""
     motion = copy.load_motion()
     drift = [np.concatenate([10 * x[:1], x]) for x in (motion.displacement, motion.rotation)]
@@ -132,7 +131,7 @@ def test_a_strong_drift_is_no_vibration_and_is_said(copy: Run, hz: float) -> Non
     assert f"the record holds {hz:.2g} periods of it" in line
 
 
-def test_what_comes_and_goes_is_a_drift(copy: Run) -> None:
+def test_what_comes_and_goes_is_a_drift(copy):
     """One hump in the record: its frequency is as uncertain as it is large."""
     motion = copy.load_motion()
     t = np.arange(30) / 30
@@ -155,9 +154,7 @@ def test_what_comes_and_goes_is_a_drift(copy: Run) -> None:
         ({"lower_bound_hz": [3.01]}, [3.0]),
     ],
 )
-def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(
-    copy: Run, said: dict, bounds: list[float]
-) -> None:
+def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(copy, said, bounds):
     copy.record("motion", said)
     result = result_of(copy)
     assert sorted(v.hz for v in result.vibrations if v.amplitude.is_bound) == bounds
@@ -165,7 +162,7 @@ def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(
     assert sum(" > " in line for line in lines_of(result)) == len(bounds)
 
 
-def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy: Run) -> None:
+def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     motion = copy.load_motion()
     nothing = motion.displacement[:0]
     told = {
@@ -179,7 +176,7 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy: Run) 
     assert "no vibration was found" not in text
 
 
-def test_nothing_found_and_nothing_to_find(copy: Run, tmp_path: Path) -> None:
+def test_nothing_found_and_nothing_to_find(copy, tmp_path):
     still = copy.load_motion()
     copy.save_motion(replace(still, displacement=0 * still.displacement), {})
     found = result_of(copy)
@@ -191,7 +188,7 @@ def test_nothing_found_and_nothing_to_find(copy: Run, tmp_path: Path) -> None:
     assert "--alpha 0 --split train" in lines[-1]
 
 
-def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(copy: Run) -> None:
+def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(copy):
     stated = {"frequencies_hz": [7.5, 3.0], "frequency_deviation_hz": [0.04, 0.01]}
     copy.save_motion(copy.load_motion(), stated)
     found = result_of(copy)
@@ -199,7 +196,7 @@ def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(co
     assert all("steady" in v.why_no_damping for v in found.vibrations)
 
 
-def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy: Run) -> None:
+def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy):
     n = len(copy.load_space())
     capture = load_capture(copy.dataset)
     ray = torch.tensor(capture.viewmats[0, 2, :3], dtype=torch.float32)
@@ -220,13 +217,13 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy: R
     assert "towards the only camera" in "\n".join(found.cannot)
 
 
-def only_one(path: Path) -> None:
+def only_one(path):
     values = json.loads(path.read_text())
     values["frames"] = values["frames"][:1]
     path.write_text(json.dumps(values))
 
 
-def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path: Path) -> None:
+def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path):
     """Of the preset `paper` phasors of rotation are large where nothing turns; of `modal` they are the scene's."""
     motion, alphas = run.load_motion(), {}
     turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,16 +11,15 @@ from tests.show.result.conftest import NOISE
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import BandGain, Magnification
-from tg4mm.run import Run
 from tg4mm.show.result.read import reading_of, result_of
 from tg4mm.show.result.requested import auto_band, refuse_empty, reversed_motion, too_far
 
 
-def plan(low: float, high: float, alpha: float = 10.0, **more: object) -> Magnification:
-    return Magnification((BandGain(low, high, alpha),), **more)  # type: ignore[arg-type]
+def plan(low, high, alpha=10.0, **more):
+    return Magnification((BandGain(low, high, alpha),), **more)
 
 
-def test_auto_is_the_strongest_and_names_the_others(run: Run) -> None:
+def test_auto_is_the_strongest_and_names_the_others(run):
     band, line = auto_band(run)
     strongest, other = result_of(run).vibrations
     assert band == strongest.band
@@ -31,7 +29,7 @@ def test_auto_is_the_strongest_and_names_the_others(run: Run) -> None:
     assert f"{other.hz:g} Hz" in line.split("also")[1]
 
 
-def test_render_export_and_evaluate_take_auto(run: Run, tmp_path: Path, capsys) -> None:
+def test_render_export_and_evaluate_take_auto(run, tmp_path, capsys):
     band = list(result_of(run).band)
     common = ["--alpha", "3", "--band", "auto"]
     assert main(["render", str(run.path), *common, "--orbit", "1", "--out", str(tmp_path / "o")]) == 0
@@ -45,7 +43,7 @@ def test_render_export_and_evaluate_take_auto(run: Run, tmp_path: Path, capsys) 
     assert capsys.readouterr().err.count("--band auto: ") == 3
 
 
-def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None:
+def test_a_band_without_motion_is_refused_with_those_there_are(run):
     with pytest.raises(
         Tg4mmError, match=r"--band 4 5: no motion was found there; there is .*3 Hz \(--band 2 4\)"
     ):
@@ -54,7 +52,7 @@ def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None
     refuse_empty(run, Magnification(everywhere=10.0))
 
 
-def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run: Run, capsys) -> None:
+def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run, capsys):
     """The record lasts a second."""
     with pytest.raises(
         Tg4mmError, match=r"--band 0\.1 0\.4: the record of 1 s holds less than half a period of it"
@@ -65,9 +63,7 @@ def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run: Run, 
     assert capsys.readouterr().err.count("a band must reach 0.5 Hz, or film longer") == 1
 
 
-def test_a_band_that_a_person_gives_is_magnified_though_one_period_is_no_vibration(
-    run: Run, tmp_path: Path, capsys
-) -> None:
+def test_a_band_that_a_person_gives_is_magnified_though_one_period_is_no_vibration(run, tmp_path, capsys):
     """All Gaussians go to and fro once, by 0.02 units: nothing is found, and the band's amplitude has a large ±."""
     copy = other_motion(run, tmp_path, 0.02, 1.0)
     assert result_of(copy).vibrations == ()
@@ -81,7 +77,7 @@ def test_a_band_that_a_person_gives_is_magnified_though_one_period_is_no_vibrati
     assert "a drift as large as the motion" in said
 
 
-def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> None:
+def test_a_band_that_holds_noise_alone_is_empty(run, tmp_path):
     """A mode lies in it, but one that is far below the noise."""
     motion = run.load_motion()
     faint = np.full_like(motion.displacement[:1], 0.01 * NOISE)
@@ -97,7 +93,7 @@ def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> Non
         refuse_empty(copy, plan(4.5, 5.5))
 
 
-def test_noise_that_is_magnified_beyond_a_pixel_is_said(run: Run, tmp_path: Path) -> None:
+def test_noise_that_is_magnified_beyond_a_pixel_is_said(run, tmp_path):
     """Of a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
     copy = other_motion(run, tmp_path, 0.02)
     noise_px = result_of(copy).noise_px
@@ -109,7 +105,7 @@ def test_noise_that_is_magnified_beyond_a_pixel_is_said(run: Run, tmp_path: Path
     assert f"α = {float(f'{1 / noise_px - 1:.2g}'):g} is as far as it holds" in line
 
 
-def test_turns_beyond_half_a_radian_are_said(run: Run) -> None:
+def test_turns_beyond_half_a_radian_are_said(run):
     """The post bends by 2·0.02/1.3 rad at its top: at α = 100 by 3 rad."""
     line = too_far(run, plan(2, 4, 100.0))
     assert "α = 100: the largest motion becomes " in line
@@ -119,7 +115,7 @@ def test_turns_beyond_half_a_radian_are_said(run: Run) -> None:
     assert f"becomes {reach.pixels:.3g} px" in line
 
 
-def other_motion(run: Run, tmp_path: Path, amplitude: float, hz: float = 3.0) -> Run:
+def other_motion(run, tmp_path, amplitude, hz=3.0):
     """All Gaussians alike along x."""
     copy, motion = copied(run, tmp_path / "run"), run.load_motion()
     displacement = np.zeros_like(motion.displacement[:1])
@@ -130,7 +126,7 @@ def other_motion(run: Run, tmp_path: Path, amplitude: float, hz: float = 3.0) ->
     return copy
 
 
-def test_a_factor_below_minus_one_says_that_motion_is_reversed(run: Run, tmp_path: Path, capsys) -> None:
+def test_a_factor_below_minus_one_says_that_motion_is_reversed(run, tmp_path, capsys):
     assert reversed_motion(plan(2, 4, -1.0)) is None
     assert reversed_motion(Magnification()) is None
     assert "α = -5: the motion is shown reversed, 4 times as large" in str(reversed_motion(plan(2, 4, -5.0)))

@@ -23,11 +23,11 @@ FPS, N = 30.0, 120
 T = np.arange(N) / FPS
 
 
-def ringing(hz: float, decay: float) -> np.ndarray:
+def ringing(hz, decay):
     return np.exp(-decay * T) * np.cos(2 * np.pi * hz * T)
 
 
-def test_a_bin_beside_what_rings_down_becomes_its_line() -> None:
+def test_a_bin_beside_what_rings_down_becomes_its_line():
     rng = np.random.default_rng(0)
     line = line_near(ringing(5.13, 1.0) + 0.01 * rng.normal(size=N), FPS, 5.0, [9.0], 0.0)
     assert line is not None
@@ -36,7 +36,7 @@ def test_a_bin_beside_what_rings_down_becomes_its_line() -> None:
     assert why_no_damping(line) == ""
 
 
-def test_noise_that_is_known_from_elsewhere_is_in_the_deviation() -> None:
+def test_noise_that_is_known_from_elsewhere_is_in_the_deviation():
     clean = line_near(ringing(5.2, 0.0), FPS, 5.2, [], 0.0)
     known = line_near(ringing(5.2, 0.0), FPS, 5.2, [], 0.1)
     assert clean is not None
@@ -50,13 +50,13 @@ def test_noise_that_is_known_from_elsewhere_is_in_the_deviation() -> None:
     ("size", "decay", "said"),
     [(1.0, 0.0, "stays as strong"), (1.0, -1.0, "grows"), (0.04, 0.0, "noise hides")],
 )
-def test_what_is_said_of_its_strength_is_tested(size: float, decay: float, said: str) -> None:
+def test_what_is_said_of_its_strength_is_tested(size, decay, said):
     rng = np.random.default_rng(3)
     line = line_near(size * ringing(5.2, decay) + 0.05 * rng.normal(size=N), FPS, 5.2, [], 0.0)
     assert said in why_no_damping(line)
 
 
-def test_phasors_are_those_of_the_line_in_all_bins_together() -> None:
+def test_phasors_are_those_of_the_line_in_all_bins_together():
     shape = np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.0]])
     series = ringing(5.13, 1.0)[:, None, None] * shape
     hz, values = series_modes(series, FPS)
@@ -74,9 +74,7 @@ def test_phasors_are_those_of_the_line_in_all_bins_together() -> None:
     deviation=st.floats(1e-5, 3.0),
     duration=st.floats(0.5, 100.0),
 )
-def test_each_is_a_valid_band_around_its_own_frequency(
-    hz: list[float], deviation: float, duration: float
-) -> None:
+def test_each_is_a_valid_band_around_its_own_frequency(hz, deviation, duration):
     usable = [f for f in hz if f > 1 / duration]
     if any(abs(a - b) < 0.01 for a in usable for b in usable if a != b):
         return
@@ -87,7 +85,7 @@ def test_each_is_a_valid_band_around_its_own_frequency(
         assert [g for g in usable if low < g < high] == [f]
 
 
-def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:
+def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share():
     """Amplitude: √2 times the rms over time."""
     deviation, noise = np.full(50, 0.5), np.full(50, 0.3)
     alone = mode_deviations(of_amplitudes([2.0], [5.0]), deviation, noise)
@@ -98,7 +96,7 @@ def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:
     assert (both < alone[0, 0]).all()
 
 
-def test_a_line_is_a_vibration_in_pixels_and_scene_units_at_its_place() -> None:
+def test_a_line_is_a_vibration_in_pixels_and_scene_units_at_its_place():
     K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
     capture = SimpleNamespace(viewmats=VIEWMAT[None], Ks=K[None])
     (v,) = looked_vibrations(found(), capture, fps=30.0, duration_s=6.0)
@@ -111,14 +109,14 @@ def test_a_line_is_a_vibration_in_pixels_and_scene_units_at_its_place() -> None:
     assert v.band[0] < 5.2 < v.band[1]
 
 
-def test_a_marked_line_is_no_vibration_and_the_notes_say_why() -> None:
+def test_a_marked_line_is_no_vibration_and_the_notes_say_why():
     marked = found("2 × 2.600 Hz")
     notes = looked_notes(marked)
     assert any("5.2 Hz (0.12 px at (40, 24)): 2 × 2.600 Hz" in note for note in notes)
     assert not any("5.2 Hz" in note for note in looked_notes(found()))
 
 
-def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger() -> None:
+def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger():
     seen = found()
     lost = replace(seen, lines=(replace(seen.lines[0], lost="smaller than the codec lets through"),))
     said = "how much more than 0.12 px things move at 5.2 Hz at (40, 24): smaller than the codec lets through"
@@ -133,7 +131,7 @@ def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger() -> None:
     assert shown == ["0.1200 ± 0.0040", "> 0.1200 ± 0.0040"]
 
 
-def test_what_moves_by_itself_and_the_light_are_said() -> None:
+def test_what_moves_by_itself_and_the_light_are_said():
     notes = " ".join(looked_notes(found()))
     assert (
         "between pixels (0, 0) and (16, 16): something there moves by itself, periodically at 7.5 Hz" in notes

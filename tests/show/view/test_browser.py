@@ -2,7 +2,6 @@
 
 import io
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.painter import Look
-from tg4mm.show.view.scene import RunScene
 from tg4mm.show.view.session import Clock, Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
@@ -32,13 +30,13 @@ class Opened:
     hosts: set[str]
     errors: list[str]
 
-    def picture(self) -> np.ndarray:
+    def picture(self):
         """[H, W, 3] int: the canvas as it is on the screen."""
         box = self.page.locator("canvas").first.bounding_box()
         clip = {"x": 0, "y": 200, "width": box["width"], "height": box["height"] - 200}  # below notices
         return np.asarray(Image.open(io.BytesIO(self.page.screenshot(clip=clip))).convert("RGB")).astype(int)
 
-    def settled(self) -> np.ndarray:
+    def settled(self):
         """The picture once it changes no more."""
         last = self.picture()
         for _ in range(30):
@@ -49,7 +47,7 @@ class Opened:
             last = now
         raise AssertionError("the picture does not settle")
 
-    def pixel_of(self, point: np.ndarray) -> tuple[float, float]:
+    def pixel_of(self, point):
         """Where a point [3] lies on the page."""
         (client, _), *_ = self.app._screens.values()
         canvas = canvas_of(client)
@@ -58,7 +56,7 @@ class Opened:
         return u / depth, v / depth
 
 
-def until(holds: Callable[[], bool], what: str) -> None:
+def until(holds, what):
     end = time.monotonic() + WAIT
     while not holds():
         assert time.monotonic() < end, f"waited in vain: {what}"
@@ -66,7 +64,7 @@ def until(holds: Callable[[], bool], what: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def opened(scene: RunScene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
+def opened(scene, tmp_path_factory):
     session = Session(scene, Look(Magnification.of(0.0)), Clock(scene.duration, offset=0.1))
     folder = tmp_path_factory.mktemp("saved")
     with browser() as chromium:

@@ -14,7 +14,7 @@ from tg4mm.run import Run
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.scene import RunScene, open_scene
+from tg4mm.show.view.scene import open_scene
 from tg4mm.show.view.screen import Canvas, Pace, Screen
 from tg4mm.show.view.session import Clock, Session
 
@@ -79,14 +79,12 @@ def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, pain
     assert corner.sum() < 0.05
 
 
-def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(
-    scene: RunScene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(scene, monkeypatch):
     painter, drawn = Painter(scene), threading.Event()
     monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
     camera = scene.cameras[0]
 
-    def draw() -> None:
+    def draw():
         assert painter.paint(Look(), 0.0, camera).dtype == np.uint8
         drawn.set()
 

@@ -43,18 +43,18 @@ def test_a_pause_holds_the_moment():
 
 
 @pytest.fixture
-def camera() -> Camera:
+def camera():
     viewmat = look_at(np.array([1.0, -3.0, 2.0]), np.array([0.2, 0.1, 0.5]))
     K = np.array([[70.0, 0, 32], [0, 70.0, 24], [0, 0, 1]])
     return Camera("r_000", viewmat, K, 64, 48)
 
 
-def pixel(camera: Camera, point: np.ndarray) -> np.ndarray:
+def pixel(camera, point):
     seen = camera.K @ (camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3])
     return seen[:2] / seen[2]
 
 
-def from_standpoint(camera: Camera, size: tuple[int, int]) -> Camera:
+def from_standpoint(camera, size):
     to = standpoint_of(camera, 3.0, size[0] / size[1])
     z = to.target - to.position
     z = z / np.linalg.norm(z)
@@ -85,7 +85,7 @@ def server():
     stop_server(started)
 
 
-def listening(port: int) -> set[str]:
+def listening(port):
     """The addresses on which this process accepts connections at a port."""
     found = psutil.Process().net_connections(kind="inet")
     return {c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN and c.laddr.port == port}

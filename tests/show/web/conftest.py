@@ -1,9 +1,6 @@
 """A small run with everything a page can show, and a browser to show it in."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ from tg4mm.show.web.write import export_html
 
 
 @pytest.fixture(scope="session")
-def moving_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def moving_run(tmp_path_factory):
     """Post and ball sway and turn at 3 and 6 Hz; oblong Gaussians, colours of degree 3, light that changes."""
     root = tmp_path_factory.mktemp("web")
     gaussians, motion = make_synthetic_dataset(
@@ -45,7 +42,7 @@ def moving_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def still_run(moving_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def still_run(moving_run, tmp_path_factory):
     """The same scene in a run without motion."""
     run = Run.create(tmp_path_factory.mktemp("still") / "run", moving_run.dataset, "modal", {})
     run.save_space(moving_run.load_space(), {})
@@ -53,12 +50,12 @@ def still_run(moving_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def page_file(moving_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page_file(moving_run, tmp_path_factory):
     """The page of `moving_run`."""
     return export_html(moving_run, tmp_path_factory.mktemp("page") / "scene.html")
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     with chromium() as opened:
         yield opened

@@ -5,7 +5,6 @@ import hashlib
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +15,12 @@ from tg4mm.cli import main
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.web.pack import SH_STEP, MotionFields, Packed, motion_fields, pack, unpack
+from tg4mm.show.web.pack import SH_STEP, MotionFields, motion_fields, pack, unpack
 from tg4mm.show.web.write import export_html, make_page, render
 
 
 @pytest.fixture(scope="module")
-def packed(moving_run) -> Packed:
+def packed(moving_run):
     motion = moving_run.load_motion()
     return pack(moving_run.load_space(), motion_fields(motion), motion.appearance)
 
@@ -59,22 +58,22 @@ def test_more_fields_than_a_page_holds_are_refused(moving_run):
         pack(gaussians, fields)
 
 
-def modal(displacement: np.ndarray, rotation: np.ndarray) -> ModalMotion:
+def modal(displacement, rotation):
     freqs = np.arange(1.0, 1 + len(displacement))
     return ModalMotion(freqs, displacement.astype(np.complex64), rotation.astype(np.complex64), 30.0, 30)
 
 
-def phasors(found: MotionFields) -> np.ndarray:
+def phasors(found):
     sized = found.fields * found.sizes.repeat(3, axis=1)[:, None]
     return np.tensordot(found.series, sized, axes=1)
 
 
-def noise(*shape: int, seed: int = 3) -> np.ndarray:
+def noise(*shape, seed=3):
     rng = np.random.default_rng(seed)
     return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
 
-def relative_error(found: MotionFields, motion: ModalMotion) -> list[float]:
+def relative_error(found, motion):
     both = phasors(found)
     pairs = (both[..., :3], motion.displacement), (both[..., 3:], motion.rotation)
     return [float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in pairs]
@@ -95,7 +94,7 @@ def test_a_weak_field_is_kept_and_a_negligible_one_left_out():
     assert len(motion_fields(modal(np.concatenate([strong, 1e-5 * weak]), np.zeros((2, 40, 3)))).fields) == 2
 
 
-def scene_of(text: str) -> dict:
+def scene_of(text):
     return json.loads(re.search(r'<script type="application/json" id="scene">(.*?)</script>', text).group(1))
 
 
@@ -164,7 +163,7 @@ def test_bad_outs_are_refused_and_nothing_is_written(moving_run, tmp_path):
 # The program: built from what lies beside it, with the licences of what is in it.
 
 
-def stale(player: Path) -> list[str]:
+def stale(player):
     """Files that are not those of which the bundle says that it was made, and the bundle if it is another."""
     made = json.loads((player / "dist" / "sources.json").read_text())
     there = {f"src/{path.name}" for path in (player / "src").iterdir()}

@@ -6,9 +6,6 @@ Headless Chromium that draws in software. Skipped where there is none.
 import base64
 import io
 import json
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from tg4mm.capture import load_capture
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.render.cameras import Camera, capture_cameras
+from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.render.image import render_image
 from tg4mm.show.web.write import camera_json, export_html
 
@@ -26,11 +23,11 @@ pytestmark = pytest.mark.slow
 LEAST_DB = 35.0
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
+def psnr(a, b):
     return float(-10 * np.log10(max(np.mean((a.astype(np.float64) - b) ** 2), 1e-12)))
 
 
-def opened(browser: Any, file: Path, address: str = "", **options: Any) -> Any:
+def opened(browser, file, address="", **options):
     """The page, ready; what it complained of and asked for stands in `.complaints` and `.requests`."""
     page = browser.new_page(viewport={"width": 700, "height": 500}, **options)
     page.set_default_timeout(120_000)
@@ -44,18 +41,18 @@ def opened(browser: Any, file: Path, address: str = "", **options: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def page(browser: Any, page_file: Path) -> Iterator[Any]:
+def page(browser, page_file):
     page = opened(browser, page_file, "#paused")
     yield page
     page.close()
 
 
 @pytest.fixture(scope="module")
-def camera(moving_run: Run) -> Camera:
+def camera(moving_run):
     return capture_cameras(load_capture(moving_run.dataset))[0]
 
 
-def picture(page: Any, camera: Camera, **state: Any) -> np.ndarray:
+def picture(page, camera, **state):
     url = page.evaluate(
         "wanted => tg4mm.picture(wanted)", {"camera": camera_json(camera), "band": None, **state}
     )
@@ -63,7 +60,7 @@ def picture(page: Any, camera: Camera, **state: Any) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), np.float32) / 255
 
 
-def ours(run: Run, camera: Camera, time: float, alpha: float, band: Any = None) -> np.ndarray:
+def ours(run, camera, time, alpha, band=None):
     moved = animate(run.load_space(), run.load_motion(), time, alpha, band)
     return render_image(moved, camera.viewmat, camera.K, camera.width, camera.height)
 
@@ -122,7 +119,7 @@ def test_controls_set_what_is_shown(page):
 def test_dragging_turns_the_scene_and_reset_turns_it_back(page):
     page.evaluate("() => tg4mm.show({ time: 0, alpha: 0 })")
 
-    def shot() -> np.ndarray:
+    def shot():
         page.evaluate("() => tg4mm.show({})")
         data = io.BytesIO(page.locator("canvas").screenshot())
         return (

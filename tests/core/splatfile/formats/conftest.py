@@ -4,19 +4,17 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.core.splatfile.conftest import random_splat
-from tg4mm.core.splatfile import SplatFile
 
 NODE = Path(__file__).parent / "node"
 
 
 @pytest.fixture
-def splat() -> SplatFile:
+def splat():
     """60 Gaussians of degree 3, two modes, at a scale of 0.5 m a unit; all within what SPZ can hold."""
     made = random_splat(seed=3, n=60, k=16, m=2, n_timesteps=10)
     made.sh[:, 1:] = np.clip(0.2 * made.sh[:, 1:], -0.4, 0.4)
@@ -30,7 +28,7 @@ def read_with_node():
     if shutil.which("node") is None or not (NODE / "node_modules").is_dir():
         pytest.skip("needs node and npm's packages: make readers")
 
-    def read(script: str, file: Path) -> Any:
+    def read(script, file):
         done = subprocess.run(["node", NODE / script, file], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.splitlines()[-1])
@@ -38,11 +36,11 @@ def read_with_node():
     return read
 
 
-def turned(splat: SplatFile) -> np.ndarray:
+def turned(splat):
     """Unit quaternions wxyz [N, 4] as stored."""
     return splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)
 
 
-def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def angles(a, b):
     """Degrees [N] between the rotations of unit quaternions [N, 4]."""
     return np.degrees(2 * np.arccos(np.clip(np.abs((a * b).sum(axis=1)), 0, 1)))

@@ -5,7 +5,6 @@ import json
 import struct
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,7 +52,7 @@ def splat_transform(tmp_path_factory):
     if not program.exists():
         pytest.skip("needs node and npm's packages: make readers")
 
-    def run(source: Path, target: Path, *options: str) -> None:
+    def run(source, target, *options):
         done = subprocess.run(
             ["node", program, "-q", "-w", "-g", "cpu", *options, source, target],
             capture_output=True,
@@ -119,7 +118,7 @@ def files(tmp_path_factory):
     return made
 
 
-def one_line(path: Path) -> str:
+def one_line(path):
     """The refusal of a file that must not be read."""
     with pytest.raises(SplatFileError) as caught:
         read_splat(path)
@@ -145,7 +144,7 @@ def test_a_file_cut_anywhere_is_refused(files, tmp_path_factory, kind, part):
         one_line(path)
 
 
-def count_changed(kind: str, path: Path, count: int) -> None:
+def count_changed(kind, path, count):
     """Write a larger number of Gaussians where the file says it."""
     data = path.read_bytes()
     if path.suffix == ".ply":

@@ -17,14 +17,14 @@ ROWS = {  # attribute → field, and how many rows a Gaussian has
 }
 
 
-def moments(splat: SplatFile, timesteps):
+def moments(splat, timesteps):
     for t in timesteps:
         means, quats = positions_at(splat, t).astype(np.float32), rotations_at(splat, t).astype(np.float32)
         one = SplatFile.static(means, quats, splat.scales, splat.opacities, splat.sh, splat.unit_scale_m)
         yield t, one
 
 
-def values(prim, name: str, t: float) -> np.ndarray:
+def values(prim, name, t):
     return np.array(prim.GetAttribute(name).Get(t))
 
 
