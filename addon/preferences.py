@@ -19,7 +19,7 @@ PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
 _WALKTHROUGH = (
     "Needed to train, and for depth, normals and the report of a dataset:",
     "1. In a terminal: python3.11 -m venv tg4mm-env",
-    "2. In a clone of tg4mm: tg4mm-env/bin/pip install '.[core,generate]'",
+    "2. With the release's wheel: tg4mm-env/bin/pip install 'tg4mm-0.1.0-py3-none-any.whl[core,generate]'",
     "3. Above: choose tg4mm-env/bin/python (Windows: Scripts\\python.exe), and press Test",
 )
 

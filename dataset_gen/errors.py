@@ -4,6 +4,7 @@ import sys
 from collections.abc import Collection
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import install
 from tg4mm.core.values import Number
 
 
@@ -15,7 +16,7 @@ def blender_remedy() -> str:
     """How to get Blender's Python module, which comes for two versions of Python alone."""
     have = sys.version_info[:2]
     if have in ((3, 11), (3, 13)):
-        return "pip install '.[generate]' in a copy of the repository"
+        return install("generate")
     version = ".".join(map(str, have))
     return (
         f"this is Python {version}, and Blender's module comes for 3.11 (Blender 4.5) and 3.13 (5.3) alone: make an "

@@ -8,6 +8,7 @@ import bpy
 
 from dataset_gen.errors import GenerateError
 from tg4mm import __version__ as own_version
+from tg4mm.core.extras import install
 
 from ..reporting import reports
 from . import commands, generating
@@ -23,7 +24,7 @@ if there["tg4mm"]:
     version = tg4mm.__version__
 print(json.dumps({"python": sys.version.split()[0], "there": there, "version": version}))
 """
-_INSTALL = "in a copy of the repository run this Python with -m pip install '.[core,generate]'"
+_INSTALL = f"run this Python with -m {install('core', 'generate')}"
 
 
 def check(python: str, own_version: str) -> str:

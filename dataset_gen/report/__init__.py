@@ -7,6 +7,8 @@ Everything is read from the files of the finished folder, so a report can be mad
 from importlib import import_module
 from pathlib import Path
 
+from tg4mm.core.extras import install
+
 from ..errors import GenerateError
 
 __all__ = ["write_overview", "write_report"]
@@ -35,6 +37,6 @@ def _written(module: str, function: str, folder: Path) -> Path:
         return Path(getattr(import_module(f"{__name__}.{module}"), function)(Path(folder)))
     except ModuleNotFoundError as error:
         raise GenerateError(
-            f"the report needs the package {error.name}, which this Python lacks: pip install "
-            "'.[generate]' in a copy of the repository, then python -m dataset_gen.report FOLDER"
+            f"the report needs the package {error.name}, which this Python lacks: "
+            f"{install('generate')}, then python -m dataset_gen.report FOLDER"
         ) from error

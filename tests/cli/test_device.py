@@ -34,7 +34,7 @@ def commands(run, out):
     ("has_gpu", "said"),
     [
         (False, "device is cuda, but torch finds no CUDA device here"),
-        (True, 'device cuda needs gsplat: pip install ".[cuda]" in a copy of the repository'),
+        (True, 'device cuda needs gsplat: pip install "tg4mm[cuda]"'),
     ],
 )
 @pytest.mark.parametrize("index", range(3))

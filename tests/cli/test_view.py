@@ -68,4 +68,4 @@ def test_bad_options_are_one_line(run_path, options, message, capsys):
 def test_without_viser_it_says_what_to_install(run_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view", str(run_path), "--no-open"]) == 2
-    assert "pip install '.[core,view]' in a copy of the repository" in capsys.readouterr().err
+    assert 'pip install "tg4mm[core,view]"' in capsys.readouterr().err

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.extras import install
 
 # What FFmpeg's decoders write to their log when they cover up damage and hand out a frame all the same.
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
@@ -61,9 +62,7 @@ def av_module() -> Any:
         import av
         import av.logging
     except ImportError as error:
-        raise Tg4mmError(
-            f"reading videos needs PyAV ({error}): pip install '.[sfm]' in a copy of the repository"
-        ) from None
+        raise Tg4mmError(f"reading videos needs PyAV ({error}): {install('core')}") from None
     av.logging.set_level(av.logging.ERROR)  # so that damage which FFmpeg covers up can be seen
     return av
 

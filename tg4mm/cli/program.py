@@ -26,29 +26,10 @@ from tg4mm.cli.train import train
 from tg4mm.cli.view import view
 from tg4mm.core import events
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import EXTRA_OF, install
 from tg4mm.fit.precompile import enable
 
 BAD_INPUT, INTERRUPTED = 2, 130
-# What the extra `core` installs; the commands that train, render or evaluate need it.
-_CORE = {
-    "torch",
-    "filelock",
-    "numba",
-    "scipy",
-    "skimage",
-    "safetensors",
-    "OpenEXR",
-    "flip_evaluator",
-    "jinja2",
-    "imageio",
-    "psutil",
-    "plenoptic",
-    "matplotlib",
-    "pyuff",
-    "yaml",
-    "h5py",
-    "openpyxl",
-}
 
 app = typer.Typer(
     name="tg4mm",
@@ -117,9 +98,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except ModuleNotFoundError as error:
-        if error.name not in _CORE:
+        if (extra := EXTRA_OF.get((error.name or "").split(".")[0])) is None:
             raise
-        return _fail(f"this command needs {error.name}: pip install '.[core]' in a copy of the repository")
+        return _fail(f"this command needs {error.name}: {install(extra)}")
     except Exception as error:
         # Usage errors as typer reports them; their class has moved between its versions.
         if not hasattr(error, "format_message"):

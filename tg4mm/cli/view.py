@@ -11,6 +11,7 @@ import typer
 
 from tg4mm.cli.magnify import BandOption, parse_bands
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import install
 
 if TYPE_CHECKING:
     from tg4mm.show.view.session import Session
@@ -44,9 +45,7 @@ def view(
     try:
         import viser  # noqa: F401
     except ModuleNotFoundError as error:
-        raise Tg4mmError(
-            f"this command needs {error.name}: pip install '.[core,view]' in a copy of the repository"
-        ) from None
+        raise Tg4mmError(f"this command needs {error.name}: {install('core', 'view')}") from None
     from tg4mm.show.view.app import App
 
     session = _session(run, alpha, bands[0] if bands else None)

@@ -7,6 +7,8 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from tg4mm.core.extras import EXTRA_OF, install
+
 
 def lazily(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
     """`__getattr__` of a package: `where` names the module of each of its names, relative to it.
@@ -22,9 +24,9 @@ def lazily(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
         except ModuleNotFoundError as error:
             if error.name is None or error.name.split(".")[0] == "tg4mm":
                 raise
-            hint = "pip install '.[core]' in a copy of the repository"
             raise ModuleNotFoundError(
-                f"{package}.{name} needs {error.name}: {hint}", name=error.name
+                f"{package}.{name} needs {error.name}: {install(EXTRA_OF.get(error.name.split('.')[0], 'core'))}",
+                name=error.name,
             ) from error
         return module if where[name] == name else getattr(module, name)
 

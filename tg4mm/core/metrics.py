@@ -4,10 +4,15 @@ Images are [H, W, 3] floats in 0..1, display-referred sRGB, already composited o
 LPIPS needs weights from the user and lives in `tg4mm.research.evaluate.lpips`.
 """
 
+import importlib.util
+
 import numpy as np
 from skimage.metrics import structural_similarity
 
+from tg4mm.core.extras import install
+
 MAX_PSNR_DB = 100.0  # equal images would be infinite, which neither averages nor fits in JSON
+NO_FLIP = f"needs flip_evaluator, which comes for Python 3.11 to 3.13: {install('flip')}"
 SSIM_WINDOW = 11  # pixels
 SSIM_BORDER = SSIM_WINDOW // 2
 _SSIM_SIGMA = 1.5  # scikit-image cuts at 3.5 σ: int(3.5 · 1.5 + 0.5) = 5 pixels each side, hence 11 × 11
@@ -59,12 +64,17 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.asarray(similar.mean(-1))
 
 
+def has_flip() -> bool:
+    """Whether the package that `flip` needs is installed."""
+    return importlib.util.find_spec("flip_evaluator") is not None
+
+
 def flip(image: np.ndarray, truth: np.ndarray) -> float:
     """Mean LDR-FLIP error (Andersson et al. 2020), 0 (equal) to 1, at its default of 67 pixels per degree.
 
-    Raises ValueError as `psnr`.
+    Raises ValueError as `psnr`, ModuleNotFoundError without the extra flip.
     """
-    import flip_evaluator  # here, since PSNR and SSIM are also wanted where FLIP is not installed
+    import flip_evaluator
 
     image, truth = check_images(image, truth)
     reference, test = (np.ascontiguousarray(i, dtype=np.float32) for i in (truth, image))

@@ -122,6 +122,15 @@ def test_the_file_is_what_is_returned_and_strict_json(half):
     assert sorted(p.name for p in half.path.iterdir() if p.name.startswith(".")) == []
 
 
+def test_without_its_package_flip_is_said_to_be_absent(half, monkeypatch):
+    monkeypatch.setattr("tg4mm.research.evaluate.wanted.has_flip", lambda: False)
+    metrics = evaluate_run(half, alphas=[0], out=half.path / "other.json")
+    assert metrics["metrics"] == ["psnr_db", "ssim"]
+    assert metrics["absent"]["FLIP"].endswith('pip install "tg4mm[flip]"')
+    with pytest.raises(EvaluationError, match="metric flip: needs flip_evaluator"):
+        evaluate_run(half, metrics=["flip"])
+
+
 def test_what_is_there_of_the_ground_truth_is_scored(scene, tmp_path):
     root, gaussians, motion = scene
     part = tmp_path / "part"

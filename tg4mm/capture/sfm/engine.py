@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import install
 from tg4mm.core.progress import progress
 
 PAIRS_AT_ONCE = 64  # matched between two reports of progress; what a kill loses
@@ -30,9 +31,7 @@ def colmap(what: str) -> ModuleType:
     try:
         import pycolmap
     except ImportError as error:
-        raise Tg4mmError(
-            f"{what} needs pycolmap ({error}): pip install '.[sfm]' in a copy of the repository"
-        ) from None
+        raise Tg4mmError(f"{what} needs pycolmap ({error}): {install('sfm')}") from None
     pycolmap.logging.minloglevel = 3  # what goes wrong is said in one line of our own
     return pycolmap
 

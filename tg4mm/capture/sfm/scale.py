@@ -14,6 +14,7 @@ from tg4mm.capture.sfm.points import Similarity
 from tg4mm.capture.sfm.sources import SWEEP
 from tg4mm.capture.sfm.staging import Shot, staged_name
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import install
 from tg4mm.core.untrusted import read_json, read_yaml
 
 Pixel = tuple[str, float, float]  # a picture, and x and y in it: pixels from its left and upper edge
@@ -64,9 +65,7 @@ def read_length(path: Path) -> Length:
     except OSError as error:
         raise Tg4mmError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ImportError as error:
-        raise Tg4mmError(
-            f"a YAML file needs PyYAML ({error}): pip install '.[sfm]' in a copy of the repository, or write JSON"
-        ) from None
+        raise Tg4mmError(f"a YAML file needs PyYAML ({error}): {install('sfm')}, or write JSON") from None
     except ValueError as error:
         raise Tg4mmError(f"{path}: cannot be parsed: {' '.join(str(error).split())}") from error
     try:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tg4mm.core.colour import to_display
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.extras import install
 from tg4mm.core.pictures.png16 import MAX_PIXELS
 
 SIGNATURE = b"\x76\x2f\x31\x01"
@@ -125,7 +126,5 @@ def _package(path: Path) -> ModuleType:
     try:
         import OpenEXR
     except ImportError as error:
-        raise CaptureError(
-            f"{path}: EXR images need the package OpenEXR: pip install 'OpenEXR>=3.3'"
-        ) from error
+        raise CaptureError(f"{path}: EXR images need the package OpenEXR: {install('core')}") from error
     return OpenEXR

@@ -10,8 +10,9 @@ from typing import Any
 from torch import Tensor
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.extras import install
 
-_INSTALL = 'pip install ".[cuda]" in a copy of the repository'
+_INSTALL = install("cuda")
 
 
 def require_gsplat() -> None:

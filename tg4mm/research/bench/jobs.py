@@ -12,6 +12,7 @@ import numpy as np
 from tg4mm.capture import Capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import json_digest
+from tg4mm.core.metrics import has_flip
 from tg4mm.core.pictures.frames import to_bytes, write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed, write_sealed
@@ -212,6 +213,7 @@ def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[
     asked = {
         "recipe": recipe,
         "lpips": [files_state([p], p.parent) for p in plan.lpips_weights],
+        **({} if has_flip() else {"without": ["flip"]}),
         "vqa": [[c.metric, c.python, str(c.folder), files_state([c.program], c.folder)] for c in vqa],
         "truth": truth_state(data, alpha),
     }

@@ -13,6 +13,7 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED
+from tg4mm.core.metrics import NO_FLIP, has_flip
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, safe_name
@@ -89,6 +90,8 @@ def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
     check_alphas(sets, plan.alphas)
     if plan.lpips_weights:
         load_lpips(plan.lpips_weights)
+    if not has_flip():
+        warnings.warn(f"FLIP is not measured: {NO_FLIP}", stacklevel=2)
 
 
 def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], device: str) -> None:

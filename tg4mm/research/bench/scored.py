@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
+from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, has_flip, psnr, ssim_map
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 from tg4mm.research.bench import BenchError
@@ -59,7 +59,7 @@ def score_pictures(
 
     Its progress is shown as `label`, where it takes long.
 
-    ssim, psnr_db, flip, lpips     of whole pictures over white; lpips None without weights
+    ssim, psnr_db, flip, lpips     of whole pictures over white; flip None without its package, lpips without weights
     ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
                                    the PSNR of the mean over the pictures of their mean squared error there, as a mean
                                    of decibels is ruled by the moments at which the motion passes through rest. Pixels
@@ -131,8 +131,9 @@ def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric 
     scores = {
         "ssim": float(similar[b:-b, b:-b].mean()),
         "psnr_db": psnr(made, truth),
-        "flip": flip(made, truth),
     }
+    if has_flip():
+        scores["flip"] = flip(made, truth)
     if lpips is not None:
         scores["lpips"] = lpips(made, truth)
     inside = mask.copy()

@@ -9,7 +9,7 @@ from typing import Any
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.metrics import SSIM_WINDOW, flip, psnr, ssim
+from tg4mm.core.metrics import NO_FLIP, SSIM_WINDOW, flip, has_flip, psnr, ssim
 from tg4mm.core.untrusted import read_json
 from tg4mm.research.evaluate import EvaluationError
 from tg4mm.research.evaluate.lpips import MIN_SIZE, load_lpips
@@ -80,6 +80,11 @@ def image_metrics(
         if name not in {*found, "lpips"}:
             raise EvaluationError(f"metrics hold {name!r}, expected some of {', '.join(found)}, lpips")
     wanted = {*found, "lpips"} if names is None else set(names)
+    if "flip" in wanted and not has_flip():
+        if names is not None:
+            raise EvaluationError(f"metric flip: {NO_FLIP}")
+        absent["FLIP"] = NO_FLIP
+        del found["flip"]
     if "lpips" in wanted and lpips_weights is None:
         absent["LPIPS"] = "no weights given (AlexNet's trunk and LPIPS' heads, as local files)"
     elif "lpips" in wanted and lpips_weights is not None:

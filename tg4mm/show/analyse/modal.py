@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.extras import install
 from tg4mm.show.analyse.channel import AnalyseError, Channel
 from tg4mm.show.analyse.quantities import Value
 from tg4mm.show.analyse.transfer import Transfer
@@ -177,9 +178,7 @@ def _library(name: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError:
-        raise AnalyseError(
-            f"--modes needs {name}: pip install '.[modal]' in a copy of the repository"
-        ) from None
+        raise AnalyseError(f"--modes needs {name}: {install('modal')}") from None
 
 
 @contextlib.contextmanager

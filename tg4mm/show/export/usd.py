@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import SplatFileError
+from ...core.extras import install
 from ...core.splatfile.model import SplatFile
 from ...core.splatfile.write import replacing
 
@@ -19,9 +20,7 @@ def usd_modules() -> tuple[Any, Any, Any, Any]:
     try:
         from pxr import Usd, UsdGeom, UsdVol, Vt
     except ImportError:
-        raise SplatFileError(
-            "usd needs the Python package usd-core: pip install '.[usd]' in a copy of the repository"
-        ) from None
+        raise SplatFileError(f"usd needs the Python package usd-core: {install('usd')}") from None
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
         version = ".".join(str(n) for n in Usd.GetVersion())
         raise SplatFileError(
