@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import webbrowser
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,7 +35,7 @@ def view(
 ) -> None:
     """Show a run in the browser, with sliders for α and band.
 
-    The page can be opened on this machine only (127.0.0.1). Ctrl+C stops the server.
+    The page can be opened on this machine only (127.0.0.1), at the address that is printed. Ctrl+C stops the server.
     """
     bands = parse_bands(band)
     if alpha is not None and not math.isfinite(alpha):
@@ -47,6 +47,7 @@ def view(
     except ModuleNotFoundError as error:
         raise Tg4mmError(f"this command needs {error.name}: {install('core', 'view')}") from None
     from tg4mm.show.view.app import App
+    from tg4mm.show.view.local_server import browsed
 
     session = _session(run, alpha, bands[0] if bands else None)
     app = App(session, port, out or run / "view")
@@ -54,9 +55,8 @@ def view(
     for note in session.scene.notes:
         typer.echo(note, err=True)
     try:
-        if open:
-            webbrowser.open(app.url)
-        app.wait()
+        with browsed(app.url, run) if open else nullcontext():
+            app.wait()
     except KeyboardInterrupt:
         typer.echo("", err=True)  # the terminal shows ^C
     finally:

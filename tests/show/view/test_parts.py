@@ -1,20 +1,15 @@
-"""What the viewer is made of: bands, charts, playing time, the browser's camera, and a local server."""
+"""What the viewer is made of: charts, playing time, the browser's camera."""
 
 import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
-import psutil
 import pytest
-import viser
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
 from tg4mm.show.maps import middle_depth
 from tg4mm.show.render.cameras import Camera, look_at
 from tg4mm.show.view.cameras import camera_of, standpoint_of
 from tg4mm.show.view.charts import waveform_chart
-from tg4mm.show.view.local_server import LocalServer, address, start_server, stop_server
 from tg4mm.show.view.session import Clock
 
 
@@ -76,44 +71,3 @@ def test_the_point_to_turn_around_lies_amid_what_is_seen(camera):
         2.0
     )
     assert middle_depth(np.stack([behind]), np.ones(1), camera) == 1.0
-
-
-@pytest.fixture
-def server():
-    started = start_server(0)
-    yield started
-    stop_server(started)
-
-
-def listening(port):
-    """The addresses on which this process accepts connections at a port."""
-    found = psutil.Process().net_connections(kind="inet")
-    return {c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN and c.laddr.port == port}
-
-
-def test_it_listens_on_the_loopback_alone(server):
-    assert listening(server.get_port()) == {"127.0.0.1"}
-    assert address(server) == f"http://127.0.0.1:{server.get_port()}"
-
-
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "https://127.0.0.1.evil.example", "http://evil.example:8474"]
-)
-def test_pages_of_other_sites_are_turned_away(server, origin):
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(
-            f"ws://127.0.0.1:{server.get_port()}", origin=origin, subprotocols=[f"viser-v{viser.__version__}"]
-        )
-
-
-def test_its_own_page_gets_in(server):
-    port = server.get_port()
-    own = [f"viser-v{viser.__version__}"]
-    with connect(f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}", subprotocols=own) as connection:
-        assert connection.recv(timeout=10)
-
-
-def test_no_page_can_open_a_tunnel(server):
-    assert isinstance(server, LocalServer)
-    assert server.request_share_url() is None
-    assert server._share_tunnel is None

@@ -18,8 +18,7 @@ WIDTH, HEIGHT = 360, 140
 LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
 ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
 ACCENT_RGB = int(ACCENT[1:3], 16), int(ACCENT[3:5], 16), int(ACCENT[5:7], 16)
-_STYLE = Markup(
-    "<style>"
+STYLE = (  # of the page
     ".tg4mm{padding:0 .5em .25em;font-size:.8rem;line-height:1.35;color:var(--mantine-color-text)}"
     ".tg4mm p{margin:.25em 0}.tg4mm .dim{color:var(--mantine-color-dimmed)}"
     ".tg4mm svg{display:block;width:100%;height:auto;overflow:visible}"
@@ -31,19 +30,18 @@ _STYLE = Markup(
     ".tg4mm .floor{stroke:var(--mantine-color-dimmed);stroke-dasharray:4 3;fill:none}"
     ".tg4mm .now{stroke:var(--mantine-color-text);stroke-width:1}"
     ".tg4mm .hit{fill:transparent;cursor:pointer}.tg4mm .hit:hover{fill:var(--mantine-color-default-hover)}"
-    "</style>"
 )
-# The browser answers a click on a peak by pressing the button of the same name below the chart.
-_PRESS = (
-    "for(const b of document.querySelectorAll('button'))"
-    "if(b.textContent.trim()===this.dataset.peak){b.click();break}"
-)
+# The page answers a click on a peak by pressing the button of the same name below the chart.
+SCRIPT = """addEventListener("click", (event) => {
+  const peak = event.target.dataset?.peak;
+  if (peak) [...document.querySelectorAll("button")].find((b) => b.textContent.trim() === peak)?.click();
+});"""
 
 
 def block(*parts: str | Markup) -> str:
     """Paragraphs (text, escaped) and drawings (markup) as one block of the panel."""
     body = Markup("").join(p if isinstance(p, Markup) else Markup("<p>{}</p>").format(p) for p in parts if p)
-    return str(Markup('{}<div class="tg4mm">{}</div>').format(_STYLE, body))
+    return str(Markup('<div class="tg4mm">{}</div>').format(body))
 
 
 def spectrum_chart(
@@ -135,9 +133,9 @@ def _hits(
         tip = f"{labels[i]}: {number(float(peaks[i]))} {unit}"
         parts.append(
             Markup(
-                '<rect class="hit" data-peak="{}" onclick="{}" x="{:.1f}" y="{}" width="{:.1f}" height="{}">'
+                '<rect class="hit" data-peak="{}" x="{:.1f}" y="{}" width="{:.1f}" height="{}">'
                 "<title>{}</title></rect>"
-            ).format(labels[i], _PRESS, x, TOP, _x(high, 0, nyquist) - x, HEIGHT - TOP - BOTTOM, tip)
+            ).format(labels[i], x, TOP, _x(high, 0, nyquist) - x, HEIGHT - TOP - BOTTOM, tip)
         )
     return parts
 

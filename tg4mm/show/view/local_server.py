@@ -1,26 +1,32 @@
-"""viser's web server, for this machine alone: bound to 127.0.0.1, no other site's pages, no way out."""
+"""viser's web server, for whoever started it: bound to 127.0.0.1, a token in its address, no way out."""
 
 import logging
-import re
+import os
 import socket
+import tempfile
 import warnings
-from functools import partial
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import rich
 import viser
 import websockets.asyncio.server
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.show.view.guard import LARGEST_MESSAGE, Guard
 
 HOST = "127.0.0.1"
-# The browser says which page opens a connection; those of other sites would otherwise get in through it.
-_ORIGINS = [None, re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")]
 _starting = Lock()
 
 
 class LocalServer(viser.ViserServer):
-    """viser's server without its tunnel to the internet, which any page could ask it to open."""
+    """viser's server behind a guard, without its tunnel to the internet."""
+
+    guard: Guard
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Always None: what is served here stays on this machine."""
@@ -40,14 +46,20 @@ def start_server(port: int) -> LocalServer:
     _check_free(port)
     console = rich.get_console()
     with _starting:
-        serve, quiet = websockets.asyncio.server.serve, console.quiet
-        # viser passes no list of origins on; its announcements say what the command says itself
-        websockets.asyncio.server.serve = partial(serve, origins=_ORIGINS)  # type: ignore[assignment, misc]
+        serve, quiet, guard = websockets.asyncio.server.serve, console.quiet, Guard()
+
+        def guarded(handler: Any, *args: Any, **options: Any) -> Any:
+            options |= {"process_request": guard.answer, "max_size": LARGEST_MESSAGE}
+            return serve(guard.checked(handler), *args, **options)
+
+        # viser hands on no guard; its announcements say what the command says itself
+        websockets.asyncio.server.serve = guarded  # type: ignore[assignment, misc]
         console.quiet = True
         try:
             server = LocalServer(host=HOST, port=port, verbose=False)
         finally:
             websockets.asyncio.server.serve, console.quiet = serve, quiet  # type: ignore[misc]
+    server.guard, guard.server = guard, server
     if port and server.get_port() != port:
         stop_server(server)
         raise _taken(port)
@@ -65,8 +77,30 @@ def stop_server(server: LocalServer) -> None:
 
 
 def address(server: LocalServer) -> str:
-    """Where the browser finds it."""
-    return f"http://{HOST}:{server.get_port()}"
+    """Where the browser finds it; whoever knows it is let in."""
+    return f"http://{HOST}:{server.get_port()}/{server.guard.token}/"
+
+
+@contextmanager
+def browsed(url: str, folder: Path) -> Iterator[None]:
+    """Open the browser at `url` by a file in `folder` that its owner alone can read.
+
+    All users of a machine see the arguments of a program.
+    """
+    try:
+        handle, name = tempfile.mkstemp(".html", ".view-", folder)
+    except OSError:
+        handle, name = tempfile.mkstemp(".html", "tg4mm-view-")
+    with os.fdopen(handle, "w") as file:
+        file.write(
+            f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><title>tg4mm view</title>\n'
+        )
+    try:
+        webbrowser.open(Path(name).resolve().as_uri())
+        yield
+    finally:
+        with suppress(OSError):
+            os.unlink(name)
 
 
 def _check_free(port: int) -> None:
