@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.magnify import parse_bands
+from tg4mm.cli.regions import RegionsOption, read_drawn
 from tg4mm.core.errors import Tg4mmError
 
 
@@ -26,6 +27,7 @@ def measure(
     sensors: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Sensors in a YAML file (docs/measure.md).")
     ] = None,
+    regions: RegionsOption = None,
     reference: Annotated[
         str | None,
         typer.Option(help="The sensor that phases and coherence refer to. [default: the first]"),
@@ -63,17 +65,25 @@ def measure(
     The displacement of a sensor is measured in the pictures, frame by frame, with a standard deviation for each sample
     (mm if the scale is known, else scene units). Its spectrum (Hz) has a noise floor and the peaks above it.
     """
+    from tg4mm.capture import load_capture
     from tg4mm.core.temporary import remove_leftovers
+    from tg4mm.fit.motion.observations import frames_of
     from tg4mm.run import Run
     from tg4mm.show.measure import measure as measured
     from tg4mm.show.measure import parse_sensor, prepare, read_sensors
     from tg4mm.show.measure.locate import check_sensors
-    from tg4mm.show.measure.sensors import checked_names
+    from tg4mm.show.measure.sensors import checked_names, drawn_sensors
     from tg4mm.show.measure.write import parse_formats, work_folder, write_measurement
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
-    checked_names(asked)
+    drawn = read_drawn(regions)
     wanted = parse_formats(formats)
+    opened = Run.open(run)
+    if drawn is not None:
+        capture = load_capture(opened.dataset, split="train")
+        drawn.check_size((capture.width, capture.height), opened.dataset)
+        asked += drawn_sensors(drawn, [frame.name for frame in frames_of(capture)[1]])
+    checked_names(asked)
     if reference is not None and asked and reference not in [s.name for s in asked]:
         raise Tg4mmError(
             f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
@@ -82,9 +92,11 @@ def measure(
     if len(bands) > 1 or None in bands:
         raise Tg4mmError("--band: a measurement takes one band, two frequencies in Hz, LO HI")
     chosen = bands[0] if bands else None
-    opened = Run.open(run)
     check_sensors(opened, asked)
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
-        found = measured(prepare(opened, keep, is_once=True), asked or None, reference, band=chosen)
+        scale = None if drawn is None else drawn.scale
+        found = measured(
+            prepare(opened, keep, is_once=True), asked or None, reference, band=chosen, scale=scale
+        )
         typer.echo(write_measurement(found, out, animate, wanted), nl=False)

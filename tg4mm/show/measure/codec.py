@@ -42,11 +42,13 @@ def _rings(result: SensorResult) -> bool:
 def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
     """Of all peaks, pixels right and down; those that decay multiplied."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
+    flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
     out = []
     for p in result.spectrum.peaks:
         decays = p.line is not None and p.line.decay_per_s > 0
         scale = result.px_per_unit * (of_decaying if decays else 1.0)
-        out.append(Tone(p.frequency_hz, np.array([p.phasor[right], -p.phasor[up]]) * scale))
+        moved = (p.phasor @ result.axes)[[0, 2]] if flat else p.phasor[[right, up]]
+        out.append(Tone(p.frequency_hz, moved * [1, -1] * scale))
     return out
 
 

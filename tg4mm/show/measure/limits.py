@@ -23,7 +23,8 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
     """Of the capture, then of the sensors."""
     out = list(scene.notes)
     if not scene.capture.kind.sees_depth:
-        out.append("a flat capture shows motion across the sight alone, in pixels of its picture")
+        where = "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
+        out.append(f"a flat capture shows motion across the sight alone, {where}")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(
             "sensors of one camera: along its line of sight, which it hardly sees, a waveform has a much larger ±"

@@ -5,16 +5,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tg4mm.capture import load_capture
+from tg4mm.core.regions import Scale
+from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.jacobian.view import blend_sum
-from tg4mm.fit.motion.observations import frames_of
+from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.scene import Prepared
-from tg4mm.show.measure.sensors import STILL, Sensor
+from tg4mm.show.measure.sensors import OF_PICTURE, STILL, Sensor
 
 _LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
 _BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth
+_SAME_SCALE = 0.1  # by which two lengths in one scene may differ
 _SEEN = 1e-3  # pixels of blending weight that a region must have
 OF_ONE_CAMERA = "right", "up", "sight"
 
@@ -34,7 +37,7 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     else:
         out = _of_pixel(sensor, scene)
     weights = np.asarray(out, np.float32)
-    if not weights.any() and sensor.region == "pixel":
+    if not weights.any() and sensor.region in OF_PICTURE:
         raise MeasureError(f"sensor {sensor}: its pixels show the background; choose a pixel on a surface")
     _check_holds(sensor, means, weights)
     if float(weights @ scene.seen) < _SEEN:
@@ -57,10 +60,63 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
     radius = max(radius, float(scene.gaussians.scales.numpy()[weights > 0].mean()))
     if scene.is_moving or len(scene.views) > 1:
         return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
-    viewmat = scene.views[0].frames.viewmat.astype(np.float64)
+    frames = scene.views[0].frames
+    viewmat = frames.viewmat.astype(np.float64)
     if not scene.capture.kind.sees_depth:
-        return Body(weights, centre, radius, viewmat[:2, :3] * [[1.0], [-1.0]]), OF_ONE_CAMERA[:2]
+        axes = _on_plane(scene.scale, frames, centre) @ viewmat[:2, :3]
+        return Body(weights, centre, radius, axes), OF_ONE_CAMERA[:2]
     return Body(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
+
+
+def _on_plane(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> np.ndarray:
+    """[2, 2], rows: how the picture moves (right, down) for a unit to the right and up on the plane of a rectangle.
+
+    A unit there is `scale.reference_m` × the focal length, in metres; without a rectangle it is the picture's own.
+    """
+    flip = np.array([[1.0, 0.0], [0.0, -1.0]])
+    if scale is None or not scale.corners:
+        return flip
+    x, y, depth = frames.K.astype(np.float64) @ (frames.viewmat[:3, :3] @ centre + frames.viewmat[:3, 3])
+    pixels = np.linalg.inv(scale.metres_at((float(x / depth), float(y / depth)))) * scale.reference_m
+    return np.asarray(flip @ pixels.T)
+
+
+def unit_scale(scale: Scale, scene: Prepared) -> float:
+    """Metres per scene unit by what was marked in the one fixed camera's picture; its depths are the model's.
+
+    Raises MeasureError where there are several cameras or it moves, where an end lies on nothing, or where the dataset
+    has another scale.
+    """
+    if scene.is_moving or len(scene.views) != 1:
+        raise MeasureError("a scale marked in a picture needs one fixed camera: give tg4mm sfm --length")
+    frames = scene.views[0].frames
+    if not scene.capture.kind.sees_depth:
+        return scale.reference_m * float(frames.K[0, 0])
+    if not scale.lengths:
+        raise MeasureError("a rectangle scales flat captures; mark a length, whose ends have depth here")
+    found = []
+    for first, last, metres in scale.lengths:
+        ends = [_point_at(scene, at) for at in (first, last)]
+        found.append(metres / float(np.linalg.norm(ends[1] - ends[0])))
+    known = [scene.capture.unit_scale_m] if scene.capture.unit_scale_m is not None else []
+    every = [*found, *known]
+    if max(every) > (1 + _SAME_SCALE) * min(every):
+        raise MeasureError(f"two lengths disagree: {max(every):.4g} and {min(every):.4g} m per scene unit")
+    return known[0] if known else float(np.mean(found))
+
+
+def _point_at(scene: Prepared, at: tuple[float, float]) -> np.ndarray:
+    """[3] what is seen at a pixel of the one view."""
+    sensor = Sensor("end", "pixel", (*at, 1.5), scene.observations.frames[0].name)
+    check_pixel(sensor, [sensor.camera], scene.observations.size)
+    weights = _of_pixel(sensor, scene)
+    if not weights.any():
+        raise MeasureError(f"a length's end at pixel {at[0]:g}, {at[1]:g} shows the background")
+    frames = scene.views[0].frames
+    viewmat, K = frames.viewmat.astype(np.float64), frames.K.astype(np.float64)
+    depth = _weighted_median(scene.means @ viewmat[2, :3] + viewmat[2, 3], weights)
+    x = np.linalg.solve(K, [*at, 1.0]) * depth
+    return np.asarray(viewmat[:3, :3].T @ (x - viewmat[:3, 3]))
 
 
 def sight_axes(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -88,7 +144,7 @@ def check_sensors(run: Run, sensors: Sequence[Sensor]) -> None:
     names, size = [f.name for f in frames_of(capture)[1]], (capture.width, capture.height)
     means = run.load_space().means.numpy().astype(np.float64)
     for sensor in sensors:
-        if sensor.region == "pixel":
+        if sensor.region in OF_PICTURE:
             check_pixel(sensor, names, size)
         elif sensor.region in ("box", "sphere"):
             _check_holds(sensor, means, _inside(sensor, means))
@@ -99,11 +155,17 @@ def check_pixel(sensor: Sensor, cameras: Sequence[str], size: tuple[int, int]) -
     if sensor.camera not in cameras:
         known = ", ".join(cameras[:8]) + (" …" if len(cameras) > 8 else "")
         raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
-    x, y, _ = sensor.values
+    x, y = np.mean(_corners(sensor), 0)
     if not (0 <= x <= size[0] and 0 <= y <= size[1]):
         raise MeasureError(
             f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {size[0]}×{size[1]}"
         )
+
+
+def _corners(sensor: Sensor) -> np.ndarray:
+    """[P, 2] pixels: of a polygon; of a pixel it itself."""
+    values = sensor.values[:2] if sensor.region == "pixel" else sensor.values
+    return np.array(values).reshape(-1, 2)
 
 
 def _inside(sensor: Sensor, means: np.ndarray) -> np.ndarray:
@@ -128,9 +190,14 @@ def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     check_pixel(sensor, names, scene.observations.size)
     view = scene.views[names.index(str(sensor.camera))]
     height, width = view.mean.shape[:2]
-    x, y, radius = sensor.values
-    rows, columns = np.mgrid[:height, :width] + 0.5
-    near = ((columns - x) ** 2 + (rows - y) ** 2 <= max(radius, 0.75) ** 2).astype(np.float32)
+    corners = _corners(sensor)
+    if sensor.region == "pixel":
+        (x, y), radius = corners[0], sensor.values[2]
+        rows, columns = np.mgrid[:height, :width] + 0.5
+        near = ((columns - x) ** 2 + (rows - y) ** 2 <= max(radius, 0.75) ** 2).astype(np.float32)
+    else:
+        near = inside_of(corners, (width, height))
+        radius = float(np.sqrt(near.sum() / np.pi))
     inside, whole = blend_sum(view.view, np.stack([near, np.ones_like(near), near], -1))[:, :2].T
     inside = np.maximum(inside, 0)
     out = np.where(inside > _LEAST_SHARE * inside.max(), inside / np.maximum(whole, 1e-12), 0)

@@ -1,7 +1,7 @@
 """A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -10,6 +10,7 @@ from tg4mm.capture.look import Found
 from tg4mm.capture.scene import between_frames, codec_period, video_file
 from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
+from tg4mm.core.regions import Scale
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
@@ -20,7 +21,14 @@ from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.iterated import iterated
 from tg4mm.show.measure.limits import limits_of
-from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, check_sensors, sight_axes, weights_of
+from tg4mm.show.measure.locate import (
+    OF_ONE_CAMERA,
+    body_of,
+    check_sensors,
+    sight_axes,
+    unit_scale,
+    weights_of,
+)
 from tg4mm.show.measure.modal_fields import clock_phases
 from tg4mm.show.measure.model_error import shared_error, with_model_error
 from tg4mm.show.measure.prepared import prepare
@@ -48,10 +56,13 @@ class Measurement:
     notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
     clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
     look: Found | None = None  # of a flat capture: what the look at its regions found
+    marked_scale_m: float | None = None  # metres per scene unit by what was marked in the picture
 
     @property
     def unit_scale_m(self) -> float | None:
-        """Metres per scene unit; None if unknown, and of a flat capture, whose unit is the pixel's."""
+        """Metres per scene unit; None if unknown, and of a flat capture without a marked scale."""
+        if self.marked_scale_m is not None:
+            return self.marked_scale_m
         return self.prepared.capture.unit_scale_m if self.prepared.capture.kind.sees_depth else None
 
     def __getitem__(self, name: str) -> SensorResult:
@@ -67,6 +78,7 @@ def measure(
     reference: str | None = None,
     clusters: Clusters | None = None,
     band: tuple[float, float] | None = None,
+    scale: Scale | None = None,
 ) -> Measurement:
     """Measure the displacement of virtual sensors over time, in the pictures (docs/measure.md).
 
@@ -78,6 +90,7 @@ def measure(
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
         band: (low, high) in Hz: every sensor has a peak there, found or not; its ± says how little a short record
             tells. `None`: that of the run's training, if it was given one. Not of clips.
+        scale: marked in the one camera's picture; by a rectangle, a flat capture's right and up are its plane's.
 
     Returns:
         A waveform with its deviation, a spectrum with its noise floor, and peaks for each sensor, in scene units.
@@ -89,6 +102,8 @@ def measure(
     if isinstance(run, Run):
         check_sensors(run, sensors or ())
     scene = run if isinstance(run, Prepared) else prepare(run, is_once=True)
+    metres = None if scale is None else unit_scale(scale, scene)
+    scene = replace(scene, scale=scale)
     groups = clusters or clusters_of(scene)
     found = found_in(scene)
     own = region_sensors(scene, found) if found is not None else []
@@ -112,7 +127,9 @@ def measure(
     results = [r if r is against else _related(r, against) for r in results]
     shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
-    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases, found)
+    if scale is not None:
+        notes = (*notes, f"the scale is known to {100 * scale.share:.2g} % by its marks, which no ± contains")
+    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases, found, metres)
 
 
 def measure_one(scene: Prepared, sensor: Sensor) -> SensorResult:

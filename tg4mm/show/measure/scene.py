@@ -9,6 +9,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.core.memory import mapped_zeros
+from tg4mm.core.regions import Scale
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.observations import Observations
@@ -45,6 +46,7 @@ class Prepared:
     notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
     # [S, F] functions of time that a moving camera cannot tell from its own motion
     slow: np.ndarray | None = None
+    scale: Scale | None = None  # marked in the picture
 
     @property
     def gaussians(self) -> Gaussians:

@@ -115,6 +115,12 @@ class SensorResult:
         """Of the axes: x, y, z; right, up, sight of one fixed camera; right, up of a flat capture."""
         return self.series.labels if self.together is None else WORLD
 
+    def pixels(self, along: np.ndarray) -> float:
+        """Pixels of a motion by one scene unit along a direction [A] of the axes."""
+        if len(self.labels) != 2:  # turned away from the camera it would be fewer
+            return self.px_per_unit
+        return self.px_per_unit * float(np.linalg.norm(along @ self.axes))
+
     @cached_property
     def spectrum(self) -> Spectrum:
         """Amplitude and noise floor over frequency, scene units and Hz, and the peaks."""

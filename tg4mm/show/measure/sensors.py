@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tg4mm.core.regions import Regions
 from tg4mm.core.untrusted import read_yaml
 from tg4mm.show.measure.errors import MeasureError
 
@@ -16,8 +17,10 @@ _FORMS = {
     "box": "box:X0,Y0,Z0,X1,Y1,Z1",
     "sphere": "sphere:X,Y,Z,RADIUS",
     "pixel": "pixel:CAMERA,X,Y[,RADIUS]",
+    "polygon": "polygon:CAMERA,X,Y,X,Y,X,Y[,X,Y …]",
     "cluster": "cluster:NUMBER or cluster:still",
 }
+OF_PICTURE = "pixel", "polygon"  # regions of a camera's picture
 PIXEL_RADIUS = 4.0  # pixels
 _LONGEST = 60  # characters of a value in a message
 STILL = 0  # number of the cluster that does not move
@@ -29,14 +32,15 @@ class Sensor:
 
     region `all`: every Gaussian. `box`: values are two corners (6, scene units). `sphere`: centre and radius (4, scene
     units). `pixel`: x, y, radius in pixels of the training view `camera` (3; x to the right, y down, from the upper
-    left corner), and the surface that is seen there. `cluster`: values hold the number of a cluster that moves alike,
+    left corner), and the surface that is seen there. `polygon`: x, y of three corners or more, the same. `cluster`:
+    values hold the number of a cluster that moves alike,
     as the default sensors are numbered from 1; 0 is what stands still.
     """
 
     name: str  # letters, digits, _ . + - and single spaces, at most 64
-    region: str  # all, box, sphere, pixel or cluster
+    region: str  # all, box, sphere, pixel, polygon or cluster
     values: tuple[float, ...] = ()  # the numbers of the region, see above
-    camera: str = ""  # of a pixel: name of a training view's first picture, without suffix
+    camera: str = ""  # of a pixel or polygon: name of a training view's first picture, without suffix
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name) or len(self.name) > 64:
@@ -45,7 +49,8 @@ class Sensor:
             )
         if self.region not in _FORMS:
             raise MeasureError(f"sensor {self.name}: region {self.region!r} is none of {', '.join(_FORMS)}")
-        count = {"all": 0, "box": 6, "sphere": 4, "pixel": 3, "cluster": 1}[self.region]
+        corners = max(6, len(self.values) // 2 * 2)
+        count = {"all": 0, "box": 6, "sphere": 4, "pixel": 3, "polygon": corners, "cluster": 1}[self.region]
         if len(self.values) != count or not all(math.isfinite(v) for v in self.values):
             raise MeasureError(
                 f"sensor {self.name}: {self.region} has the numbers {list(self.values)}, expected {_FORMS[self.region]}"
@@ -58,8 +63,8 @@ class Sensor:
             raise MeasureError(f"sensor {self.name}: box {list(v)}: its first corner must be the lower one")
         if self.region in ("sphere", "pixel") and v[-1] <= 0:
             raise MeasureError(f"sensor {self.name}: radius {v[-1]:g} must be above 0")
-        if self.region == "pixel" and not self.camera:
-            raise MeasureError(f"sensor {self.name}: expected {_FORMS['pixel']}, a camera is missing")
+        if self.region in OF_PICTURE and not self.camera:
+            raise MeasureError(f"sensor {self.name}: expected {_FORMS[self.region]}, a camera is missing")
         if self.region == "cluster" and (v[0] < 0 or v[0] != int(v[0])):
             raise MeasureError(f"sensor {self.name}: cluster {v[0]:g} is no number of a cluster")
 
@@ -113,6 +118,25 @@ def read_sensors(path: Path | str) -> list[Sensor]:
         raise MeasureError(f"{path}: {error}") from None
 
 
+def drawn_sensors(regions: Regions, cameras: Sequence[str], names: Sequence[str] = ()) -> list[Sensor]:
+    """Sensors on regions of a file; `names`: these alone. Those that name no camera are of the only one.
+
+    Raises MeasureError where there are several, RegionError for a name that is none.
+    """
+    out = []
+    for region in [regions[name] for name in names] or regions.regions:
+        if not region.camera and len(cameras) != 1:
+            raise MeasureError(
+                f"region {region.name!r} names no camera, and there are {len(cameras)}: {', '.join(cameras[:8])}"
+            )
+        camera = region.camera or cameras[0]
+        if region.shape == "point":
+            out.append(Sensor(region.name, "pixel", region.values, camera))
+        else:
+            out.append(Sensor(region.name, "polygon", tuple(region.corners.ravel().tolist()), camera))
+    return checked_names(out)
+
+
 def file_name(name: str) -> str:
     """A sensor's name as a part of a file's name."""
     return re.sub(r"[^\w.+-]+", "_", name)
@@ -152,8 +176,10 @@ def _sensor(name: str, region: str, parts: list[str], where: str) -> Sensor:
     if region not in _FORMS:
         raise MeasureError(f"{where}: {region!r} is no region; there are: {'; '.join(_FORMS.values())}")
     camera = ""
-    if region == "pixel" and parts:
-        camera, parts = parts[0], parts[1:] if len(parts) == 4 else [*parts[1:], f"{PIXEL_RADIUS:g}"]
+    if region in OF_PICTURE and parts:
+        camera, parts = parts[0], parts[1:]
+    if region == "pixel" and len(parts) == 2:
+        parts = [*parts, f"{PIXEL_RADIUS:g}"]
     if region == "cluster" and parts == ["still"]:
         parts = [str(STILL)]
     try:

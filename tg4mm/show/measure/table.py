@@ -40,13 +40,13 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
         loss = result.loss_of(k)
         error = reported_deviation(orbit.amplitude, amplitude_deviation(peak, orbit), loss)
-        damping = result.damping[k]
+        damping, pixels = result.damping[k], result.pixels(orbit.direction)
         out.append(
             [
                 result.name if not out else "",
                 _both(peak.frequency_hz, peak.frequency_deviation_hz),
                 f"{_both(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
-                f"{_both(orbit.amplitude * result.px_per_unit, error * result.px_per_unit)} px",
+                f"{_both(orbit.amplitude * pixels, error * pixels)} px",
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
                 "" if damping is None else f"{_both(100 * damping.ratio, 100 * damping.deviation)} %",

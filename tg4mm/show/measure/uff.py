@@ -136,7 +136,7 @@ def _at(result: SensorResult, hz: float) -> np.ndarray:
     half = 0.5 / float(np.ptp(result.times_s))
     for peak in result.spectrum.peaks:
         if abs(peak.frequency_hz - hz) < half:
-            return np.asarray(np.where(np.isfinite(peak.deviation), peak.phasor, 0) @ result.axes)
+            return np.asarray(np.where(np.isfinite(peak.deviation), peak.phasor, 0) @ _frame(result.series))
     return np.zeros(3, complex)
 
 
@@ -154,7 +154,7 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
         }
         clip = f", clip {series.clock}" if series.clock else ""
         name = f"{result.name}{clip}{_hidden(series)}"
-        for k, values in enumerate(series.world().T * metres):
+        for k, values in enumerate((series.displacement @ _frame(series)).T * metres):
             out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
         for k, values in enumerate(_world_deviation(series).T * metres):
             if np.isfinite(values).all():
@@ -164,7 +164,8 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
     name, hz, amplitudes = result.name, result.spectrum.freqs_hz, result.spectrum.amplitude
     if result.together is None:
         hz = frequency_grid(result.times_s)
-        amplitudes = np.abs(transformed(hz, result.times_s, result.series.world()))
+        world = result.displacement @ _frame(result.series)
+        amplitudes = np.abs(transformed(hz, result.times_s, world))
         name = f"{name}{_hidden(result.series)}"
     of_hz = {"x": hz, "spacing": 1, "start": 0.0, "step": float(hz[1])}
     for k, amplitude in enumerate(amplitudes.T * metres):
@@ -172,9 +173,14 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
     return out
 
 
+def _frame(series: Series) -> np.ndarray:
+    """[A, 3] unit vectors: the axes; of a flat capture x and z, as its axes may be those of a tilted plane."""
+    return series.axes if len(series.axes) == 3 else np.eye(3)[[0, 2]]
+
+
 def _world_deviation(series: Series) -> np.ndarray:
     """[T, 3] along the world's axes; not finite where a direction that is not observed takes part."""
-    share = series.axes**2
+    share = _frame(series) ** 2
     with np.errstate(invalid="ignore"):
         parts = np.where(share > 1e-12, series.deviation[:, :, None] ** 2 * share, 0.0)
     return np.asarray(np.sqrt(parts.sum(1)))

@@ -1,4 +1,4 @@
-"""Lengths as they are printed: millimetres where the scale is known, else scene units; pixels of a flat capture."""
+"""Lengths as they are printed: mm where the scale is known, else pixels of a flat capture, else scene units."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class Unit:
 
 def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
     """Of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
+    if (scale := measurement.unit_scale_m) is not None:
+        return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
     if not measurement.prepared.capture.kind.sees_depth:
         some = result or measurement.sensors[0]
         return Unit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
-    if (scale := measurement.unit_scale_m) is not None:
-        return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
     return Unit("units", "scene_units", 1.0, (9, 1.0, "scene units"))

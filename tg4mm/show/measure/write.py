@@ -85,6 +85,9 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
         "unit_scale_m": measurement.unit_scale_m,
         "length_unit": "scene units",
         "printed_unit": unit.name,
+        "marked_scale": None
+        if (s := measurement.prepared.scale) is None
+        else {"share": s.share, "tilted": bool(s.corners)},
         "reference": measurement.reference,
         "notes": list(measurement.notes),
         "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
