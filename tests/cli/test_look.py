@@ -136,3 +136,54 @@ def test_what_is_no_recording_is_one_line(arguments, said, tmp_path, monkeypatch
     assert said in error
     assert error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+def regions(path: Path, **more: object) -> str:
+    """A file of regions: the plate, its upper edge, the wall; a scale of 2 mm a pixel."""
+    drawn = [{"name": "plate", "box": PLATE}, {"name": "wall", "box": [0, 0, 28, 96]}]
+    scale = [{"points": [[32, 32], [96, 32]], "metres": 0.128}]
+    values = {"format": "tg4mm", "kind": "regions", "version": 1, "size": [WIDTH, HEIGHT], "regions": drawn}
+    path.write_text(json.dumps(values | {"lengths": scale} | more))
+    return str(path)
+
+
+def test_drawn_regions_have_lines_of_their_own_in_millimetres(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, file = tmp_path / "out", regions(tmp_path / "r.json")
+    assert main(["look", str(video), "--regions", file, "--out", str(out)]) == 0
+    plate, wall = json.loads((out / "look.json").read_text())["regions"]
+    assert wall["lines"] == []
+    (line,) = plate["lines"]
+    assert line["hz"] == pytest.approx(HZ, abs=0.02)
+    assert abs(line["amplitude_px"] - 0.2) < 3 * line["amplitude_deviation_px"] < 0.06
+    said = next(row for row in capsys.readouterr().out.splitlines() if row.strip().startswith("plate"))
+    mm, sure, speed = re.search(r"up +>? ?([\d.]+) ± ([\d.]+) +>? ?([\d.]+)", said).groups()
+    assert abs(float(mm) - 0.4) < 3 * float(sure)
+    assert float(speed) == pytest.approx(float(mm) * 2 * np.pi * HZ / 2**0.5, rel=0.02)
+    assert f"--regions {file}" in (out / "look.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (
+            {"size": [64, 64]},
+            "regions are of pictures of 64×64 pixels, those of .* are 128×96 pixels: draw them",
+        ),
+        ({"regions": [{"name": "dot", "point": [50, 50, 3]}]}, "region 'dot' covers no cell of 16×16 pixels"),
+        ({"regions": [{"name": "far", "box": [200, 0, 210, 9]}]}, "lies outside the picture"),
+        (
+            {"lengths": [{"points": [[0, 0], [0, 64]], "metres": m} for m in (0.1, 0.2)]},
+            "two lengths disagree",
+        ),
+    ],
+)
+def test_regions_that_cannot_be_are_one_line(video, tmp_path, capsys, more, said):
+    out = tmp_path / "out"
+    assert (
+        main(["look", str(video), "--regions", regions(tmp_path / "r.json", **more), "--out", str(out)]) == 2
+    )
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert re.search(said, error)
+    assert not out.exists()

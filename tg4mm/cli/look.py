@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.cli.regions import RegionsOption, read_drawn
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.values import NOT_NEGATIVE, Maybe, require
 
@@ -42,6 +43,7 @@ def look(
             metavar="SECONDS", help="Where to stop, seconds from the video's beginning. [default: its end]"
         ),
     ] = None,
+    regions: RegionsOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder for look.html, look.json and look.png.")] = None,
     png: Annotated[
         Path | None,
@@ -81,12 +83,13 @@ def look(
             f"--readout is for pictures whose rows are read from top to bottom, but those of {video.name} are turned "
             "when they are shown"
         )
-    found = looked(video, fps, window)
+    drawn = read_drawn(regions)
+    found = looked(video, fps, window, drawn)
     if (readout or 0) > (frame_ms := 1e3 / found.rate):
         raise Tg4mmError(
             f"--readout is {readout:g}, expected at most the {frame_ms:.4g} ms of a frame of {video.name}"
         )
-    words = Words(with_rows(found, (readout or 0) / 1e3), video, fps, window)
+    words = Words(with_rows(found, (readout or 0) / 1e3), video, fps, window, drawn, regions)
     target = png or (Path(f"{video.resolve().stem}-look.png") if out is None else out / "look.png")
     for folder in (out, target.parent):
         if folder is not None:

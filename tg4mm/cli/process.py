@@ -7,6 +7,7 @@ import typer
 
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.cli.magnify import BandOption, parse_bands
+from tg4mm.cli.regions import RegionsOption, read_drawn
 from tg4mm.cli.sfm import (
     BaselineOption,
     FpsOption,
@@ -44,6 +45,15 @@ def process(
         typer.Option(
             metavar="NAME=REGION",
             help="A sensor, as for tg4mm measure; may be repeated. [default: clusters that move alike, and all]",
+        ),
+    ] = None,
+    regions: RegionsOption = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Only this region of --regions: it alone is measured, its strongest line magnified in a video of its "
+            "surroundings; no pages.",
         ),
     ] = None,
     alpha: Annotated[
@@ -101,6 +111,8 @@ def process(
         checked_names([parse_sensor(text) for text in sensor or []]),
         alpha,
         bands[0] if bands else None,
+        read_drawn(regions),
+        only or "",
         quick,
         threads or -1,
     )

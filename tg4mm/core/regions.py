@@ -11,8 +11,6 @@ surface that the camera faces; a rectangle (corners from its upper left one on, 
 tilted (Hartley & Zisserman 2004, algorithm 4.1).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path

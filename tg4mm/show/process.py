@@ -15,15 +15,18 @@ from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
+from tg4mm.core.regions import Regions
 from tg4mm.core.steps import Say, Step, run_steps
+from tg4mm.core.untrusted import read_json
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.motion.observations import check_band_told, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, measure, prepare
 from tg4mm.show.measure.locate import check_pixel, check_sensors
+from tg4mm.show.measure.sensors import OF_PICTURE, checked_names, drawn_sensors
+from tg4mm.show.measure.write import MARK, write_measurement
 from tg4mm.show.measure.write import work_folder as measured_folder
-from tg4mm.show.measure.write import write_measurement
 from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.report.write import ReportOptions, write_report
@@ -33,6 +36,8 @@ from tg4mm.show.web.write import export_html
 
 RECORD = "process.json"
 ORBIT = 90  # pictures
+_AROUND = 0.5  # of a region's own size, that its video shows around it
+_BAND_BINS = 1.5  # over the duration, to either side of a region's strongest line
 # of a first answer: the fewest iterations that a scene of any size is given, and Gaussians that they can place
 QUICK = {"space.iterations": "1000", "space.max_gaussians": "10000"}
 
@@ -47,6 +52,8 @@ class ProcessOptions:
     sensors: Sequence[Sensor] = ()  # (): the parts that move alike, and the whole scene
     alpha: float | None = None  # of the magnified video; None: what shows the motion well
     band: tuple[float, float] | None = None  # Hz; None: around the strongest vibration
+    regions: Regions | None = None  # drawn, more sensors; with a scale
+    only: str = ""  # the one of them that is measured and shown
     quick: bool = False  # fewer Gaussians and iterations, and no pages
     threads: int = -1  # of COLMAP; −1: all cores
 
@@ -59,6 +66,10 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
     where OUT holds anything but what this made of the same source.
     """
     options = options or ProcessOptions()
+    if options.only:
+        if options.regions is None:
+            raise RunError("--only names a region of a file: give --regions FILE")
+        options.regions[options.only]
     checked(options.sfm)
     RenderRequest(Magnification(everywhere=options.alpha or 0.0)).checked()
     pictures = files_of(find_sources(source, timed=options.sfm.fps is not None))
@@ -76,8 +87,10 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
     clock = {"fps": options.sfm.fps, "readout_s": options.sfm.readout_s}
     trained = {**(QUICK if options.quick else {}), **options.settings}
-    magnified = {"alpha": options.alpha, "band": options.band}
-    sensors = [[s.name, repr(s)] for s in options.sensors]
+    magnified: dict[str, Any] = {"alpha": options.alpha, "band": options.band}
+    sensors = [*([s.name, repr(s)] for s in options.sensors), repr(options.regions), options.only]
+    sensors = sensors if options.regions is not None else sensors[:-2]
+    magnified |= {"only": repr(options.regions[options.only])} if options.only and options.regions else {}
 
     def with_band() -> dict[str, str]:
         """The settings, with the band where the fit depends on it."""
@@ -98,7 +111,12 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         train(dataset, run, "modal", options.device, _for_kind(dataset, with_band()))
 
     def reported() -> Path:
-        chosen = ReportOptions(alpha=options.alpha, band=options.band, sensors=options.sensors)
+        chosen = ReportOptions(
+            alpha=options.alpha,
+            band=options.band,
+            sensors=_sensors(dataset, options),
+            scale=None if options.regions is None else options.regions.scale,
+        )
         return write_report(Run.open(run), out / "report.html", chosen)
 
     steps = [
@@ -110,7 +128,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
              lambda: {"sensors": sensors, "quick": options.quick, **banded()}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
-             magnified, ["run"]),
+             magnified, ["run", "measured"] if options.only else ["run"]),
     ]  # fmt: skip
     pages = [
         Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
@@ -118,7 +136,19 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         Step("page", "The page to send", out / "page.html", lambda: export_html(Run.open(run), out / "page.html"),
              {}, ["scale", "run"]),
     ]  # fmt: skip
-    return steps if options.quick else [*steps, *pages]
+    return steps if options.quick or options.only else [*steps, *pages]
+
+
+def _sensors(dataset: Path, options: ProcessOptions) -> list[Sensor]:
+    """Those asked for and those drawn; with `only` that alone."""
+    if options.regions is None:
+        return list(options.sensors)
+    capture = load_capture(dataset)
+    options.regions.check_size((capture.width, capture.height), dataset)
+    cameras = [frame.name for frame in frames_of(capture)[1]]
+    if options.only:
+        return drawn_sensors(options.regions, cameras, [options.only])
+    return checked_names([*options.sensors, *drawn_sensors(options.regions, cameras)])
 
 
 def _check_asked(dataset: Path, options: ProcessOptions) -> None:
@@ -129,8 +159,8 @@ def _check_asked(dataset: Path, options: ProcessOptions) -> None:
         if capture.n_timesteps > 1:
             check_band_told(options.band, capture.n_timesteps / capture.fps)
     cameras = [frame.name for frame in frames_of(capture)[1]] if capture.n_timesteps > 1 else []
-    for sensor in options.sensors:
-        if sensor.region == "pixel":
+    for sensor in _sensors(dataset, options) if cameras else []:
+        if sensor.region in OF_PICTURE:
             check_pixel(sensor, cameras, (capture.width, capture.height))
 
 
@@ -156,9 +186,11 @@ def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         out.mkdir(exist_ok=True)
         say(f"{out}: empty, since the scene is still")
         return
-    check_sensors(run, options.sensors)
+    sensors = _sensors(run.dataset, options)
+    check_sensors(run, sensors)
+    scale = None if options.regions is None else options.regions.scale
     with measured_folder(out).held("writes a measurement there"):
-        found = measure(prepare(run), options.sensors or None, band=options.band)
+        found = measure(prepare(run), sensors or None, band=options.band, scale=scale)
         say(write_measurement(found, out, animate=not options.quick))
 
 
@@ -166,14 +198,15 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
     run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
     still, result = run.load_motion() is None, result_of(run, options.band)
-    band = options.band or result.band
+    band = options.band or (_band_of(out / "measured", options.only) if options.only else result.band)
     video.unlink(missing_ok=True)
     folder.mkdir(exist_ok=True)
     if still or band is None:
         why = (
             "the scene is still"
             if still
-            else "no vibration was found; --band LO HI magnifies a band all the same"
+            else f"no vibration was found{' in ' * bool(options.only)}{options.only}; --band LO HI magnifies a band "
+            "all the same"
         )
         say(f"no {video}: {why}")
         return
@@ -184,6 +217,8 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         for line in how_sure(run, request.magnified):
             say(line)
     if (camera := _standing(run)) is not None:
+        if options.only and options.regions is not None:
+            camera = camera.cut(options.regions[options.only].corners, _AROUND)
         render_sequence(run, [camera], request, folder, device=options.device)
     else:
         centre = run.load_space().means.median(dim=0).values.numpy()
@@ -195,6 +230,17 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         raise RunError(f"{folder}: no video was written")
     write_atomic(video, lambda temporary: shutil.copyfile(made, temporary))
     say(f"{video}: {1 + alpha:g} times the motion from {band[0]:g} to {band[1]:g} Hz")
+
+
+def _band_of(measured: Path, sensor: str) -> tuple[float, float] | None:
+    """Around the strongest peak of a measured sensor; None where it has none."""
+    content = read_json(measured / MARK)
+    own = next(s for s in content["sensors"] if s["name"] == sensor)
+    if not own["peaks"]:
+        return None
+    strongest = max(own["peaks"], key=lambda p: p["main_amplitude"])
+    hz, wide = strongest["frequency_hz"], max(_BAND_BINS / np.ptp(own["series"][0]["times_s"]), 0.01)
+    return round(max(hz - wide, 0.0), 3), round(hz + wide, 3)
 
 
 def _standing(run: Run) -> Camera | None:

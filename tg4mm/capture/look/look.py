@@ -1,6 +1,6 @@
 """A look at a recording: one pass over its pictures, then lines over the background, twice."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from tg4mm.capture.look.model import Look, LookLine, Tone
 from tg4mm.capture.look.movers import movers_of
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
-from tg4mm.capture.look.reading import CellSeries, Picture, read_cells
+from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, Picture, read_cells
 from tg4mm.capture.look.recording import read_recording
+from tg4mm.capture.look.regions import region_looks, with_lines
 from tg4mm.capture.look.rows import by_light
 from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
@@ -22,26 +23,42 @@ from tg4mm.capture.look.spectra import tones_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.lines import Line as CoreLine
 from tg4mm.core.lines import find_lines, fit_lines
+from tg4mm.core.regions import Region, Regions
 
 _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is no background
 _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
+_FEW = 3  # cells across a region
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 
 
-def look(video: Path | str, fps: float | None = None, window: Window = WHOLE) -> Look:
+def look(
+    video: Path | str, fps: float | None = None, window: Window = WHOLE, regions: Regions | None = None
+) -> Look:
     """What vibrates in a recording of a fixed camera, what moves by itself, what its light does.
 
     video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
-    recording's (slow motion); a folder needs it. window: the part of a video that is looked at. Raises CaptureError
-    where it cannot be decoded or is too short.
+    recording's (slow motion); a folder needs it. window: the part of a video that is looked at. regions: drawn ones,
+    whose lines are told one by one. Raises CaptureError where it cannot be decoded or is too short, RegionError for a
+    region without texture.
     """
     path = Path(video)
-    series, repeats = read_recording(path, fps, window)
-    found = replace(look_at(series), repeats=repeats)
+    drawn = () if regions is None else regions.regions
+    series, repeats = read_recording(path, fps, window, any(_is_small(region) for region in drawn))
+    if regions is not None:
+        regions.check_size(series.size, path)
+    found = replace(look_at(series, drawn), repeats=repeats)
     if path.is_dir():
         return found
-    return replace(found, lines=with_losses(found, path, found.rate, window.start_s, repeats))
+    own = [line for one in found.regions for line in one.lines]
+    told = with_losses(replace(found, lines=(*found.lines, *own)), path, found.rate, window.start_s, repeats)
+    count = len(found.lines)
+    return replace(found, lines=told[:count], regions=with_lines(found.regions, told[count:]))
+
+
+def _is_small(region: Region) -> bool:
+    """Whether it holds few of the cells of a large picture."""
+    return float(np.ptp(region.corners, axis=0).min()) < _FEW * LARGE_CELL
 
 
 def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
@@ -49,7 +66,7 @@ def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
     return look_at(read_cells(pictures, where))
 
 
-def look_at(series: CellSeries) -> Look:
+def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
     """The same of cells' series."""
     scene = scene_of(series)
     search = Search(scene)
@@ -63,7 +80,8 @@ def look_at(series: CellSeries) -> Look:
     lines = [_line(search, line) for line in search.lines]
     light = [hz for hz, _, _ in scene.light]
     lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, light)
-    return _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
+    found = _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
+    return replace(found, regions=region_looks(scene, regions))
 
 
 def _moved(search: Search) -> np.ndarray:

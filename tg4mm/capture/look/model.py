@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tg4mm.core.regions import Region
+
 Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
 
 
@@ -113,6 +115,16 @@ class Found:
 
 
 @dataclass(frozen=True)
+class RegionLook:
+    """A region that was drawn: the lines of its mean shift, and what texture it has."""
+
+    region: Region
+    lines: tuple[LookLine, ...]  # by falling strength
+    noise_px: float  # standard deviation of one picture's shift along the direction that is told best
+    remark: str  # what its texture does not tell
+
+
+@dataclass(frozen=True)
 class Look(Found):
     """The same with every cell's series."""
 
@@ -123,6 +135,7 @@ class Look(Found):
     times_s: np.ndarray  # [F]
     smallest: tuple[Smallest, ...]  # motion that would be found, by the size of what moves
     first: np.ndarray  # [H, W] uint8: the first picture
+    regions: tuple[RegionLook, ...] = field(default=(), kw_only=True)  # in the order asked for
     repeats: tuple[int, ...] = field(default=(), kw_only=True)  # frames that repeat the one before, left out
 
     @property

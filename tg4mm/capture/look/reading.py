@@ -64,9 +64,11 @@ class CellSeries:
         )
 
 
-def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> CellSeries:
+def read_cells(
+    pictures: Iterable[Picture], where: str = "the recording", small_cells: bool = False
+) -> CellSeries:
     """All cells' series. Raises CaptureError where there are fewer than 24 pictures, or of several sizes."""
-    reader = _Reader()
+    reader = _Reader(small_cells)
     times: list[float] = []
     kinds: list[int] = []
     row_means: list[np.ndarray] = []
@@ -121,7 +123,8 @@ def _size(shape: tuple[int, ...]) -> str:
 class _Reader:
     """Templates, and the products of all pictures so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, small_cells: bool) -> None:
+        self._small = small_cells
         self.templates: list[Template] = []
         self.place: list[int] = []
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
@@ -148,7 +151,8 @@ class _Reader:
 
     def _begin(self, pictures: np.ndarray) -> None:
         height, width = pictures.shape[1:]
-        grid = Grid.of(width, height, min(CELL if height * width < SMALL else LARGE_CELL, height, width))
+        cell = CELL if self._small or height * width < SMALL else LARGE_CELL
+        grid = Grid.of(width, height, min(cell, height, width))
         template = Template(pictures.mean(0, dtype=np.float32), grid)
         products = _products_of(template, pictures)
         shift, _, misfit = template.solved(*products)

@@ -31,22 +31,24 @@ _SMALL = 16  # of these pixels, in each direction, one is kept to tell which pic
 
 
 def read_recording(
-    path: Path, fps: float | None = None, window: Window = WHOLE
+    path: Path, fps: float | None = None, window: Window = WHOLE, small_cells: bool = False
 ) -> tuple[CellSeries, tuple[int, ...]]:
     """Cells' series of a video or of a folder of pictures, and the frames that repeat the one before them.
 
-    fps: pictures a second; None: the video's own. window: of a video alone. Repeats are left out, and the others have
+    fps: pictures a second; None: the video's own. window: of a video alone. small_cells: in large pictures, too.
+    Repeats are left out, and the others have
     their true times. Raises CaptureError where there is nothing to decode, or no rate is known.
     """
     if not path.exists():
         raise CaptureError(f"{path}: does not exist")
     if path.is_dir():
-        return _folder(path, fps), ()
+        return _folder(path, fps, small_cells), ()
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
     info, watched = video_info(path), _Watched()
     with progress("regions", _expected(info, window), "pictures", brief=True) as update:
-        series = read_cells(watched.passing(video_pictures(path, fps, window), update), str(path))
+        seen = watched.passing(video_pictures(path, fps, window), update)
+        series = read_cells(seen, str(path), small_cells)
     times = [Fraction(t).limit_denominator(10_000_000) for t in series.times_s.tolist()]
     rate = Fraction(fps).limit_denominator(1001) if fps else frame_rate(path, times, info.rates, info.tick)
     if fps or is_regular(times, rate, info.tick):
@@ -98,7 +100,7 @@ class _Watched:
             update(k)
 
 
-def _folder(path: Path, fps: float | None) -> CellSeries:
+def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:
     files = sorted(
         (f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES), key=lambda f: natural(f.name)
     )
@@ -113,7 +115,7 @@ def _folder(path: Path, fps: float | None) -> CellSeries:
                 yield Picture(_grey(decode(file)), k / fps)
                 update(k + 1)
 
-    return read_cells(pictures(), str(path))
+    return read_cells(pictures(), str(path), small_cells)
 
 
 def _grey(rgba: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ _CORE, _BESIDE = 2.5, 1.5  # times the typical misfit: what moves by itself, and
 _CORE_SPREADS, _BESIDE_SPREADS = 6, 3  # and so many deviations of the cells' scatter
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
-_LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
+LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
 _FEWEST_OTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
@@ -101,7 +101,7 @@ def scene_of(series: CellSeries) -> Scene:
     with np.errstate(all="ignore"):
         information = np.linalg.inv(covariance + 1e-9 * np.eye(2) * spread + 1e-12 * np.eye(2))
     usable = ~masks.moves & np.isfinite(information).all((1, 2))
-    usable &= information[:, [0, 1], [0, 1]].max(1) > _LEAST_INFORMATION
+    usable &= information[:, [0, 1], [0, 1]].max(1) > LEAST_INFORMATION
     information = np.where(usable[:, None, None], information, 0)
     nuisance, light = _nuisance(series, masks, usable)
     scene = Scene(series, masks, usable, information, nuisance, light, _lost(series))

@@ -47,6 +47,14 @@ def write_page(words: Words, path: Path) -> None:
             "deviation. A remark says why a line may be none of its own, or larger than said."
         )
         lines = [Table(HEADER, rows, caption, left=len(HEADER))]
+    drawn: list[Section] = []
+    if own := words.region_rows():
+        header = tuple(words.region_header())
+        drawn = [
+            Section(
+                "Regions", [Table(header, own, "Lines of the mean shift of each region.", left=len(header))]
+            )
+        ]
     besides = Table(
         ("", ""),
         [[what, text] for what, text in words.besides()],
@@ -61,6 +69,7 @@ def write_page(words: Words, path: Path) -> None:
         lead=[seen],
         sections=[
             Section("Vibrations", [*lines, spectrum]),
+            *drawn,
             Section("Beside them", [besides]),
             Section("Go on", [Commands([(what, command) for command, what in words.commands()])]),
         ],

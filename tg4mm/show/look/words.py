@@ -15,6 +15,7 @@ from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.digits import value_with_deviation
 from tg4mm.core.files import write_json
+from tg4mm.core.regions import Region, Regions
 
 HEADER = ("frequency, Hz", "amplitude, px", "direction", "around pixel", "change", "remark")
 _MOST_MOVERS = 5  # said one by one
@@ -37,6 +38,8 @@ class Words:
     source: Path
     fps: float | None = None  # as asked for
     window: Window = WHOLE
+    drawn: Regions | None = None
+    drawn_file: Path | None = None
 
     @property
     def head(self) -> str:
@@ -61,6 +64,35 @@ class Words:
     def rows(self) -> list[list[str]]:
         """The table's rows, under HEADER."""
         return [_row(line) for line in self.found.lines]
+
+    def region_rows(self) -> list[list[str]]:
+        """The rows of drawn regions, under `region_header`: a line each, or that there is none."""
+        out = []
+        for one in self.found.regions:
+            for k, line in enumerate(one.lines):
+                row = _row(line)
+                row[3:4] = self._metric(one.region, line)
+                row[-1] = "; ".join(filter(None, [row[-1], "" if k else one.remark]))
+                out.append(["" if k else one.region.name, *row])
+            if not one.lines:
+                last = "; ".join(
+                    filter(None, [f"no line; a picture's shift ± {one.noise_px:.2g} px", one.remark])
+                )
+                out.append([one.region.name, "none", *[""] * (len(self.region_header()) - 3), last])
+        return out
+
+    def region_header(self) -> list[str]:
+        """Of `region_rows`; lengths and velocity where there is a scale."""
+        metric = ["amplitude, mm", "mm/s rms"] if self.drawn is not None and self.drawn.scale else []
+        return ["region", *HEADER[:3], *metric, *HEADER[4:]]
+
+    def _metric(self, region: Region, line: LookLine) -> list[str]:
+        if self.drawn is None or self.drawn.scale is None:
+            return []
+        along = float(np.linalg.norm(self.drawn.scale.metres_at(region.centre) @ line.direction)) * 1e3
+        sure = float(np.hypot(line.amplitude_deviation_px, self.drawn.scale.share * line.amplitude_px))
+        mark, speed = "> " if line.lost else "", along * 2 * math.pi * line.hz / math.sqrt(2)
+        return [mark + value_with_deviation(each * line.amplitude_px, each * sure) for each in (along, speed)]
 
     def besides(self) -> list[tuple[str, str]]:
         """(what, words): everything but the lines and the next command."""
@@ -126,6 +158,7 @@ class Words:
         asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
         asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
         asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
+        asked += f" --regions {shlex.quote(str(self.drawn_file))}" if self.drawn_file is not None else ""
         if not self.found.vibrations:
             return [
                 (
@@ -143,9 +176,9 @@ class Words:
     def lines(self) -> list[str]:
         """All of it as lines of text."""
         out = [self.head]
-        if rows := self.rows():
-            widths = [max(len(cell) for cell in column) for column in zip(HEADER, *rows, strict=True)]
-            for row in [list(HEADER), *rows]:
+        for header, rows in ((list(HEADER), self.rows()), (self.region_header(), self.region_rows())):
+            widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
+            for row in [header, *rows] if rows else []:
                 out.append("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
         if not self.found.vibrations:
             out.append(f"  {self.verdict}")
@@ -205,5 +238,10 @@ def write_json_file(words: Words, path: Path) -> None:
         "repeats": list(found.repeats),
         "smallest": [asdict(s) for s in found.smallest],
         "cannot_tell": words.cannot(),
+        "regions": [
+            {"name": r.region.name, "noise_px": r.noise_px, "remark": r.remark}
+            | {"lines": [asdict(line) | {"cells": None, "region": None} for line in r.lines]}
+            for r in found.regions
+        ],
     }
     write_json(path, extra | to_record(found))

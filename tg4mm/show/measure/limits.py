@@ -23,7 +23,9 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
     """Of the capture, then of the sensors."""
     out = list(scene.notes)
     if not scene.capture.kind.sees_depth:
-        where = "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
+        where = (
+            "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
+        )
         out.append(f"a flat capture shows motion across the sight alone, {where}")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(

@@ -91,7 +91,8 @@ def unit_scale(scale: Scale, scene: Prepared) -> float:
         raise MeasureError("a scale marked in a picture needs one fixed camera: give tg4mm sfm --length")
     frames = scene.views[0].frames
     if not scene.capture.kind.sees_depth:
-        return scale.reference_m * float(frames.K[0, 0])
+        depth = scene.means @ frames.viewmat[2, :3] + frames.viewmat[2, 3]  # of the plane
+        return scale.reference_m * float(frames.K[0, 0] / np.average(depth, weights=scene.seen))
     if not scale.lengths:
         raise MeasureError("a rectangle scales flat captures; mark a length, whose ends have depth here")
     found = []

@@ -47,6 +47,17 @@ class Camera:
         """[3] unit vector along which the camera looks, world axes."""
         return self.viewmat[2, :3]
 
+    def cut(self, corners: np.ndarray, around: float) -> "Camera":
+        """The part of its picture that holds pixels [P, 2], and `around` × their extent on every side; even in size."""
+        low, high = corners.min(0), corners.max(0)
+        wide = around * (high - low)
+        first = np.clip(np.floor(low - wide), 0, [self.width - 2, self.height - 2]).astype(int)
+        last = np.clip(np.ceil(high + wide), first + 2, [self.width, self.height]).astype(int)
+        width, height = (last - first) // 2 * 2
+        K = self.K.copy()
+        K[:2, 2] -= first
+        return Camera(self.name, self.viewmat, K, int(width), int(height))
+
 
 def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
     """The different cameras of a capture.

@@ -8,6 +8,7 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
+from tg4mm.core.regions import Scale
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform
@@ -108,11 +109,14 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
 
 
 def measured(
-    run: Run, sensors: Sequence[Sensor], band: tuple[float, float] | None = None
+    run: Run,
+    sensors: Sequence[Sensor],
+    band: tuple[float, float] | None = None,
+    scale: Scale | None = None,
 ) -> tuple[Measurement | None, str]:
     """What sensors measure on the run, or why nothing was. Sensors that were asked for must be measured: Tg4mmError."""
     try:
-        return measure(run, sensors or None, band=band), ""
+        return measure(run, sensors or None, band=band, scale=scale), ""
     except Tg4mmError as error:
         if sensors:
             raise

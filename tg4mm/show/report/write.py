@@ -14,6 +14,7 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pages.page import Page, Section, render_page
 from tg4mm.core.progress import progress
+from tg4mm.core.regions import Scale
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.measure import Sensor
@@ -38,6 +39,7 @@ class ReportOptions:
 
     alpha: float | None = None  # None: what shows the motion well and its noise does not
     band: tuple[float, float] | None = None  # Hz, magnified; None = every frequency
+    scale: Scale | None = None  # of the sensors, marked in the picture
     sensors: Sequence[Sensor] = ()  # (): the parts that move alike, what stands still, and the whole scene
     orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
     # Further files or folders to list with their size.
@@ -93,7 +95,9 @@ def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
     view = gather_view(run, train, model, chosen.times(float(alpha)))
     with progress("sensors", 1, "part", brief=True):
         measurement, why_no_sensors = (
-            (None, "") if model.motion is None else measured(run, options.sensors, options.band)
+            (None, "")
+            if model.motion is None
+            else measured(run, options.sensors, options.band, options.scale)
         )
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run, options.evaluate)
     if metrics and metrics.get("format") != "tg4mm-metrics":
