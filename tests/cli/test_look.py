@@ -138,7 +138,7 @@ def test_what_is_no_recording_is_one_line(arguments, said, tmp_path, monkeypatch
     assert sorted(tmp_path.iterdir()) == before
 
 
-def regions(path: Path, **more: object) -> str:
+def regions(path, **more):
     """A file of regions: the plate, its upper edge, the wall; a scale of 2 mm a pixel."""
     drawn = [{"name": "plate", "box": PLATE}, {"name": "wall", "box": [0, 0, 28, 96]}]
     scale = [{"points": [[32, 32], [96, 32]], "metres": 0.128}]
@@ -147,9 +147,7 @@ def regions(path: Path, **more: object) -> str:
     return str(path)
 
 
-def test_drawn_regions_have_lines_of_their_own_in_millimetres(
-    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_drawn_regions_have_lines_of_their_own_in_millimetres(video, tmp_path, capsys):
     out, file = tmp_path / "out", regions(tmp_path / "r.json")
     assert main(["look", str(video), "--regions", file, "--out", str(out)]) == 0
     plate, wall = json.loads((out / "look.json").read_text())["regions"]
