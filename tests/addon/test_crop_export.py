@@ -144,11 +144,7 @@ def test_floaters_go_and_nothing_else(extension, tmp_path, by):
 
 @pytest.mark.parametrize(
     ("linear", "metres"),
-    [
-        (np.diag([2.0, 2.0, 2.0]), 0.05),
-        (np.diag([-1.0, 1.0, 1.0]), 0.1),
-        (np.diag([1.0, 2.0, 0.5]), None),
-    ],
+    [(np.diag([2.0, 2.0, 2.0]), 0.05), (np.diag([-1.0, 1.0, 1.0]), 0.1), (np.diag([1.0, 2.0, 0.5]), None)],
 )
 def test_export_is_in_world_axes_and_units(extension, told, tmp_path, linear, metres):
     obj, splat = import_splat(told), read_splat(told)

@@ -121,8 +121,6 @@ def in_blender(script, resources, *arguments):
 def make_extension(repo_root):
     """addon/make_extension.py, imported without the package around it."""
     spec = importlib.util.spec_from_file_location("make_extension", repo_root / "addon" / "make_extension.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -165,7 +163,6 @@ def test_zip_holds_the_addon_and_a_wheel_of_the_repositorys_own_files(
 def validated(zip_path):
     """Blender's own validator, which lies in pip's Blender and runs without it."""
     spec = importlib.util.find_spec("bpy")
-    assert spec is not None
     places = [Path(place) for place in spec.submodule_search_locations or ()]
     (tool,) = (t for p in places for t in p.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
     command = [sys.executable, str(tool), "validate", str(zip_path)]

@@ -9,9 +9,7 @@ from PIL import Image
 
 from benchmarks.__main__ import main
 from benchmarks.fox_phone import scored
-from benchmarks.fox_phone_scores import (
-    comparison,
-)
+from benchmarks.fox_phone_scores import comparison
 from benchmarks.fox_phone_sets import Shot, frame_record
 from benchmarks.fox_phone_truth import Similarity, Truth, similarity
 from tg4mm.core.files import write_json
@@ -45,10 +43,6 @@ def carried(c2w, world):
 def world():
     rng = np.random.default_rng(3)
     return Similarity(1.7, rotation(rng), rng.normal(size=3))
-
-
-def phasors(rng, *shape):
-    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
 
 def moving_patch():

@@ -42,7 +42,6 @@ def check(root):
     assert (capture.n_timesteps, capture.fps, capture.unit_scale_m) == (1, 0.0, None)
     assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
     points = capture.points
-    assert points is not None
     assert points.xyz.tolist() == [[1.5, 2.5, 3.5], [-1, 0, 1]]
     assert points.rgb.tolist() == [[10, 20, 30], [200, 100, 0]]
     assert (points.xyz.dtype, points.rgb.dtype) == (np.float64, np.uint8)

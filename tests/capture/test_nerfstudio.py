@@ -21,11 +21,7 @@ def studio(tmp_path):
     lens = {"k1": 0.0, "k2": 0, "p1": 0.0, "p2": 0.0, "camera_model": "OPENCV"}
     values = {"fl_x": 20.0, "fl_y": 21.0, "cx": 6.0, "cy": 4.5, "w": width, "h": height, **lens}
     values["frames"] = [
-        {
-            "file_path": f"images/r_{i:03d}.png",
-            "transform_matrix": pose(0.3 + i),
-            "colmap_im_id": i,
-        }
+        {"file_path": f"images/r_{i:03d}.png", "transform_matrix": pose(0.3 + i), "colmap_im_id": i}
         for i in range(3)
     ]
     (folder / "transforms.json").write_text(json.dumps(values))
@@ -58,7 +54,6 @@ def test_points_come_from_the_named_file(studio):
     PlyData([PlyElement.describe(data, "vertex")]).write(str(studio / "sparse_pc.ply"))
     edit(studio / "transforms.json", lambda v: v.update(ply_file_path="sparse_pc.ply"))
     points = load_capture(studio).points
-    assert points is not None
     assert points.xyz[:, 0].tolist() == [0, 1, 2, 3]
     edit(studio / "transforms.json", lambda v: v.update(ply_file_path="gone.ply"))
     refused(studio, "ply_file_path is 'gone.ply', which does not exist")

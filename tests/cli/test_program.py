@@ -159,7 +159,6 @@ def test_interrupt_exits_with_130_and_says_how_to_go_on():
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
     ) as child:
-        assert child.stdout is not None
         assert child.stdout.readline() == "ready\n"
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=20)

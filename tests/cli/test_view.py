@@ -26,7 +26,6 @@ def started(*arguments, root):
 
 def test_it_serves_the_page_and_ends_cleanly_at_ctrl_c(run_path, repo_root):
     with started(str(run_path), root=repo_root) as process:
-        assert process.stdout is not None
         line = process.stdout.readline()
         assert line.startswith("http://127.0.0.1:")
         assert line.endswith("(Ctrl+C ends)\n")

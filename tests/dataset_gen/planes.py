@@ -1,8 +1,6 @@
 """A set whose truth is known in closed form: a camera above a plane, of which a stripe sways and heaves."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +19,14 @@ FPS, T = 30.0, 10
 SIGMA = 0.03  # noise of the pictures
 
 
-def pose(shift: float = 0.0) -> np.ndarray:
+def pose(shift=0.0):
     """A camera above the plane z = 0 that looks down on it."""
     made = np.eye(4)
     made[:3, 3] = (shift, 0.0, DISTANCE)
     return made
 
 
-def gains(frequencies: list[float]) -> np.ndarray:
+def gains(frequencies):
     """[K, T]"""
     return np.exp(2j * np.pi * np.outer(frequencies, np.arange(T)) / FPS)
 
@@ -36,12 +34,12 @@ def gains(frequencies: list[float]) -> np.ndarray:
 class Plane:
     """A square |x|, |y| < 1 in z = 0, of which |x| < 0.5 sways along x and heaves along z, in that order."""
 
-    def __init__(self, root: Path, frequencies: tuple[float, float] = (3.0, 6.0), camera_moves: bool = False):
+    def __init__(self, root, frequencies=(3.0, 6.0), camera_moves=False):
         self.root, self.frequencies, self.camera_moves = root, list(frequencies), camera_moves
         self.noise = np.random.default_rng(0).normal(0, SIGMA, (SIZE, SIZE, 3))
         self.displaced = (-1j * gains(self.frequencies) * np.array([[SWAY], [HEAVE]])).real  # [2, T]
 
-    def write(self, alphas: tuple[int, ...] = (5,), test: bool = True, **scene: Any) -> Path:
+    def write(self, alphas=(5,), test=True, **scene):
         description = {"fps": FPS, "n_timesteps": T, "scene": "plane", "alphas": list(alphas), **scene}
         self.root.mkdir(parents=True)
         (self.root / "scene.json").write_text(json.dumps(description))
@@ -53,7 +51,7 @@ class Plane:
         self.motion()
         return self.root
 
-    def view(self, t: int, split: str) -> None:
+    def view(self, t, split):
         folder = self.root / f"{t:03d}"
         matrix = pose(0.1 * t if self.camera_moves else 0.0).tolist()
         frame = {"file_path": f"./{split}/r_000", "transform_matrix": matrix, "time": t / FPS}
@@ -61,10 +59,10 @@ class Plane:
         self.picture(t, 0, folder / split / "r_000.png")
         (folder / f"transforms_{split}.json").write_text(json.dumps(data))
 
-    def moves(self, x: np.ndarray) -> np.ndarray:
+    def moves(self, x):
         return np.abs(x) < 0.5
 
-    def picture(self, t: int, alpha: float, path: Path, noise: np.ndarray | None = None) -> None:
+    def picture(self, t, alpha, path, noise=None):
         """The square in grey, what moves in a pattern that goes along with x; noise as a renderer's."""
         columns = (np.arange(SIZE) + 0.5 - SIZE / 2) / FOCAL * DISTANCE
         rest = columns - (1 + alpha) * self.displaced[0, t]
@@ -75,7 +73,7 @@ class Plane:
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
 
-    def truth(self) -> None:
+    def truth(self):
         """Per-pixel truth of the test camera."""
         centre = (np.arange(SIZE) + 0.5 - SIZE / 2) / FOCAL
         for t in range(T):
@@ -99,7 +97,7 @@ class Plane:
             }
             write_exr(self.root / f"truth/test/{t:03d}/r_000.exr", passes)
 
-    def motion(self) -> None:
+    def motion(self):
         x, y = (v.ravel() for v in np.meshgrid(np.linspace(-0.95, 0.95, 39), np.linspace(-0.95, 0.95, 39)))
         index = np.arange(39 * 39).reshape(39, 39)
         a, b, c = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, :-1].ravel()
@@ -118,7 +116,7 @@ class Plane:
             mode_0=mode,
         )
 
-    def reseed(self, alphas: tuple[int, ...] = (0, 5), rest: bool = True) -> None:
+    def reseed(self, alphas=(0, 5), rest=True):
         """Second renders at timestep 2, with other noise."""
         draw = np.random.default_rng(1)
         folder = self.root / "report/reseeded"

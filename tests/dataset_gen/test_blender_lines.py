@@ -20,10 +20,7 @@ def both(tmp_path_factory):
     if not other.exists():
         pytest.skip(f"no other Blender: {other} is absent (make install test-52)")
     out = tmp_path_factory.mktemp("lines")
-    return (
-        make(Path(sys.executable), "mic", out / "this", 48, 4),
-        make(other, "mic", out / "other", 48, 4),
-    )
+    return (make(Path(sys.executable), "mic", out / "this", 48, 4), make(other, "mic", out / "other", 48, 4))
 
 
 @pytest.mark.slow

@@ -19,19 +19,6 @@ def test_the_demo_set_costs_155_renders_and_7_for_the_noise():
     assert len(again) == 7  # α = 0, the five, and rest
 
 
-def test_every_file_is_named_once():
-    _, every, _ = plan("--timesteps 12 --views 3 --test-views 2 --alphas 5,100 --truth all --frequency 3.7")
-    names = [name for shot in every for name in shot.files]
-    assert len(set(names)) == len(names)
-    expected = {f"{t:03d}/train/r_{i:03d}.png" for t in range(12) for i in range(3)}
-    expected |= {f"truth/train/{t:03d}/r_{i:03d}.exr" for t in range(12) for i in range(3)}
-    for t in range(12):
-        for i in (0, 5):
-            expected |= {f"{t:03d}/test/r_{i:03d}.png", f"truth/test/{t:03d}/r_{i:03d}.exr"}
-            expected |= {f"magnified/x{a:03d}/{t:03d}/test/r_{i:03d}.png" for a in (5, 100)}
-    assert set(names) == expected
-
-
 def test_a_sweep_is_taken_at_timestep_0_alone():
     _, every, _ = plan("--cameras sweep --views 6 --timesteps 8")
     names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]

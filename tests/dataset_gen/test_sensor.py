@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from dataset_gen.errors import GenerateError
-from dataset_gen.pictures import (
-    Sensor,
-    capture,
-    expose,
-    generator,
-    to_display,
-    to_integers,
-)
+from dataset_gen.pictures import Sensor, capture, expose, generator, to_display, to_integers
 
 KEY = (0, "train", 3, 1, 0)
 CLEAN = Sensor(full_well=1e7, read_noise=0.0, adc_bits=24)  # shot noise of 1/3000: next to nothing

@@ -153,10 +153,7 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path):
         ({"modes": ["sway"]}, "mode 1: 'sway' is not a mapping of keys to values"),
         ({"modes": [SWAY, {"kind": "rock"}]}, "mode 2: name is missing"),
         ({"modes": [SWAY, SWAY]}, "two modes have the name 'sway'"),
-        (
-            {"modes": [mode("drift")]},
-            "mode 'drift' is the first, which needs a frequency; its kind is drift",
-        ),
+        ({"modes": [mode("drift")]}, "mode 'drift' is the first, which needs a frequency; its kind is drift"),
     ],
 )
 def test_a_broken_frame_is_one_line(data, expected):

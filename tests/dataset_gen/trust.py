@@ -1,16 +1,10 @@
 """What ground truth must fulfil, as functions of arrays: each returns errors, and each can be fed a wrong answer."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
-
-from dataset_gen.cameras import Camera
-from dataset_gen.vibration import Body
 
 REACH = 2e-2  # scene units: triangles farther from a point, as the tree sees it, are not looked at
 
@@ -24,7 +18,7 @@ class Surface:
     tree: BVHTree
 
     @classmethod
-    def of(cls, bodies: Sequence[Body], displacements: Sequence[np.ndarray] | None = None) -> Surface:
+    def of(cls, bodies, displacements=None):
         """At rest, or with every body displaced [V, 3]."""
         starts = np.cumsum([0] + [len(body.vertices) for body in bodies[:-1]])
         vertices = np.concatenate([body.vertices for body in bodies])
@@ -34,7 +28,7 @@ class Surface:
         tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist(), all_triangles=True)
         return cls(vertices, triangles, tree)
 
-    def feet(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def feet(self, point):
         """Corners [F, 3], barycentric weights [F, 3] and distances [F] of the nearest points of all triangles near [3].
 
         In float64. The tree only proposes triangles: its own nearest points are float32, and off by up to 1e-3 on
@@ -44,18 +38,18 @@ class Surface:
         corners = self.triangles[faces]
         return corners, *_nearest(point, self.vertices[corners])
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
+    def distance(self, points):
         """[P] of points [P, 3] to the surface, scene units; infinity beyond REACH."""
         return np.array([self.feet(point)[2].min(initial=np.inf) for point in points])
 
-    def foot(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def foot(self, points):
         """Corners [P, 3] and barycentric weights [P, 3] of the surface point nearest to each of [P, 3]."""
         found = [self.feet(point) for point in points]
         best = [int(distances.argmin()) for _, _, distances in found]
-        return tuple(np.array([f[k][b] for f, b in zip(found, best, strict=True)]) for k in (0, 1))  # type: ignore[return-value]
+        return tuple(np.array([f[k][b] for f, b in zip(found, best, strict=True)]) for k in (0, 1))
 
 
-def _nearest(point: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _nearest(point, corners):
     """Weights [F, 3] and distances [F] of the points of triangles [F, 3, 3] that are nearest to [3]."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     w = point - a
@@ -79,7 +73,7 @@ def _nearest(point: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.nda
     return every[which, face], away[which, face]
 
 
-def unprojected(depth: np.ndarray, camera: Camera) -> np.ndarray:
+def unprojected(depth, camera):
     """World points [P, 3] of the seen pixels of a planar depth map [H, W], row by row, from pose and lens alone."""
     height, width = depth.shape
     row, column = np.nonzero(depth < 1e9)
@@ -91,9 +85,7 @@ def unprojected(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return local @ camera.camera_to_world[:3, :3].T + camera.camera_to_world[:3, 3]
 
 
-def displacement_errors(
-    position: np.ndarray, displacement: np.ndarray, rest: Surface, displacements: Sequence[np.ndarray]
-) -> np.ndarray:
+def displacement_errors(position, displacement, rest, displacements):
     """[P] differences between the displacement pass and the mode shapes at the material points that pixels see.
 
     Undone by its displacement, a point seen must lie on the surface at rest: where it does not, the difference is
@@ -109,13 +101,13 @@ def displacement_errors(
 
 
 def expected_flow(
-    position: np.ndarray,  # [P, 3] of material points now
-    displacement: np.ndarray,  # [P, 3] of them now
-    rest: Surface,
-    there: Sequence[np.ndarray],  # displacements of every body at the other time
-    camera: Camera,
-    size: int,
-) -> np.ndarray:
+    position,  # [P, 3] of material points now
+    displacement,  # [P, 3] of them now
+    rest,
+    there,  # displacements of every body at the other time
+    camera,
+    size,
+):
     """[P, 2] pixels by which each point lies elsewhere at the other time, y down."""
     corners, weights = rest.foot(position - displacement)
     other = np.einsum("pk,pkc->pc", weights, np.concatenate(there)[corners])

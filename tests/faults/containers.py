@@ -3,14 +3,12 @@
 import contextlib
 import io
 import json
-import random
 import struct
 import tempfile
 import warnings
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +20,7 @@ from tg4mm.core.untrusted import parse_json
 from tg4mm.run.tensor_file import DIGEST, write_tensors
 
 
-def of_tensors(data: bytes, rng: random.Random) -> bytes:
+def of_tensors(data, rng):
     """A safetensors file: its bytes, its header, or its tensors written anew with a digest that is right."""
     what = rng.random()
     if what < 0.3:
@@ -34,7 +32,7 @@ def of_tensors(data: bytes, rng: random.Random) -> bytes:
     return _tensors_anew(data, rng)
 
 
-def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
+def _tensors_anew(data, rng):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.safetensors"
         path.write_bytes(data)
@@ -58,7 +56,7 @@ def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
         return path.read_bytes()
 
 
-def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
+def _other_array(array, rng):
     """Another type, shape or value; None: none at all."""
     flat, what = array.reshape(-1), rng.randrange(9)
     if what == 0:
@@ -92,7 +90,7 @@ def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
     return out.reshape(array.shape)
 
 
-def of_sealed(data: bytes, rng: random.Random) -> bytes:
+def of_sealed(data, rng):
     """JSON with a digest: as any JSON, or its values changed and the digest put right, or left out."""
     if rng.random() < 0.3:
         return of_json(data, rng)
@@ -105,7 +103,7 @@ def of_sealed(data: bytes, rng: random.Random) -> bytes:
     return written(values)
 
 
-def of_npz(data: bytes, rng: random.Random) -> bytes:
+def of_npz(data, rng):
     """Bytes; arrays of another type, shape or value; headers that promise more; methods, pickles and bombs."""
     what = rng.random()
     if what < 0.35:
@@ -129,7 +127,7 @@ def of_npz(data: bytes, rng: random.Random) -> bytes:
     return packed
 
 
-def _other_npy(data: bytes, rng: random.Random) -> bytes:
+def _other_npy(data, rng):
     array = np.load(io.BytesIO(data), allow_pickle=False)
     other = _other_array(array, rng)
     if other is None:
@@ -139,7 +137,7 @@ def _other_npy(data: bytes, rng: random.Random) -> bytes:
     return out.getvalue()
 
 
-def _promising(data: bytes, rng: random.Random) -> bytes:
+def _promising(data, rng):
     """A header with another number or word in it, as long as before."""
     size = struct.unpack_from("<H", data, 8)[0]
     text = data[10 : 10 + size].decode("latin-1")
@@ -151,7 +149,7 @@ def _promising(data: bytes, rng: random.Random) -> bytes:
     return data[:10] + text.encode("latin-1", "replace") + data[10 + size :]
 
 
-def _bomb(data: bytes, rng: random.Random) -> bytes:
+def _bomb(data, rng):
     """Ten million bytes of zeros, which pack to ten thousand."""
     if rng.random() > 0.05:
         return data
@@ -160,7 +158,7 @@ def _bomb(data: bytes, rng: random.Random) -> bytes:
     return out.getvalue()
 
 
-def of_png(data: bytes, rng: random.Random) -> bytes:
+def of_png(data, rng):
     """Bytes of a PNG, of one chunk with its checksum put right, or another size in its header."""
     what = rng.random()
     if what < 0.3:
@@ -180,7 +178,7 @@ def of_png(data: bytes, rng: random.Random) -> bytes:
     return data[:8] + b"".join(sealed)
 
 
-def _chunks(data: bytes) -> Any:
+def _chunks(data):
     at = 8
     while at + 12 <= len(data):
         (size,) = struct.unpack_from(">I", data, at)

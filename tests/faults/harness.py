@@ -20,11 +20,10 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.faults.readers import READERS, Reader
+from tests.faults.readers import READERS
 from tg4mm.core.errors import Tg4mmError
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has before it reads
@@ -42,16 +41,16 @@ class Tally:
     faults: list[tuple[int, str]] = field(default_factory=list)  # number of the mutation, what happened
 
     @property
-    def count(self) -> int:
+    def count(self):
         return self.read + self.refused + len(self.faults)
 
 
-def mutated(name: str, seed: int, index: int, sample: bytes) -> bytes:
+def mutated(name, seed, index, sample):
     """The `index`-th mutation of a reader's sample; the same in every process."""
     return READERS[name].mutate(sample, random.Random(f"{seed} {name} {index}"))
 
 
-def run_reader(name: str, count: int, seed: int, keep: Path | None = None) -> Tally:
+def run_reader(name, count, seed, keep=None):
     """Read `count` mutations. A child that dies or hangs costs one of them; the next one goes on after it."""
     tally, index = Tally(), 0
     while index < count:
@@ -70,7 +69,7 @@ def run_reader(name: str, count: int, seed: int, keep: Path | None = None) -> Ta
     return tally
 
 
-def _keep(folder: Path, name: str, seed: int, index: int) -> None:
+def _keep(folder, name, seed, index):
     with tempfile.TemporaryDirectory() as scratch:
         file = READERS[name].make(Path(scratch))
         folder.mkdir(parents=True, exist_ok=True)
@@ -78,7 +77,7 @@ def _keep(folder: Path, name: str, seed: int, index: int) -> None:
         (folder / f"{safe}_{index}{file.suffix}").write_bytes(mutated(name, seed, index, file.read_bytes()))
 
 
-def _answers(name: str, start: int, count: int, seed: int) -> Iterator[dict[str, object]]:
+def _answers(name, start, count, seed):
     """What a child process says of the mutations from `start` on, until it is through, dies or hangs."""
     out, into = os.pipe()
     child = os.fork()
@@ -117,7 +116,7 @@ def _answers(name: str, start: int, count: int, seed: int) -> Iterator[dict[str,
         yield {"index": index, "what": f"the process died with status {status}"}
 
 
-def _read_all(name: str, numbers: range, seed: int, channel) -> None:
+def _read_all(name, numbers, seed, channel):
     reader = READERS[name]
     warnings.simplefilter("ignore")
     tempfile.tempdir = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files of milliseconds need no disk
@@ -147,7 +146,7 @@ def _read_all(name: str, numbers: range, seed: int, channel) -> None:
             channel.flush()
 
 
-def _outcome(reader: Reader, root: Path) -> str:
+def _outcome(reader, root):
     try:
         reader.read(root)
     except Tg4mmError as error:
@@ -161,7 +160,7 @@ def _outcome(reader: Reader, root: Path) -> str:
     return "read"
 
 
-def _contents(root: Path, file: Path) -> dict[str, bytes]:
+def _contents(root, file):
     """What every file holds but the mutated one and the log, which reading a run writes."""
     found = {}
     for folder, _, names in os.walk(root):
@@ -171,12 +170,12 @@ def _contents(root: Path, file: Path) -> dict[str, bytes]:
     return found
 
 
-def _printed(name: str, tally: Tally, seconds: float) -> str:
+def _printed(name, tally, seconds):
     row = f"{name:<28}{tally.count:>8,}{tally.read:>8,}{tally.refused:>9,}{len(tally.faults):>8}"
     return f"{row}{1e3 * tally.slowest_s:>10.0f}{seconds:>9.0f}"
 
 
-def main() -> int:
+def main():
     """Prints a row a reader; 1 if there is a fault."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -47,25 +47,25 @@ class Command:
     passing: tuple[str, ...] = ()  # patterns of files that are not what they will be while it works
 
 
-def _dataset(folder: Path) -> None:
+def _dataset(folder):
     make_synthetic_dataset(
         folder / "set", n_views=3, n_timesteps=6, size=24, freqs=(5.0,), amplitude=0.03, alphas=(), n_test=0
     )
 
 
-def _run(folder: Path) -> None:
+def _run(folder):
     from tests.show.measure.filmed import modes, of_parts, run_of, sine
 
     run_of(folder, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 8), n_timesteps=8, n_views=3)
 
 
-def _video(folder: Path) -> None:
+def _video(folder):
     from tests.capture.sfm.videos import still, write_video
 
     write_video(folder / "a.mp4", still(12))
 
 
-def _photographs(folder: Path) -> None:
+def _photographs(folder):
     from tests.capture.sfm.scenes import intrinsics, orbit, picture, save
 
     (folder / "in").mkdir()
@@ -93,7 +93,7 @@ COMMANDS = {
 }
 
 
-def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None = None) -> int:
+def in_child(work, said, kill_after_s=None):
     """The wait status of a forked process that did the work. What it says goes to a file.
 
     kill_after_s: it is killed after so many seconds, with all the processes that it has started.
@@ -129,7 +129,7 @@ def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None 
 class Trial:
     """One command, what it leaves undisturbed, and folders in which it is killed."""
 
-    def __init__(self, root: Path, name: str) -> None:
+    def __init__(self, root, name):
         self.root, self.name, self.command = root, name, COMMANDS[name]
         self.said = root / "said.txt"
         (root / "given").mkdir()
@@ -146,33 +146,33 @@ class Trial:
         self.varying = {path for path, data in self.expected.items() if again[path] != data}
         assert not {path for path in self.varying if path.endswith(".safetensors")}
 
-    def _copy(self, name: str) -> Path:
+    def _copy(self, name):
         shutil.copytree(self.root / "given", self.root / name)
         return self.root / name
 
-    def _must(self, work: Callable[[], object]) -> None:
+    def _must(self, work):
         if in_child(work, self.said):
             said = self.said.read_text()[-2000:]
             raise AssertionError(f"{self.name}, killed by nobody, has failed: {said}")
 
-    def give(self, folder: Path, rename: int = 0) -> None:
+    def give(self, folder, rename=0):
         """The command; killed right after its `rename`-th rename, unless that is 0."""
         for module in (tg4mm.fit.space.train, tg4mm.research.paper.space, tg4mm.research.paper.motion):
-            module.CHECKPOINT_EVERY_S = OFTEN_S  # type: ignore[attr-defined]
+            module.CHECKPOINT_EVERY_S = OFTEN_S
         left = rename
 
-        def replace(source, target) -> None:
+        def replace(source, target):
             nonlocal left
             _REPLACE(source, target)
             left -= 1
             if left == 0:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-        os.replace = replace  # type: ignore[assignment]
+        os.replace = replace
         status = program([word.replace("F/", f"{folder}/") for word in self.command.words.split()])
         assert status == 0, f"exit status {status}"
 
-    def random_kills(self, kills: int, seed: int) -> int:
+    def random_kills(self, kills, seed):
         """Kills at random moments, up to three in one folder. Returns how many struck before the end."""
         rng, struck, number = random.Random(seed), 0, 0
         while struck < kills:
@@ -180,23 +180,23 @@ class Trial:
             before = contents(folder)
             for _ in range(rng.randint(1, 3)):
                 moment = rng.uniform(0.0, self.seconds)
-                struck += os.WIFSIGNALED(in_child(lambda f=folder: self.give(f), self.said, moment))  # type: ignore[misc]
+                struck += os.WIFSIGNALED(in_child(lambda f=folder: self.give(f), self.said, moment))
                 before = self.check_whole(folder, before, f"killed after {moment:.3f} s")
             self.check_finished(folder, before)
         return struck
 
-    def kills_after_renames(self, most: int, step: int) -> int:
+    def kills_after_renames(self, most, step):
         """A kill after the first rename, `step` renames later in another folder, and so on. Returns how many."""
         numbers = range(1, most + 1, step)
         for i, n in enumerate(numbers):
             folder = self._copy(f"rename_{n}")
             before = contents(folder)
-            if not os.WIFSIGNALED(in_child(lambda f=folder, n=n: self.give(f, n), self.said)):  # type: ignore[misc]
+            if not os.WIFSIGNALED(in_child(lambda f=folder, n=n: self.give(f, n), self.said)):
                 return i
             self.check_finished(folder, self.check_whole(folder, before, f"killed after rename {n}"))
         return len(numbers)
 
-    def check_finished(self, folder: Path, before: dict[str, bytes]) -> None:
+    def check_finished(self, folder, before):
         """Let the command finish, and compare. Raises AssertionError."""
         self._must(lambda: self.give(folder))
         found = self.check_whole(folder, before, "in the end", passing=())
@@ -204,9 +204,7 @@ class Trial:
             raise AssertionError(f"{self.name}, in the end: not the files of an undisturbed one: {odd[:5]}")
         shutil.rmtree(folder)
 
-    def check_whole(
-        self, folder: Path, before: dict[str, bytes], how: str, passing: tuple[str, ...] | None = None
-    ) -> dict[str, bytes]:
+    def check_whole(self, folder, before, how, passing=None):
         """What is there now. Raises AssertionError for a file that is lost or not whole."""
         found = contents(folder)
         for path, data in found.items():
@@ -222,20 +220,20 @@ class Trial:
         return found
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     """Every file below but temporary ones and locks; of safetensors the tensors, whose header has no fixed order."""
     files = [f for f in folder.rglob("*") if f.is_file() and not f.name.endswith(".lock")]
     return {f.relative_to(folder).as_posix(): _content(f) for f in files if not is_temporary(f)}
 
 
-def _content(file: Path) -> bytes:
+def _content(file):
     if file.suffix != ".safetensors":
         return file.read_bytes()
     with safe_open(file, framework="numpy") as held:
         return b"".join(name.encode() + held.get_tensor(name).tobytes() for name in sorted(held.keys()))
 
 
-def main() -> int:
+def main():
     """Prints what was done; ends with an AssertionError where something was lost."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -32,14 +32,14 @@ YAML_TEXTS = (
 )  # fmt: skip
 
 
-def of_bytes(data: bytes, rng: random.Random) -> bytes:
+def of_bytes(data, rng):
     """One to four small damages, wherever they fall."""
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         data = rng.choice(_BYTES)(data, rng)
     return data
 
 
-def _flip(data: bytes, rng: random.Random) -> bytes:
+def _flip(data, rng):
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 8))):
         if out:
@@ -47,36 +47,36 @@ def _flip(data: bytes, rng: random.Random) -> bytes:
     return bytes(out)
 
 
-def _truncate(data: bytes, rng: random.Random) -> bytes:
+def _truncate(data, rng):
     return data[: rng.randrange(len(data) + 1)]
 
 
-def _slice(data: bytes, rng: random.Random) -> tuple[int, int]:
+def _slice(data, rng):
     start = rng.randrange(len(data) + 1)
     return start, min(len(data), start + rng.choice((1, 2, 4, 8, 32, 256, 4096)))
 
 
-def _delete(data: bytes, rng: random.Random) -> bytes:
+def _delete(data, rng):
     a, b = _slice(data, rng)
     return data[:a] + data[b:]
 
 
-def _repeat(data: bytes, rng: random.Random) -> bytes:
+def _repeat(data, rng):
     a, b = _slice(data, rng)
     return data[:b] + data[a:b] * rng.choice((1, 2, 100)) + data[b:]
 
 
-def _insert(data: bytes, rng: random.Random) -> bytes:
+def _insert(data, rng):
     at = rng.randrange(len(data) + 1)
     return data[:at] + rng.randbytes(rng.choice((1, 2, 4, 16, 256))) + data[at:]
 
 
-def _blank(data: bytes, rng: random.Random) -> bytes:
+def _blank(data, rng):
     a, b = _slice(data, rng)
     return data[:a] + bytes([rng.choice((0, 255))]) * (b - a) + data[b:]
 
 
-def _number(data: bytes, rng: random.Random) -> bytes:
+def _number(data, rng):
     """A whole number of 1 to 8 bytes with an extreme value, most often near the start, where headers are."""
     size = rng.choice((1, 2, 4, 8))
     if len(data) < size:
@@ -87,7 +87,7 @@ def _number(data: bytes, rng: random.Random) -> bytes:
     return data[:at] + raw + data[at + size :]
 
 
-def _swap(data: bytes, rng: random.Random) -> bytes:
+def _swap(data, rng):
     (a, b), (c, d) = sorted((_slice(data, rng), _slice(data, rng)))
     return data if b > c else data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
 
@@ -97,14 +97,14 @@ _BYTES: tuple[Mutation, ...] = (
 )
 
 
-def of_json(data: bytes, rng: random.Random) -> bytes:
+def of_json(data, rng):
     """A value replaced, removed, renamed or doubled; now and then damage to the text."""
     if rng.random() < 0.25:
         return of_bytes(data, rng)
     return written(changed(json.loads(data), rng))
 
 
-def changed(value: Any, rng: random.Random) -> Any:
+def changed(value, rng):
     """JSON data with one to three places changed."""
     value = json.loads(json.dumps(value))
     for _ in range(rng.choice((1, 1, 2, 3))):
@@ -126,7 +126,7 @@ def changed(value: Any, rng: random.Random) -> Any:
     return value
 
 
-def _holders(value: Any) -> Any:
+def _holders(value):
     if isinstance(value, dict | list):
         if value:
             yield value
@@ -134,7 +134,7 @@ def _holders(value: Any) -> Any:
             yield from _holders(child)
 
 
-def written(value: Any) -> bytes:
+def written(value):
     """JSON text, with what json.dumps cannot write: depth, repeated keys, numbers of any length."""
     text = json.dumps(value, default=str) if not _long(value) else _dumped(value)
     text = text.replace(json.dumps(DEEP), "[" * 100_000 + "]" * 100_000)
@@ -142,12 +142,12 @@ def written(value: Any) -> bytes:
     return text.replace(json.dumps(TWICE)[1:-1], "").encode()
 
 
-def _long(value: Any) -> bool:
+def _long(value):
     return any(isinstance(v, int) and abs(v) > _PRINTED for h in [[value], *_holders(value)] for v in
                (h.values() if isinstance(h, dict) else h))  # fmt: skip
 
 
-def _dumped(value: Any) -> str:
+def _dumped(value):
     """As json.dumps, of whole numbers that are too long for Python to print as well."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json.dumps(k)}: {_dumped(v)}" for k, v in value.items()) + "}"
@@ -158,7 +158,7 @@ def _dumped(value: Any) -> str:
     return json.dumps(value)
 
 
-def of_text(data: bytes, rng: random.Random) -> bytes:
+def of_text(data, rng):
     """A word of a text replaced by another of its words, a hostile one, or an extreme number."""
     if rng.random() < 0.25:
         return of_bytes(data, rng)
@@ -175,7 +175,7 @@ def of_text(data: bytes, rng: random.Random) -> bytes:
     return text.encode("utf-8" if rng.random() < 0.5 else "latin-1", "replace")
 
 
-def of_header(data: bytes, rng: random.Random) -> bytes:
+def of_header(data, rng):
     """Of a PLY: a word of its text header, or bytes anywhere."""
     end = data.find(b"end_header")
     if end < 0 or rng.random() < 0.4:

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -30,15 +29,15 @@ class Reader:
     mutate: Mutation
 
 
-def reading(pattern: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
+def reading(pattern, read):
     """Reads the one file whose name matches."""
     return lambda root: read(next(root.glob(pattern)))
 
 
-def record(name: str, values: Any, *folders: str) -> Callable[[Path], Path]:
+def record(name, values, *folders):
     """Writes a JSON file that is nothing but these values."""
 
-    def make(root: Path) -> Path:
+    def make(root):
         file = root.joinpath(*folders, name)
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(values))
@@ -47,10 +46,10 @@ def record(name: str, values: Any, *folders: str) -> Callable[[Path], Path]:
     return make
 
 
-def sealed(name: str, values: dict[str, Any], *folders: str) -> Callable[[Path], Path]:
+def sealed(name, values, *folders):
     """Writes a JSON file with a digest."""
 
-    def make(root: Path) -> Path:
+    def make(root):
         file = root.joinpath(*folders, name)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_sealed(file, values)
@@ -59,7 +58,7 @@ def sealed(name: str, values: dict[str, Any], *folders: str) -> Callable[[Path],
     return make
 
 
-def gaussians() -> Any:
+def gaussians():
     rng = np.random.default_rng(0)
     shapes = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,), "sh": (N, 4, 3)}
     return Gaussians(
@@ -67,17 +66,17 @@ def gaussians() -> Any:
     )
 
 
-def motion() -> Any:
+def motion():
     rng = np.random.default_rng(1)
     displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
     light = AppearanceModes(rng.normal(size=(1, N, 1, 3)).astype(np.float32), rng.normal(size=(2, 1)) + 0j)
     return ModalMotion(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
 
 
-def run_of(name: str) -> Callable[[Path], Path]:
+def run_of(name):
     """A whole run, with checkpoints as if its stages had been stopped."""
 
-    def make(root: Path) -> Path:
+    def make(root):
         (root / "data").mkdir()
         run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
         run.save_space(gaussians(), {"seconds": 1.5, "n_gaussians": N, "init": "points"})
@@ -91,8 +90,8 @@ def run_of(name: str) -> Callable[[Path], Path]:
     return make
 
 
-def paper_run(name: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def paper_run(name):
+    def make(root):
         run_of("config.json")(root)
         model = started(gaussians(), PaperConfig(channels=2, resolution=16))
         run = Run.open(root / "run")

@@ -7,7 +7,6 @@ and the like) are not among them: they are read in a process of their own, by co
 import io
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +51,7 @@ from tg4mm.show.report.closing import _stage
 from tg4mm.show.report.summary import total_seconds
 
 
-def _splat(root: Path) -> Path:
+def _splat(root):
     g, m = gaussians(), motion()
     arrays = [getattr(g, k).numpy() for k in ("means", "quats", "scales", "opacities", "sh")]
     splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, 30.0, T, 0.01)
@@ -60,7 +59,7 @@ def _splat(root: Path) -> Path:
     return root / "a.ply"
 
 
-def _read_run(root: Path) -> None:
+def _read_run(root):
     """All that render, export and report read."""
     run = Run.open(root / "run")
     run.load_space()
@@ -73,19 +72,19 @@ def _read_run(root: Path) -> None:
     model_hash(run.path)
 
 
-def _resume_run(root: Path) -> None:
+def _resume_run(root):
     run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
     run.record("space", {"seconds": 1.0, "peak_memory_mib": 5.0})
 
 
-def _read_paper(root: Path) -> None:
+def _read_paper(root):
     run = Run.open(root / "run")
     model = load_model(run)
     model.decode(model.embedding(load_planes(run, 1, model)))
     plane_video(run, model, 2, 0, 1)
 
 
-def _read_demo(root: Path) -> None:
+def _read_demo(root):
     folder = WorkFolder(root, STEPS_FILE, free=("done",))
     request = {"format": "tg4mm-demo", "version": 1, "size": 64}
     folder.claim(request, {**request, "done": {}})
@@ -95,12 +94,12 @@ def _read_demo(root: Path) -> None:
 SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "closure": 0.75}
 
 
-def _partial(root: Path) -> Path:
+def _partial(root):
     Resume(root / "metrics.json").put("key", SCORES)
     return root / ".metrics.json.partial.tmp"
 
 
-def _read_partial(root: Path) -> None:
+def _read_partial(root):
     """What is not as it was put there is not given: no mutation may change a score."""
     assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 
@@ -108,8 +107,8 @@ def _read_partial(root: Path) -> None:
 # The generator, and reconstruction.
 
 
-def _motion_file(suffix: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _motion_file(suffix):
+    def make(root):
         path = root / f"motion{suffix}"
         source = Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml"
         path.write_text(
@@ -121,7 +120,7 @@ def _motion_file(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _bodies(root: Path) -> Path:
+def _bodies(root):
     bodies_file.save(root / "found.npz", FOUND)
     return root / "found.npz"
 
@@ -129,11 +128,11 @@ def _bodies(root: Path) -> Path:
 CLAIM = {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}
 
 
-def _claim(root: Path) -> None:
+def _claim(root):
     work_folder(root / "set").claim(CLAIM)
 
 
-def _farm(root: Path) -> None:
+def _farm(root):
     before, sys.stdin = (
         sys.stdin,
         io.StringIO((root / "config.json").read_text(encoding="utf-8", errors="replace")),
@@ -162,8 +161,8 @@ SURVEY = {
 }  # fmt: skip
 
 
-def _length(suffix: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _length(suffix):
+    def make(root):
         text = json.dumps(LENGTH) if suffix == ".json" else yaml.safe_dump(LENGTH)
         (root / f"length{suffix}").write_text(text)
         return root / f"length{suffix}"
@@ -171,39 +170,39 @@ def _length(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_survey(root: Path) -> None:
+def _read_survey(root):
     found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
     found.clock()
     is_fixed(found)
     stretches_of(found, fixed=True)
 
 
-def _request(root: Path) -> Path:
+def _request(root):
     return open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).folder / "request.json"
 
 
-def _read_request(root: Path) -> None:
+def _read_request(root):
     open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).finished()
 
 
-def _finished(root: Path) -> Path:
+def _finished(root):
     _request(root)
     return record("scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}}, "out")(root)
 
 
-def _video(root: Path) -> Path:
+def _video(root):
     write_video(root / "a.mp4", still(4, size=(32, 24)))
     return root / "a.mp4"
 
 
-def _read_video(root: Path) -> None:
+def _read_video(root):
     video_info(root / "a.mp4")
     for _ in video_frames(root / "a.mp4"):
         pass
 
 
-def _photograph(suffix: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _photograph(suffix):
+    def make(root):
         pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
         exif = Image.Exif()
         exif[0x0112] = 6  # a quarter turn
@@ -213,7 +212,7 @@ def _photograph(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
-def _sensors(root: Path) -> Path:
+def _sensors(root):
     path = root / "sensors.yaml"
     path.write_text(
         "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
@@ -221,8 +220,8 @@ def _sensors(root: Path) -> Path:
     return path
 
 
-def _weights(suffix: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _weights(suffix):
+    def make(root):
         state = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
         if suffix == ".pth":
             torch.save(state, root / "w.pth")

@@ -2,8 +2,6 @@
 
 import json
 import struct
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +19,11 @@ from tg4mm.capture.truth_file import load_truth
 from tg4mm.show.render.cameras import cameras_from_file
 
 
-def _capture(root: Path) -> None:
+def _capture(root):
     load_images(load_capture(root))
 
 
-def _tree(root: Path) -> Path:
+def _tree(root):
     scene = {
         "fps": 30,
         "n_timesteps": T,
@@ -38,24 +36,24 @@ def _tree(root: Path) -> Path:
     return root / "scene.json"
 
 
-def _transforms(root: Path) -> Path:
+def _transforms(root):
     _tree(root)
     return root / "001" / "transforms_train.json"
 
 
-def _sized_transforms(root: Path) -> Path:
+def _sized_transforms(root):
     path = _transforms(root)
     for file in root.rglob("transforms_*.json"):
         file.write_text(json.dumps(json.loads(file.read_text()) | {"w": 12, "h": 8}))
     return path
 
 
-def _sized(root: Path) -> Path:
+def _sized(root):
     _sized_transforms(root)
     return root / "scene.json"
 
 
-def _truth(root: Path) -> Path:
+def _truth(root):
     _sized_transforms(root)
     rng = np.random.default_rng(0)
     arrays: dict[str, Any] = {
@@ -73,11 +71,11 @@ def _truth(root: Path) -> Path:
     return root / "truth" / "motion.npz"
 
 
-def _read_dataset(root: Path) -> None:
+def _read_dataset(root):
     read_dataset(root).timesteps_by_strength()
 
 
-def _nerfstudio(root: Path) -> Path:
+def _nerfstudio(root):
     write_folder(root)
     values = json.loads((root / "transforms_train.json").read_text())
     (root / "transforms_train.json").unlink()
@@ -97,7 +95,7 @@ def _nerfstudio(root: Path) -> Path:
     return root / "transforms.json"
 
 
-def _ply(root: Path, name: str = "points3d.ply") -> Path:
+def _ply(root, name="points3d.ply"):
     if name == "points3d.ply":
         write_folder(root)
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + "".join(
@@ -111,8 +109,8 @@ def _ply(root: Path, name: str = "points3d.ply") -> Path:
     return root / name
 
 
-def _colmap(name: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _colmap(name):
+    def make(root):
         pictures(root)
         model = root / "sparse" / "0"
         model.mkdir(parents=True)
@@ -126,7 +124,7 @@ def _colmap(name: str) -> Callable[[Path], Path]:
     return make
 
 
-def _colmap_binary(model: Path) -> None:
+def _colmap_binary(model):
     (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
     images = struct.pack("<Q", 2)
     for i, name in enumerate(("a/r_2.png", "b.png")):
@@ -139,8 +137,8 @@ def _colmap_binary(model: Path) -> None:
     (model / "points3D.bin").write_bytes(points)
 
 
-def _picture(suffix: str, deep: bool = False) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _picture(suffix, deep=False):
+    def make(root):
         write_folder(root)
         pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 4), np.uint8)
         (root / "train" / "r_000.png").unlink()

@@ -2,8 +2,6 @@
 
 import gzip
 import json
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -35,13 +33,13 @@ SUMMARY: dict[str, Any] = {
 TIMING = {"pictures": 12, "seconds": 34.5, "processes": 2}
 
 
-def _summary(root: Path) -> Path:
+def _summary(root):
     (root / "mic").mkdir()
     _thumbnail(root)
     return sealed("summary.json", SUMMARY, "mic", "report")(root)
 
 
-def _thumbnail(root: Path) -> Path:
+def _thumbnail(root):
     folder = root / "mic" / "report"
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)).save(
@@ -50,7 +48,7 @@ def _thumbnail(root: Path) -> Path:
     return folder / "thumbnail.png"
 
 
-def _read_overview(root: Path) -> None:
+def _read_overview(root):
     from dataset_gen.report.overview import Entry, _summary, overview
 
     entry = Entry(root / "mic", _summary(root / "mic"))
@@ -59,11 +57,11 @@ def _read_overview(root: Path) -> None:
         raise GenerateError("the page does without it")
 
 
-def _read_timing(root: Path) -> None:
-    closing._timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))  # type: ignore[arg-type]
+def _read_timing(root):
+    closing._timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))
 
 
-def _read_former_timing(root: Path) -> None:
+def _read_former_timing(root):
     try:
         found = run._timing(root / "report" / "timing.json")
     except RunFailed as error:
@@ -71,13 +69,13 @@ def _read_former_timing(root: Path) -> None:
     json.dumps({key: found[key] + 1 for key in found}, allow_nan=False)
 
 
-def _view_of_points(root: Path) -> Path:
+def _view_of_points(root):
     rng = np.random.default_rng(0)
     np.savez(root / "r_000.npz", index=np.arange(0, 20, 3), colour=rng.random((7, 3)), weight=rng.random(7))
     return root / "r_000.npz"
 
 
-def _read_view_of_points(root: Path) -> None:
+def _read_view_of_points(root):
     try:
         view = read_view(root / "r_000.npz", 8)
     except ValueError as error:
@@ -85,8 +83,8 @@ def _read_view_of_points(root: Path) -> None:
     merge([view, view], 8)
 
 
-def _mesh(kind: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _mesh(kind):
+    def make(root):
         properties = "".join(f"property float {axis}\n" for axis in "xyz")
         head = f"ply\nformat {kind} 1.0\ncomment a mesh\nelement vertex 4\n{properties}"
         head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
@@ -100,28 +98,28 @@ def _mesh(kind: str) -> Callable[[Path], Path]:
     return make
 
 
-def _picture(root: Path) -> Path:
+def _picture(root):
     pixels = np.random.default_rng(0).random((8, 12, 4)).astype(np.float32)
     (root / "a.exr").write_bytes(exr.encode(pixels))
     return root / "a.exr"
 
 
-def _pixels(root: Path) -> Path:
+def _pixels(root):
     made = Plane(root / "set")
     made.write(alphas=())
     made.truth()
     return made.root / "truth" / "test" / "002" / "r_000.exr"
 
 
-def _read_pixels(root: Path) -> None:
+def _read_pixels(root):
     dataset = read_dataset(root / "set")
     seen = seen_motion(dataset, [v for v in dataset.views["test"] if v.timestep == 2])
     assert seen is not None
     motion_from_truth(seen, 0.02)
 
 
-def _blend(packed: bool) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _blend(packed):
+    def make(root):
         data = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
         (root / "a.blend").write_bytes(gzip.compress(data, mtime=0) if packed else data)
         return root / "a.blend"
@@ -129,10 +127,10 @@ def _blend(packed: bool) -> Callable[[Path], Path]:
     return make
 
 
-def _sparse(name: str) -> Callable[[Path], Path]:
+def _sparse(name):
     """A model that COLMAP itself has written."""
 
-    def make(root: Path) -> Path:
+    def make(root):
         c = colmap("a test")
         model = c.Reconstruction()
         camera = c.Camera(model="SIMPLE_RADIAL", width=12, height=8, params=[20, 6, 4, 0.01], camera_id=1)
@@ -151,7 +149,7 @@ def _sparse(name: str) -> Callable[[Path], Path]:
     return make
 
 
-def _read_sparse(root: Path) -> None:
+def _read_sparse(root):
     model = saved_model(root / "sparse" / "0")
     for image in registered(model).values():
         image.cam_from_world().matrix()

@@ -2,8 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -98,7 +96,7 @@ SCALED = ABLATION | {
 }  # fmt: skip
 
 
-def _read_metrics(root: Path) -> None:
+def _read_metrics(root):
     """All that the report does with them."""
     _is_ours(root / "metrics.json")
     found: Any = SimpleNamespace(
@@ -113,7 +111,7 @@ def _read_metrics(root: Path) -> None:
 # Benchmarks.
 
 
-def _read_figures(root: Path) -> None:
+def _read_figures(root):
     found = read_figures(root)
     if found is None:
         raise RunError("it is made anew")
@@ -126,7 +124,7 @@ def _read_figures(root: Path) -> None:
     _columns(Row("a"), found)
 
 
-def _read_scores(root: Path) -> None:
+def _read_scores(root):
     found = [entry["scores"] for entry in _Kept(root / "scores.json").entries.values()]
     if not found:
         raise RunError("it is made anew")
@@ -138,37 +136,37 @@ def _read_scores(root: Path) -> None:
     list(pivots(line_means(lines, {"a": "g"}), "g"))
 
 
-def _read_rendered(root: Path) -> None:
+def _read_rendered(root):
     """Not what is rendered where it is of no use."""
 
-    def render(*_: Any) -> Any:
+    def render(*_):
         raise RunError("it is made anew")
 
     method: Any = SimpleNamespace(recipe=lambda *_: {}, render=render)
     data, capture = SimpleNamespace(digest="a"), [0]
     with patch.object(jobs, "truth_at", lambda *_: []):  # no picture is looked for
-        found = jobs.rendered(method, "ours", data, root, capture, 20, None)  # type: ignore[arg-type]
+        found = jobs.rendered(method, "ours", data, root, capture, 20, None)
     np.median([found["frames_per_s"] or 0.0])
 
 
-def _rendered(root: Path) -> Path:
+def _rendered(root):
     values = {"recipe": json_digest({"data": "a", "alpha": 20})[:20], "n_images": 6, "frames_per_s": 31.5}
     return sealed("x020.json", values, "pictures", "ours")(root)
 
 
-def _read_ablation(root: Path) -> None:
+def _read_ablation(root):
     _ablation(root, read_ablation(root))
 
 
-def _read_bench(root: Path) -> None:
+def _read_bench(root):
     open_folder(root / "out", "scenes")
 
 
-def _read_complete(root: Path) -> None:
+def _read_complete(root):
     _is_done(root, ["mic", "--out", "a"])
 
 
-def _scene(root: Path) -> Path:
+def _scene(root):
     """A set as the generator would make it of a scene of its own."""
     make_synthetic_dataset(
         root / "set", n_views=2, n_timesteps=4, size=16, freqs=(5.0,), alphas=(5,), n_test=1
@@ -185,7 +183,7 @@ def _scene(root: Path) -> Path:
     return file
 
 
-def _read_scene(root: Path) -> None:
+def _read_scene(root):
     data = open_set(root / "set", "a")
     generator_arguments(data, kind_options(data, "sweep", None), root / "made")
 
@@ -193,12 +191,12 @@ def _read_scene(root: Path) -> None:
 # Runs.
 
 
-def _render_record(root: Path) -> Path:
+def _render_record(root):
     _claim(root, make=True)
     return root / "out" / "render.json"
 
 
-def _claim(root: Path, make: bool = False) -> None:
+def _claim(root, make=False):
     if make:
         run_of("config.json")(root)
     camera = Camera("r_000", np.eye(4), np.eye(3), 12, 8)
@@ -207,8 +205,8 @@ def _claim(root: Path, make: bool = False) -> None:
     )
 
 
-def _embeddings(name: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
+def _embeddings(name):
+    def make(root):
         _make_embeddings(root)
         (file,) = (root / "run" / "magnified").glob(f"*.{name}")
         return file
@@ -216,11 +214,11 @@ def _embeddings(name: str) -> Callable[[Path], Path]:
     return make
 
 
-def _plan() -> Any:
+def _plan():
     return Magnification((BandGain(4, 6, 5.0),), method="linear")
 
 
-def _make_embeddings(root: Path) -> None:
+def _make_embeddings(root):
     paper_run("config.json")(root)
     run = Run.open(root / "run")
     cells = len(load_model(run).cells)
@@ -229,27 +227,27 @@ def _make_embeddings(root: Path) -> None:
     series_of(run, "linear", _plan())
 
 
-def _read_embeddings(root: Path) -> None:
+def _read_embeddings(root):
     """Not what is made where they are of no use, which would write."""
 
-    def anew(*_: Any) -> None:
+    def anew(*_):
         raise RunError("they are made anew")
 
     with patch.object(preset, "_make", anew):
         preset.series_of(Run.open(root / "run"), "linear", _plan()).at(0.5)
 
 
-def _pass(root: Path) -> Path:
+def _pass(root):
     prepare(
         filmed.run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2)
     )
     return root / "run" / "residuals.safetensors"
 
 
-def _read_pass(root: Path) -> None:
+def _read_pass(root):
     """Not the pictures where it is of no use."""
 
-    def anew(*_: Any) -> None:
+    def anew(*_):
         raise RunError("the pictures are read again")
 
     with patch.object(prepared._Fixed, "_seen", anew):
@@ -269,7 +267,7 @@ _SENSOR = {"name": "tip", "px_per_unit": 50.0, "series": [_SERIES], "peaks": [_P
 _MEASURED = {"printed_unit": "mm", "unit_scale_m": 0.1, "sensors": [_SENSOR]}
 
 
-def _series_csv(root: Path) -> Path:
+def _series_csv(root):
     rows = "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
     (root / "a.csv").write_text(f"time_s,tip_mm,tip_mm_deviation\n{rows}")
     return root / "a.csv"

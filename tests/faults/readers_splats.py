@@ -3,12 +3,8 @@
 import gzip
 import io
 import json
-import random
 import struct
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +13,7 @@ from tests.faults.reader import Reader
 from tests.helpers.splat_files import KINDS, sog_parts, write_as
 
 
-def _still() -> Any:
+def _still():
     from tg4mm.core.splatfile import SplatFile
 
     rng = np.random.default_rng(0)
@@ -25,11 +21,11 @@ def _still() -> Any:
     return SplatFile.static(*(rng.uniform(0.1, 0.9, shape).astype(np.float32) for shape in shapes))
 
 
-def _make(kind: str) -> Callable[[Path], Path]:
+def _make(kind):
     return lambda root: write_as(kind, root, _still())
 
 
-def _read(root: Path) -> None:
+def _read(root):
     from tg4mm.core.splatfile import read_head, read_splat
 
     path = next(root.glob("a.*"))
@@ -37,7 +33,7 @@ def _read(root: Path) -> None:
     read_splat(path)
 
 
-def _loose_sog(root: Path) -> Path:
+def _loose_sog(root):
     meta, pictures = sog_parts(_still())
     for name, data in pictures.items():
         (root / name).write_bytes(data)
@@ -45,13 +41,13 @@ def _loose_sog(root: Path) -> Path:
     return root / "a.json"
 
 
-def _of_gzip(data: bytes, rng: random.Random) -> bytes:
+def _of_gzip(data, rng):
     return (
         of_bytes(data, rng) if rng.random() < 0.3 else gzip.compress(of_bytes(gzip.decompress(data), rng), 1)
     )
 
 
-def _of_glb(data: bytes, rng: random.Random) -> bytes:
+def _of_glb(data, rng):
     if rng.random() < 0.3:
         return of_bytes(data, rng)
     (size,) = struct.unpack_from("<I", data, 12)
@@ -61,7 +57,7 @@ def _of_glb(data: bytes, rng: random.Random) -> bytes:
     return data[:8] + struct.pack("<II4s", 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
 
 
-def _of_sog(data: bytes, rng: random.Random) -> bytes:
+def _of_sog(data, rng):
     what, out = rng.random(), io.BytesIO()
     if what < 0.2:
         return of_bytes(data, rng)

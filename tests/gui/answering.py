@@ -23,43 +23,40 @@ SETTING = {"run", "put", "clear", "shading", "view", "prepare_render", "cube"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
-def answer(function: Callable[..., Any]) -> Callable[..., Any]:
+def answer(function):
     ANSWERS[function.__name__] = function
     return function
 
 
 @answer
-def value(of: str) -> Any:
+def value(of):
     """What an expression of `bpy` is."""
     return eval(of)
 
 
 @answer
-def run(statement: str) -> None:
+def run(statement):
     """Do what a statement of `bpy` does, and redraw."""
     exec(statement)
 
 
 @answer
-def areas() -> list[dict[str, Any]]:
+def areas():
     """Every area with its regions: pixels from the window's upper left corner."""
     window = _window()
     return [
-        {
-            "type": area.type,
-            "regions": {region.type: _box(region, window.height) for region in area.regions},
-        }
+        {"type": area.type, "regions": {region.type: _box(region, window.height) for region in area.regions}}
         for area in window.screen.areas
     ]
 
 
-def _box(region: Any, height: int) -> list[int]:
+def _box(region, height):
     """Left, top, width, height."""
     return [region.x, height - region.y - region.height, region.width, region.height]
 
 
 @answer
-def tab() -> str:
+def tab():
     """The tab that the sidebar of the 3D view shows; empty where there is no sidebar."""
     area = _view()
     if not area.spaces.active.show_region_ui:
@@ -68,7 +65,7 @@ def tab() -> str:
 
 
 @answer
-def frame() -> dict[str, Any]:
+def frame():
     scene = bpy.context.scene
     playing = any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
     return {
@@ -81,7 +78,7 @@ def frame() -> dict[str, Any]:
 
 
 @answer
-def inputs() -> dict[str, Any]:
+def inputs():
     """Value of every input of the active object's splat modifier, menus as the names of their items."""
     modifier = _modifier()
     values = {}
@@ -92,7 +89,7 @@ def inputs() -> dict[str, Any]:
 
 
 @answer
-def paths() -> dict[str, str]:
+def paths():
     """Data path, from its object, of every input of the active object's splat modifier."""
     modifier = _modifier()
     return {
@@ -103,7 +100,7 @@ def paths() -> dict[str, str]:
 
 
 @answer
-def places(file: str) -> int:
+def places(file):
     """Write float32 [N, 3], where the instances of the active object are drawn, as .npy; returns N."""
     obj = bpy.context.view_layer.objects.active
     geometry = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
@@ -115,7 +112,7 @@ def places(file: str) -> int:
 
 
 @answer
-def chosen_file() -> str:
+def chosen_file():
     """The path that the file browser is at; empty where none is open."""
     for area in _window().screen.areas:
         if area.type == "FILE_BROWSER" and area.spaces.active.params is not None:
@@ -125,7 +122,7 @@ def chosen_file() -> str:
 
 
 @answer
-def shading(kind: str) -> None:
+def shading(kind):
     """SOLID, MATERIAL or RENDERED, in every 3D view."""
     for area in _window().screen.areas:
         if area.type == "VIEW_3D":
@@ -133,7 +130,7 @@ def shading(kind: str) -> None:
 
 
 @answer
-def view(look_from: list[float], at: list[float], distance: float) -> None:
+def view(look_from, at, distance):
     """Turn the 3D view: `look_from` a direction, `at` a point, `distance` in scene units."""
     import mathutils
 
@@ -143,14 +140,14 @@ def view(look_from: list[float], at: list[float], distance: float) -> None:
 
 
 @answer
-def probe(at: list[float]) -> None:
+def probe(at):
     """Probe the Gaussian nearest to a place, for a picture."""
     bpy.context.scene.cursor.location = at
     bpy.ops.tg4mm.probe(source="CURSOR")
 
 
 @answer
-def put(to: str, value: Any) -> None:
+def put(to, value):
     """Set an input of the active object's splat modifier, for a picture."""
     modifier = _modifier()
     items = modifier.node_group.interface.items_tree
@@ -160,28 +157,28 @@ def put(to: str, value: Any) -> None:
 
 
 @answer
-def clear() -> None:
+def clear():
     """Remove the cube, the lamp and the camera that Blender starts with."""
     bpy.data.batch_remove(list(bpy.data.objects))
 
 
-def _window() -> Any:
+def _window():
     return bpy.context.window_manager.windows[0]
 
 
-def _view() -> Any:
+def _view():
     return max(
         (area for area in _window().screen.areas if area.type == "VIEW_3D"),
         key=lambda area: area.width * area.height,
     )
 
 
-def _modifier() -> Any:
+def _modifier():
     obj = bpy.context.view_layer.objects.active
     return next(modifier for modifier in obj.modifiers if modifier.type == "NODES")
 
 
-def _answer_what_is_asked() -> float:
+def _answer_what_is_asked():
     ask = FOLDER / "ask.json"
     if not ask.exists():
         return INTERVAL

@@ -1,14 +1,12 @@
 """More answers of answering.py, inside Blender: renders, the probe, and what the panels Generate and Train do."""
 
-from typing import Any
-
 import bpy
 import numpy as np
 from answering import FOLDER, answer, clear
 
 
 @answer
-def prepare_render(engine: str, size: list[int], frames: list[int], to: str) -> None:
+def prepare_render(engine, size, frames, to):
     """A camera that sees the drum, and a small picture; `frames` first and last, `to` where they are written."""
     import mathutils
 
@@ -30,7 +28,7 @@ def prepare_render(engine: str, size: list[int], frames: list[int], to: str) -> 
 
 
 @answer
-def save_rendered(file: str) -> bool:
+def save_rendered(file):
     """Write the picture that was rendered last; False where there is none."""
     result = bpy.data.images.get("Render Result")
     if result is None:
@@ -43,14 +41,14 @@ def save_rendered(file: str) -> bool:
 
 
 @answer
-def probed() -> dict[str, Any]:
+def probed():
     """What the probe read last of the splats: its label, and the phasors, re and im of x, y, z per mode."""
     obj = next(obj for obj in bpy.data.objects if "tg4mm_version" in obj)
     return {"label": obj.get("tg4mm_probe_label"), "phasors": list(obj.get("tg4mm_probe_phasors", ()))}
 
 
 @answer
-def cube(size: float) -> None:
+def cube(size):
     """A cube with a subdivided surface, selected, a lamp, and nothing else."""
     clear()
     bpy.ops.mesh.primitive_cube_add(size=size)
@@ -61,14 +59,14 @@ def cube(size: float) -> None:
 
 
 @answer
-def put_settings(of: str, **values: Any) -> None:
+def put_settings(of, **values):
     """Set properties of the scene's `tg4mm_generate` or `tg4mm_train`."""
     for name, value in values.items():
         setattr(getattr(bpy.context.scene, of), name, value)
 
 
 @answer
-def highest() -> float:
+def highest():
     """Largest z of the active object's evaluated vertices."""
     obj = bpy.context.view_layer.objects.active
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
@@ -78,7 +76,7 @@ def highest() -> float:
 
 
 @answer
-def job(kind: str) -> dict[str, Any] | None:
+def job(kind):
     """State, progress and message of the extension's background job."""
     import bl_ext.user_default.tg4mm.jobs.commands as background
 

@@ -37,17 +37,17 @@ for name, result, arguments in (
 class Source:
     """A window that offers one file."""
 
-    def __init__(self, target: int, file: Path) -> None:
+    def __init__(self, target, file):
         self.display = X.XOpenDisplay(None)
         self.target, self.data = target, f"{file.as_uri()}\r\n".encode()
         root = X.XDefaultRootWindow(self.display)
         self.window = X.XCreateSimpleWindow(self.display, root, 0, 0, 1, 1, 0, 0, 0)
         X.XSetSelectionOwner(self.display, self.atom("XdndSelection"), self.window, 0)
 
-    def atom(self, name: str) -> int:
+    def atom(self, name):
         return int(X.XInternAtom(self.display, name.encode(), 0))
 
-    def tell(self, message: str, *data: int) -> None:
+    def tell(self, message, *data):
         """Send a client message whose first word is this window."""
         words = (self.window, *data, 0, 0, 0, 0)[:5]
         event = struct.pack(
@@ -56,7 +56,7 @@ class Source:
         X.XSendEvent(self.display, self.target, 0, 0, event.ljust(EVENT, b"\0"))
         X.XFlush(self.display)
 
-    def wait_for(self, message: str) -> bytes:
+    def wait_for(self, message):
         """The client message, once it comes; hands the file's address over when asked for it on the way."""
         ends = time.monotonic() + PATIENCE_S
         event = ctypes.create_string_buffer(EVENT)
@@ -72,7 +72,7 @@ class Source:
                 return event.raw
         sys.exit(f"the window sent no {message} in {PATIENCE_S:g} s")
 
-    def _hand_over(self, request: bytes) -> None:
+    def _hand_over(self, request):
         requestor, selection, target, place, at = struct.unpack_from("5L", request, 40)
         X.XChangeProperty(self.display, requestor, place, target, 8, 0, self.data, len(self.data))
         reply = struct.pack("i4xLi4xP5L", SELECTION_NOTIFY, 0, 1, 0, requestor, selection, target, place, at)
@@ -80,7 +80,7 @@ class Source:
         X.XFlush(self.display)
 
 
-def main() -> None:
+def main():
     window, x, y, file = int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
     source = Source(window, file)
     source.tell("XdndEnter", VERSION << 24, source.atom("text/uri-list"))

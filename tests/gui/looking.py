@@ -4,15 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .session import Box
 
-
-def cut(picture: np.ndarray, box: Box) -> np.ndarray:
+def cut(picture, box):
     """The part of a picture [H, W, 3] inside a box."""
     return picture[box.top : box.top + box.height, box.left : box.left + box.width]
 
 
-def is_blank(picture: np.ndarray) -> bool:
+def is_blank(picture):
     """True where nearly all pixels are alike, black or otherwise: software OpenGL that failed, a dead screen."""
     if picture.size == 0:
         return True
@@ -20,12 +18,12 @@ def is_blank(picture: np.ndarray) -> bool:
     return bool(counts.max() > 0.97 * counts.sum())
 
 
-def changed(a: np.ndarray, b: np.ndarray, by: int = 12) -> float:
+def changed(a, b, by=12):
     """Share of the pixels of which some channel differs by more than `by` of 255."""
     return float((np.abs(a.astype(int) - b.astype(int)).max(axis=2) > by).mean())
 
 
-def coloured(picture: np.ndarray, by: int = 40) -> float:
+def coloured(picture, by=40):
     """Share of the pixels that are not grey: largest less smallest channel above `by` of 255."""
     return float((picture.max(axis=2).astype(int) - picture.min(axis=2) > by).mean())
 
@@ -69,7 +67,7 @@ class Header:
     open: bool
 
 
-def headers(picture: np.ndarray, strip: Box) -> list[Header]:
+def headers(picture, strip):
     """The headers of panels in a strip of a screenshot [H, W, 3], from the top."""
     grey = cut(picture, strip).astype(float).mean(axis=2)
     found: list[Header] = []
@@ -81,7 +79,7 @@ def headers(picture: np.ndarray, strip: Box) -> list[Header]:
     return sorted(found, key=lambda header: header.y)
 
 
-def _correlation(grey: np.ndarray, mark: np.ndarray) -> np.ndarray:
+def _correlation(grey, mark):
     """[H', W'] −1..1: how alike the mark and the patch with this upper left corner are."""
     patches = np.lib.stride_tricks.sliding_window_view(grey, mark.shape)
     patches = patches - patches.mean(axis=(2, 3), keepdims=True)

@@ -21,14 +21,14 @@ sys.path.insert(0, str(REPO))
 
 from tests.gui import looking, sidebar  # noqa: E402
 from tests.gui.session import Session  # noqa: E402
-from tg4mm.core.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
+from tg4mm.core.splatfile import positions_at, read_splat  # noqa: E402
 
 SIZE = (1280, 1200)
 LARGEST = 300_000  # bytes of a picture
 LOOK_FROM = (-1.2, -1.5, 0.7)
 
 
-def main() -> None:
+def main():
     options = _options()
     splat = read_splat(options.splat)
     band = (options.low, options.high)
@@ -61,7 +61,7 @@ def main() -> None:
         sys.exit(f"α = 0 and α = {options.alpha:g} look alike")
 
 
-def _options() -> argparse.Namespace:
+def _options():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
     parser.add_argument("splat", type=Path, help="splat file with motion")
     parser.add_argument("--low", type=float, default=0.0, help="lowest frequency that is magnified, Hz")
@@ -72,18 +72,16 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _extension() -> Path:
+def _extension():
     """The zip, built by the code of `make extension`."""
     file = REPO / "addon" / "make_extension.py"
     spec = importlib.util.spec_from_file_location("make_extension", file)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return Path(module.build(module.stage(REPO / "build" / "extension"), REPO / "dist"))
 
 
-def _aim(blender: Session, splat: SplatFile) -> None:
+def _aim(blender, splat):
     """Look at the middle of the opaque Gaussians from the front, and leave nothing selected: no outlines."""
     solid = splat.means[splat.opacities > 0.3]
     low, high = np.percentile(solid, (1, 99), axis=0)
@@ -95,14 +93,14 @@ def _aim(blender: Session, splat: SplatFile) -> None:
     blender.run("[o.select_set(False) for o in bpy.context.view_layer.objects]")
 
 
-def _probe(blender: Session, splat: SplatFile) -> None:
+def _probe(blender, splat):
     """Probe the opaque Gaussian that moves most, with the panels of motion and band open above the reading."""
     reach = np.square(np.abs(splat.displacement)).sum(axis=(0, 2)) * (splat.opacities > 0.3)
     blender.ask("probe", at=splat.means[int(np.argmax(reach))].tolist())
     sidebar.open_only(blender, 1, 2, 4)  # Motion, Band, Probe
 
 
-def _largest(splat: SplatFile, alpha: float, band: tuple[float, float]) -> int:
+def _largest(splat, alpha, band):
     """The timestep at which the magnified Gaussians are farthest from rest, rms."""
     if not splat.n_modes:
         return 0
@@ -111,7 +109,7 @@ def _largest(splat: SplatFile, alpha: float, band: tuple[float, float]) -> int:
     return int(np.argmax(away))
 
 
-def _take(blender: Session, path: Path) -> np.ndarray:
+def _take(blender, path):
     """The 3D view with the sidebar, and the timeline, in 256 colours."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # no tooltip, no button lit
     time.sleep(1.0)

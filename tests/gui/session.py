@@ -8,19 +8,15 @@
 What setup.sh built is needed, and root. Positions are pixels from the screen's upper left corner.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,7 +33,7 @@ class SessionError(RuntimeError):
     """Blender did not start, ended, or did not answer; what it last printed is in the message."""
 
 
-def missing() -> str:
+def missing():
     """Why no session can start here; empty where one can."""
     if not (ROOT / ".tg4mm-complete").exists():
         return MISSING_ROOT
@@ -54,17 +50,17 @@ class Box:
     height: int
 
     @property
-    def middle(self) -> tuple[int, int]:
+    def middle(self):
         return self.left + self.width // 2, self.top + self.height // 2
 
 
-def is_compiling(picture: np.ndarray, view: Box) -> bool:
+def is_compiling(picture, view):
     """True while the view's third line of text, which tells that EEVEE compiles its shaders, is there."""
     line = picture[view.top + 100 : view.top + 118, view.left + 66 : view.left + 200]
     return bool((line.min(axis=2) > 200).sum() > 20)
 
 
-def read_xwd(data: bytes) -> np.ndarray:
+def read_xwd(data):
     """uint8 [H, W, 3] of an X window dump as Xvfb keeps its screen: header, palette, rows of BGRX pixels."""
     header = np.frombuffer(data, ">u4", 25)
     width, height, bits, row, palette = (int(header[i]) for i in (4, 5, 11, 12, 19))
@@ -77,7 +73,7 @@ def read_xwd(data: bytes) -> np.ndarray:
 class Session:
     """A running Blender. Made by `Session.start`."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder  # seen from here
         self.inside = "/" + str(folder.relative_to(ROOT))  # seen by Blender
         self.seen: dict[str, tuple[int, int]] = {}  # where controls were found last
@@ -86,9 +82,7 @@ class Session:
 
     @classmethod
     @contextmanager
-    def start(
-        cls, extension: Path, files: Sequence[Path] = (), size: tuple[int, int] = SIZE
-    ) -> Iterator[Session]:
+    def start(cls, extension, files=(), size=SIZE):
         """Install the zip the way a person does, start Blender, wait for its window; end it all at the end.
 
         `files` are copied to where Blender sees them, `inside`. Raises SessionError.
@@ -117,18 +111,18 @@ class Session:
 
     # What a person does.
 
-    def move(self, x: float, y: float) -> None:
+    def move(self, x, y):
         self._xdotool("mousemove", str(round(x)), str(round(y)))
 
-    def click(self, x: float, y: float, button: int = 1) -> None:
+    def click(self, x, y, button=1):
         self.move(x, y)
         self._xdotool("click", str(button))
 
-    def double_click(self, x: float, y: float) -> None:
+    def double_click(self, x, y):
         self.move(x, y)
         self._xdotool("click", "--repeat", "2", "--delay", "60", "1")
 
-    def drag(self, start: tuple[float, float], by: tuple[int, int], steps: int = 10, button: int = 1) -> None:
+    def drag(self, start, by, steps=10, button=1):
         """Press at `start`, move by pixels in steps, let go. Relative, as a number field holds the pointer."""
         self.move(*start)
         self._xdotool("mousedown", str(button))
@@ -139,37 +133,37 @@ class Session:
             done = now
         self._xdotool("mouseup", str(button))
 
-    def scroll(self, x: float, y: float, steps: int) -> None:
+    def scroll(self, x, y, steps):
         """Turn the wheel at a place; towards the user, down, where positive."""
         self.move(x, y)
         self._xdotool("click", "--repeat", str(abs(steps)), "--delay", "50", "5" if steps > 0 else "4")
 
-    def wheel_with_control(self, x: float, y: float, button: str) -> None:
+    def wheel_with_control(self, x, y, button):
         """One notch with Ctrl held: `4` up, `5` down. Over a menu it takes the next item."""
         self.move(x, y)
         self._xdotool("keydown", "ctrl", "click", button, "keyup", "ctrl")
 
-    def drop(self, file: str, x: int, y: int) -> None:
+    def drop(self, file, x, y):
         """Drag one of the session's files onto a place, as from a file manager."""
         self.move(x, y)
         window = self._run("xdotool", "search", "--onlyvisible", "--class", "Blender").split()[-1]
         self._run("python3", f"{self.inside}/dropping.py", window, str(x), str(y), f"{self.inside}/{file}")
 
-    def key(self, *keys: str) -> None:
+    def key(self, *keys):
         """Press keys, each as xdotool writes it: `Return`, `ctrl+a`."""
         for key in keys:
             self._xdotool("key", key)
 
-    def key_at(self, x: float, y: float, key: str) -> None:
+    def key_at(self, x, y, key):
         """Press a key that means what lies under the pointer."""
         self._xdotool("mousemove", str(round(x)), str(round(y)), "sleep", "0.06", "key", key)
 
-    def write(self, text: str) -> None:
+    def write(self, text):
         self._xdotool("type", "--delay", "25", text)
 
     # What a person sees.
 
-    def picture(self, path: Path) -> np.ndarray:
+    def picture(self, path):
         """Write the whole screen as PNG; returns uint8 [H, W, 3]."""
         from PIL import Image
 
@@ -178,11 +172,11 @@ class Session:
         Image.fromarray(shot).save(path, compress_level=1)
         return shot
 
-    def now(self) -> np.ndarray:
+    def now(self):
         """The whole screen, uint8 [H, W, 3]."""
         return read_xwd((self.folder / "screen" / "Xvfb_screen0").read_bytes())
 
-    def take(self, name: str, path: Path) -> np.ndarray:
+    def take(self, name, path):
         """Move a picture that Blender wrote into the session's folder to `path`; returns uint8 [H, W, 3]."""
         from PIL import Image
 
@@ -191,7 +185,7 @@ class Session:
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB"))
 
-    def settled(self, path: Path, limit: float = 300.0, every: float = 1.5) -> np.ndarray:
+    def settled(self, path, limit=300.0, every=1.5):
         """A picture once two in a row are the same and no shaders are being compiled. Raises SessionError."""
         last = self.picture(path)
         view = self.region("VIEW_3D")
@@ -204,14 +198,14 @@ class Session:
             last = now
         raise SessionError(f"the screen was not still after {limit:g} s")
 
-    def region(self, area: str, region: str = "WINDOW") -> Box:
+    def region(self, area, region="WINDOW"):
         """A region of the first area of a type: `region("VIEW_3D", "UI")`."""
         found = next(a for a in self.ask("areas") if a["type"] == area)
         return Box(*found["regions"][region])
 
     # What only Blender knows.
 
-    def ask(self, name: str, limit: float = ANSWER_LIMIT, **arguments: Any) -> Any:
+    def ask(self, name, limit=ANSWER_LIMIT, **arguments):
         """The answer of a function of answering.py."""
         self._number += 1
         question = {"id": self._number, "name": name, "with": arguments}
@@ -227,22 +221,20 @@ class Session:
             raise SessionError(f"{name}: {reply['error']}")
         return reply["value"]
 
-    def value(self, of: str, limit: float = ANSWER_LIMIT) -> Any:
+    def value(self, of, limit=ANSWER_LIMIT):
         """What an expression of `bpy` is in there."""
         return self.ask("value", limit, of=of)
 
-    def run(self, statement: str) -> None:
+    def run(self, statement):
         """Do what a statement of `bpy` does in there, and redraw."""
         self.ask("run", statement=statement)
 
-    def places(self) -> np.ndarray:
+    def places(self):
         """float32 [N, 3]: where the instances of the active object are drawn, in its own axes."""
         self.ask("places", file="places.npy")
         return np.load(self.folder / "places.npy")
 
-    def wait(
-        self, condition: Callable[[], bool], what: str, limit: float = 120.0, every: float = 0.2
-    ) -> None:
+    def wait(self, condition, what, limit=120.0, every=0.2):
         """Wait until something holds. Raises SessionError when it does not in `limit` seconds."""
         ends = time.monotonic() + limit
         while not condition():
@@ -252,34 +244,34 @@ class Session:
                 raise SessionError(f"{what}: not in {limit:g} s\n{self.log()[-2000:]}")
             time.sleep(every)
 
-    def log(self) -> str:
+    def log(self):
         """All that Blender has printed: the installation, then the program."""
         logs = (self.folder / name for name in ("install.log", "blender.log"))
         return "".join(log.read_text(encoding="utf-8", errors="replace") for log in logs if log.exists())
 
-    def complaints(self) -> list[str]:
+    def complaints(self):
         """The lines of the log in which Python or Blender complains."""
         words = ("Traceback", "Error", "rna_uiItem", "unknown", "not found")
         return [line for line in self.log().splitlines() if any(word in line for word in words)]
 
     # How.
 
-    def _status(self) -> str:
+    def _status(self):
         file = self.folder / "status"
         return file.read_text(encoding="utf-8").strip() if file.exists() else ""
 
-    def _wait_for_window(self) -> None:
+    def _wait_for_window(self):
         self.wait(lambda: self._status() == "started", "the virtual screen", START_LIMIT)
         self._display = ":" + (self.folder / "display").read_text(encoding="utf-8").strip()
         self.value("bpy.app.version", START_LIMIT)  # answered once the window is there
         # Without a window manager nobody gives it the keyboard.
         self._xdotool("search", "--sync", "--onlyvisible", "--class", "Blender", "windowfocus")
 
-    def _xdotool(self, *words: str) -> None:
+    def _xdotool(self, *words):
         self._run("xdotool", *words)
         time.sleep(PAUSE)
 
-    def _run(self, *words: str) -> str:
+    def _run(self, *words):
         """Run a program inside, on the screen; returns what it printed."""
         variables = ("env", "-i", "PATH=/usr/bin:/bin", "HOME=/tmp", f"DISPLAY={self._display}")
         done = subprocess.run(
@@ -290,7 +282,7 @@ class Session:
         return done.stdout
 
 
-def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:
+def _launch(folder, size):
     """Process and mount namespaces of its own: with its first process end all others, and the mounts."""
     for old in folder.parent.glob("tg4mm-gui-*"):  # of a session that was killed
         if old != folder and time.time() - old.stat().st_mtime > 6 * 3600:
@@ -301,7 +293,6 @@ def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(words, stdin=subprocess.PIPE)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    assert process.stdin is not None
+def _end(process):
     process.stdin.close()
     process.wait(timeout=300)

@@ -5,16 +5,15 @@ lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command
 """
 
 import time
-from collections.abc import Callable
 
-from .looking import Header, headers
-from .session import ACTIVE, OBJECTS, Box, Session, SessionError
+from .looking import headers
+from .session import ACTIVE, OBJECTS, Box, SessionError
 
 TAB = "TG4MM"
 TAB_STEP, ROW_STEP = 24, 18  # pixels; less than a tab and a row are high
 
 
-def open_tab(blender: Session) -> None:
+def open_tab(blender):
     """N over the view, then click down the tabs until Blender says that ours is the one."""
     blender.move(*blender.region("VIEW_3D").middle)
     if not blender.ask("tab"):
@@ -28,7 +27,7 @@ def open_tab(blender: Session) -> None:
     raise SessionError(f"the sidebar has no tab {TAB}\n{blender.log()}")
 
 
-def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
+def find(blender, wanted, at=0.55):
     """Where the control is whose data path or Python command ends with `wanted`, brought into view.
 
     `at`: where in a row it is looked for, 0 on the left edge of the sidebar and 1 on the right. An input of the
@@ -50,9 +49,7 @@ def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
     return place
 
 
-def _in_rows(
-    blender: Session, path: str, x: int, top: int, bottom: int, met: set[str]
-) -> tuple[int, int] | None:
+def _in_rows(blender, path, x, top, bottom, met):
     """The control of a path at x among the rows from `top` to `bottom`.
 
     Over a header or a label Blender copies the path of the value that the pointer was over last. So a path counts
@@ -69,7 +66,7 @@ def _in_rows(
     return None
 
 
-def _in_panels(blender: Session, path: str, x: int, box: Box, met: set[str]) -> tuple[int, int] | None:
+def _in_panels(blender, path, x, box, met):
     """The same, in panels that are opened for it one at a time, and what they hold with them."""
     _fold(blender, box)
     i, shown = 1, _headers(blender, box)
@@ -87,14 +84,14 @@ def _in_panels(blender: Session, path: str, x: int, box: Box, met: set[str]) -> 
     return None
 
 
-def _fold(blender: Session, box: Box) -> None:
+def _fold(blender, box):
     """Fold every panel but the first, which holds the others."""
     blender.scroll(*box.middle, -30)
     while opened := [h for h in _headers(blender, box)[1:] if h.open]:
         _click_header(blender, opened[-1])  # what is above stays where it is
 
 
-def open_only(blender: Session, *which: int) -> None:
+def open_only(blender, *which):
     """Fold every panel but these, numbered from the one that holds them, 0."""
     box = blender.region("VIEW_3D", "UI")
     _fold(blender, box)
@@ -102,7 +99,7 @@ def open_only(blender: Session, *which: int) -> None:
         _click_header(blender, _headers(blender, box)[i])
 
 
-def _headers(blender: Session, box: Box) -> list[Header]:
+def _headers(blender, box):
     """The headers in sight, once they have stopped sliding."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
     strip, last = Box(box.left, box.top, 80, box.height), None
@@ -115,39 +112,37 @@ def _headers(blender: Session, box: Box) -> list[Header]:
     raise SessionError("the sidebar's panels do not come to rest")
 
 
-def _click_header(blender: Session, header: Header) -> None:
+def _click_header(blender, header):
     blender.click(header.x + 40, header.y)
     time.sleep(0.3)
 
 
-def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:
+def under_pointer(blender, x, y, operator):
     """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
     blender.value("setattr(bpy.context.window_manager, 'clipboard', '')")  # without a redraw
     blender.key_at(x, y, "ctrl+c" if operator else "ctrl+shift+alt+c")
     return str(blender.value("bpy.context.window_manager.clipboard"))
 
 
-def press(blender: Session, operator: str, at: float = 0.55) -> None:
+def press(blender, operator, at=0.55):
     """Click the button of an operator, `bpy.ops.tg4mm.solid_colours(on=True)`."""
     blender.click(*find(blender, operator, at))
 
 
-def drag_value(blender: Session, name: str, pixels: int) -> float:
+def drag_value(blender, name, pixels):
     """Drag a number field sideways; returns the value then."""
     place = find(blender, name)
     return _drag(blender, place, pixels, lambda: float(blender.ask("inputs")[name]), name)
 
 
-def drag_setting(blender: Session, of: str, which: str, pixels: int) -> float:
+def drag_setting(blender, of, which, pixels):
     """Drag a setting of the scene's `tg4mm_generate` or `tg4mm_train` sideways; returns the value then."""
     name = f"{of}.{which}"
     place = find(blender, name)
     return _drag(blender, place, pixels, lambda: float(blender.value(f"bpy.context.scene.{name}")), name)
 
 
-def _drag(
-    blender: Session, place: tuple[int, int], pixels: int, value: Callable[[], float], name: str
-) -> float:
+def _drag(blender, place, pixels, value, name):
     before = value()
     blender.drag(place, (pixels, 0))
     if not _soon(lambda: value() != before, 30.0):
@@ -155,7 +150,7 @@ def _drag(
     return value()
 
 
-def type_value(blender: Session, name: str, text: str) -> None:
+def type_value(blender, name, text):
     """Double-click a number field and type into it."""
     blender.double_click(*find(blender, name))
     blender.key("ctrl+a")
@@ -165,7 +160,7 @@ def type_value(blender: Session, name: str, text: str) -> None:
         raise SessionError(f"{name} is {blender.ask('inputs')[name]} after {text} was typed")
 
 
-def choose(blender: Session, name: str, item: str) -> None:
+def choose(blender, name, item):
     """Turn the wheel with Ctrl held over a menu until it shows `item`."""
     x, y = find(blender, name)
     for wheel in ("4", "5"):
@@ -178,7 +173,7 @@ def choose(blender: Session, name: str, item: str) -> None:
     raise SessionError(f"the menu {name} has no {item}; it stays at {blender.ask('inputs')[name]}")
 
 
-def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
+def import_by_menu(blender, file, wait=30.0):
     """File > Import > TG4MM Splats, the file's path in the file browser; returns the new object's name."""
     before = set(blender.value(OBJECTS))
     blender.click(42, 14)
@@ -203,7 +198,7 @@ def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
     return str(blender.value(f"{ACTIVE}.name"))
 
 
-def _soon(condition: Callable[[], bool], limit: float) -> bool:
+def _soon(condition, limit):
     """True once the condition holds, False if it does not in `limit` seconds."""
     ends = time.monotonic() + limit
     while time.monotonic() < ends:

@@ -3,9 +3,7 @@
 import torch
 from torch import Tensor
 
-from tg4mm.fit.space.parameters import (
-    ParameterAdam,
-)
+from tg4mm.fit.space.parameters import ParameterAdam
 
 N, EXTENT = 6, 1.7
 

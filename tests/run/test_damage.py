@@ -88,7 +88,6 @@ def test_results_from_before_digests_are_still_read(run):
     tensors, meta = without_digest(file)
     save_file(tensors, file, metadata=meta)
     motion = run.load_motion()
-    assert motion is not None
     np.testing.assert_array_equal(motion.displacement, modal().displacement)
     assert model_hash(run.path) == before
 

@@ -23,7 +23,6 @@ def held(run):
         [sys.executable, "-c", HOLD, str(run)], stdout=subprocess.PIPE, text=True
     ) as process:
         try:
-            assert process.stdout is not None
             assert process.stdout.readline() == "held\n"
             yield process
         finally:

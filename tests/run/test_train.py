@@ -133,7 +133,6 @@ class TestStages:
             assert trained.log()[stage]["peak_memory_mib"] > 0
         assert trained.log()["space"]["n_gaussians"] == len(trained.load_space())
         motion = trained.load_motion()
-        assert motion is not None
         assert motion.displacement.shape == (3, len(trained.load_space()), 3)
         assert not list(trained.path.glob("checkpoint_*"))
 

@@ -1,18 +1,14 @@
 """What the tests of background jobs share: waiting for one by hand, and what the panels show."""
 
 import time
-from collections.abc import Callable
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import SimpleNamespace
 
 import bpy
 
 from tests.addon.playing import Layout
 
 
-def wait(
-    extension: ModuleType, kind: str, until: Callable[[Any], bool] = lambda job: False, limit_s: float = 120.0
-) -> Any:
+def wait(extension, kind, until=lambda job: False, limit_s=120.0):
     """Call the timer's function, as Blender would, until a job ends or a condition holds; returns the job."""
     background = extension.jobs.commands
     job = background.get(kind)
@@ -25,7 +21,7 @@ def wait(
     return job
 
 
-def drawn(extension: ModuleType, *panels: str) -> list[str]:
+def drawn(extension, *panels):
     """What panels of the jobs show, in order; all of them without names."""
     layout = Layout()
     for cls in extension.jobs.panels._CLASSES:
@@ -38,6 +34,6 @@ def drawn(extension: ModuleType, *panels: str) -> list[str]:
     return layout.drawn
 
 
-def said(shown: list[str], text: str) -> bool:
+def said(shown, text):
     """Whether a message is among what was drawn, cut into lines wherever."""
     return "".join(text.split()) in "".join("".join(shown).split())

@@ -44,12 +44,6 @@ def moving(extension, splat_path):
     return obj
 
 
-def test_amplitude_is_the_longest_excursion(extension, splat_path):
-    for phasors in read_splat(splat_path).displacement:
-        amplitude, _ = extension.nodes.points.strength(phasors, extension.nodes.points.main_axis(phasors))
-        np.testing.assert_allclose(amplitude, largest_excursion(phasors)[0], rtol=1e-5)
-
-
 def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(extension, splat_path):
     for phasors in read_splat(splat_path).displacement:
         axis = extension.nodes.points.main_axis(phasors)

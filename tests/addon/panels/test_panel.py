@@ -34,20 +34,6 @@ def drawn(extension, obj):
     return laid_out(extension, obj).drawn
 
 
-def test_moving_file_has_every_control(extension, splat_path):
-    obj = import_splat(splat_path, colours=False)
-    names, put = extension.names, setter(extension, obj)
-    shown = drawn(extension, obj)
-    wanted = (names.ALPHA, "Low (Hz)", "High (Hz)", names.FIRST, names.SPEED, "3 Hz", "7.5 Hz", names.DRAW)
-    assert set(wanted) | {names.SIZE, "Radius (σ)", "Min Opacity", "View Colours"} <= set(shown)
-    assert "tg4mm.true_colours" in shown
-    bpy.ops.tg4mm.true_colours()
-    put(names.DRAW, "Arrows")
-    shown = drawn(extension, obj)
-    assert {names.ARROW_LENGTH, names.ARROW_EVERY} <= set(shown)
-    assert not {"tg4mm.true_colours", "Radius (σ)"} & set(shown)
-
-
 @pytest.mark.parametrize(
     ("scale", "label", "factor"), [(0.1, "Range (mm)", 100.0), (None, "Range (units)", 1.0)]
 )

@@ -27,7 +27,6 @@ def film(path, hz, codec, noise=3.0, **options):
 def measured(path, hz):
     """The amplitude that is left, pixels, and its standard error."""
     made = probe(path, 0.0, N)
-    assert made is not None
     u, times = shifts_of(made.luma, REGION.astype(np.float32)), np.arange(N) / FPS
     gain, error = gain_of(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
     return gain * AMPLITUDE, error * AMPLITUDE

@@ -14,7 +14,6 @@ def test_a_flat_dataset_keeps_its_video(tmp_path):
     path = write_video(tmp_path / "a.mp4", still(20))
     assert main(["sfm", str(path), "--kind", "flat", "--out", str(tmp_path / "set"), "--from", "0.2"]) == 0
     kept = video_file(tmp_path / "set")
-    assert kept is not None
     assert kept.path.read_bytes() == path.read_bytes()
     assert (kept.from_s, kept.repeats) == (0.2, ())
     kept.path.unlink()

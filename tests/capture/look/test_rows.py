@@ -40,7 +40,6 @@ def post():
 
 def test_a_rigid_post_tells_the_readout_and_the_option_is_offered(post):
     told = readout_of(post)
-    assert told is not None
     assert abs(told.seconds - READOUT_S) < 2.5 * told.deviation_s < 0.006
     note = row_note(post)
     assert f"--readout {1e3 * told.seconds:.1f} would explain it, ± " in note
@@ -84,7 +83,6 @@ def bands_of_light(rate, mains, depth, rng):
 def test_a_lamp_tells_the_readout(rate, mains):
     rows = bands_of_light(rate, mains, 0.01, np.random.default_rng(2))
     told = by_light(rows, np.arange(len(rows)) / rate)
-    assert told is not None
     assert told.light_hz == round(mains / 20) * 20
     assert abs(told.seconds - 0.015) < max(3 * told.deviation_s, 1e-5) < 1e-3
     light = replace(found(), light_readout=told)

@@ -1,7 +1,6 @@
 """A textured box on a textured floor, ray-traced: pictures whose cameras and surfaces are known exactly."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -13,7 +12,7 @@ CENTRE = np.array([0.0, 0.0, 0.3])
 
 
 @cache
-def texture(seed: int, cells: int = 256) -> np.ndarray:
+def texture(seed, cells=256):
     """[cells, cells, 3] in 0..1: noise at several scales, so that features are found from near and far."""
     rng = np.random.default_rng(seed)
     total = np.zeros((cells, cells, 3))
@@ -24,7 +23,7 @@ def texture(seed: int, cells: int = 256) -> np.ndarray:
     return total / total.max((0, 1))
 
 
-def faces() -> list[tuple[int, float, np.ndarray, np.ndarray]]:
+def faces():
     """(axis, level, centre, half sides) of the floor and the box's six sides."""
     out = [(2, 0.0, np.zeros(3), np.full(3, FLOOR))]
     middle = np.array([0, 0, HALF[2]])
@@ -34,7 +33,7 @@ def faces() -> list[tuple[int, float, np.ndarray, np.ndarray]]:
     return out
 
 
-def orbit(n: int, turn: float = 2 * np.pi, low: float = 0.45, high: float = 0.9) -> np.ndarray:
+def orbit(n, turn=2 * np.pi, low=0.45, high=0.9):
     """[n, 4, 4] world-to-camera, four units from the centre, at elevations between low and high radians."""
     viewmats = []
     for i in range(n):
@@ -50,19 +49,12 @@ def orbit(n: int, turn: float = 2 * np.pi, low: float = 0.45, high: float = 0.9)
     return np.stack(viewmats)
 
 
-def intrinsics(width: int, height: int, focal: float) -> np.ndarray:
+def intrinsics(width, height, focal):
     """K [3, 3] with the principal point in the middle."""
     return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
 
 
-def picture(
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    size: tuple[int, int],
-    k1: float = 0.0,
-    plain: bool = False,
-    floor: bool = True,
-) -> np.ndarray:
+def picture(viewmat, K, size, k1=0.0, plain=False, floor=True):
     """[H, W, 4] uint8: what a camera with radial distortion k1 sees. plain: no texture. Nothing: transparent."""
     width, height = size
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -88,7 +80,7 @@ def picture(
     return (np.concatenate([colour, alpha[..., None]], -1) * 255 + 0.5).astype(np.uint8)
 
 
-def sample(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+def sample(image, place):
     """Bilinear texture at place [M, 2] in −1..1."""
     at = (place + 1) / 2 * (len(image) - 1)
     low = np.clip(np.floor(at).astype(int), 0, len(image) - 2)
@@ -99,7 +91,7 @@ def sample(image: np.ndarray, place: np.ndarray) -> np.ndarray:
     return top * (1 - f[:, :1]) + bottom * f[:, :1]
 
 
-def surface_distance(xyz: np.ndarray) -> np.ndarray:
+def surface_distance(xyz):
     """[M] distance of points to the nearest face."""
     best = np.full(len(xyz), np.inf)
     for axis, level, centre, half in faces():
@@ -109,7 +101,7 @@ def surface_distance(xyz: np.ndarray) -> np.ndarray:
     return best
 
 
-def save(path: Path, pixels: np.ndarray, opaque: bool = True) -> None:
+def save(path, pixels, opaque=True):
     """Write a picture, over grey if opaque."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if opaque:
@@ -118,7 +110,7 @@ def save(path: Path, pixels: np.ndarray, opaque: bool = True) -> None:
     Image.fromarray(pixels).save(path)
 
 
-def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def umeyama(source, target):
     """scale, rotation and translation of the similarity that brings source [M, 3] nearest to target [M, 3]."""
     ms, mt = source.mean(0), target.mean(0)
     u, d, vt = np.linalg.svd((target - mt).T @ (source - ms) / len(source))

@@ -123,12 +123,7 @@ class TestPartly:
     def test_trembling_vibration_knocks_and_drift_are_no_bumps(self):
         at = np.arange(120) / 30
         rng = np.random.default_rng(0)
-        for shifts in (
-            rng.normal(0, 0.5, 120),
-            4 * np.sin(2 * np.pi * 3.4 * at),
-            5.0 * (at > 2),
-            3 * at,
-        ):
+        for shifts in (rng.normal(0, 0.5, 120), 4 * np.sin(2 * np.pi * 3.4 * at), 5.0 * (at > 2), 3 * at):
             assert find_bumps(np.stack([shifts, 0 * at], axis=1), at) == []
 
     def test_another_rate_than_the_files_is_said(self, tmp_path):

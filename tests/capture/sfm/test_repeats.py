@@ -48,7 +48,6 @@ def test_repeats_are_found_in_light_that_flickers_too(share, depth):
         120, lambda i: int(i * share), 2.0, lambda k: 1 + depth * np.cos(4 * np.pi * 50 * k / (30 * share))
     )
     found = met(pictures).repeats
-    assert found is not None
     assert found.share == share
     assert found.is_new.sum() == int(119 * share) + 1
     assert found.times(Fraction(30))[-1] == int(119 * share) / (30 * share)

@@ -33,7 +33,6 @@ def test_photographs(tmp_path):
     (tmp_path / ".hidden.png").write_text("x")
     sources = find_sources(tmp_path)
     assert (sources.clips, sources.sweep, possible_kinds(sources)) == ((), None, ("photos",))
-    assert sources.photographs is not None
     assert [p.name for p in sources.photographs.pictures] == [f"f_{i}.png" for i in range(12)]  # 2 before 10
     assert {shot.group for shot in photograph_shots(sources.photographs, each=False)} == {"shared"}
     assert len({shot.group for shot in photograph_shots(sources.photographs, each=True)}) == 12
@@ -61,7 +60,6 @@ def test_folders_of_frames_are_recordings_too(tmp_path):
     (tmp_path / "empty").mkdir()
     sources = find_sources(tmp_path)
     assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam_0", 3), ("cam_1", 2)]
-    assert sources.sweep is not None
     assert len(sources.sweep.pictures) == 5
 
 

@@ -42,7 +42,6 @@ def found(path, config=DEFAULTS):
 )
 def test_both_parts_are_found_in_either_order(tmp_path, starts, stands, walks):
     both = found(video(tmp_path / "one.mp4", starts))
-    assert both is not None
     window = both.config.window
     assert window.start_s == pytest.approx(stands[0], abs=0.3)
     assert window.start_s >= stands[0] - 1e-6  # no picture of the walk

@@ -1,20 +1,18 @@
 """Small videos written with PyAV, whole and spoilt."""
 
-from collections.abc import Sequence
 from fractions import Fraction
-from pathlib import Path
 
 import av
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.sfm.clip import WHOLE, Clip, Window
-from tg4mm.capture.sfm.survey import Survey, survey_clip
+from tg4mm.capture.sfm.clip import WHOLE, Clip
+from tg4mm.capture.sfm.survey import survey_clip
 
 SIZE = (160, 120)  # width, height
 
 
-def texture(size: tuple[int, int] = SIZE, seed: int = 0) -> np.ndarray:
+def texture(size=SIZE, seed=0):
     """[H, W, 3] float64 in 0 … 255: smooth blobs, so that what a codec leaves can still be tracked."""
     width, height = size
     rng = np.random.default_rng(seed)
@@ -22,7 +20,7 @@ def texture(size: tuple[int, int] = SIZE, seed: int = 0) -> np.ndarray:
     return np.asarray(Image.fromarray(coarse).resize(size, Image.Resampling.BICUBIC), np.float64)
 
 
-def still(n: int, shifts: Sequence[int] | None = None, noise: float = 4.0, size=SIZE) -> list[np.ndarray]:
+def still(n, shifts=None, noise=4.0, size=SIZE):
     """n noisy pictures of one thing, frame i moved to the right by shifts[i] pixels."""
     rng = np.random.default_rng(1)
     wide = texture((size[0] + 128, size[1]))
@@ -35,16 +33,8 @@ def still(n: int, shifts: Sequence[int] | None = None, noise: float = 4.0, size=
 
 
 def write_video(
-    path: Path,
-    frames: Sequence[np.ndarray],
-    rate: Fraction | int = 30,
-    times: Sequence[int] | None = None,
-    time_base: Fraction | None = None,
-    rotation: int | None = None,
-    created: str | None = None,
-    crf: int = 14,
-    between: int | None = None,
-) -> Path:
+    path, frames, rate=30, times=None, time_base=None, rotation=None, created=None, crf=14, between=None
+):
     """H.264 in the container that the name asks for, which lists its frames before them (so that a cut one opens).
 
     times: of each frame, in whole numbers of time_base; without, frame k is at k / rate. between: B pictures between
@@ -79,7 +69,7 @@ def write_video(
     return path
 
 
-def encoded(path: Path, frames: Sequence[np.ndarray], codec: str, gop: int = 30, **options: str) -> Path:
+def encoded(path, frames, codec, gop=30, **options):
     """By another of FFmpeg's encoders."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=30)
@@ -96,14 +86,14 @@ def encoded(path: Path, frames: Sequence[np.ndarray], codec: str, gop: int = 30,
     return path
 
 
-def cut_off(path: Path, share: float) -> Path:
+def cut_off(path, share):
     """Leave only the first part of a file."""
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
     return path
 
 
-def spoil(path: Path, share: float, length: int = 2000) -> Path:
+def spoil(path, share, length=2000):
     """Overwrite some bytes in the middle with noise."""
     data = bytearray(path.read_bytes())
     at = int(len(data) * share)
@@ -112,7 +102,7 @@ def spoil(path: Path, share: float, length: int = 2000) -> Path:
     return path
 
 
-def looked(path: Path, window: Window = WHOLE) -> Survey:
+def looked(path, window=WHOLE):
     """What the first pass over a video or a folder of PNG finds."""
     pictures = tuple(sorted(path.glob("*.png"))) if path.is_dir() else ()
     return survey_clip(Clip(path.stem, path, pictures), path.parent / "survey", window)

@@ -44,15 +44,6 @@ def test_a_sinusoid_in_metres_of_motion(t, alpha):
     np.testing.assert_allclose(moved, expected, atol=1e-5)
 
 
-@given(seeds, times, alphas)
-def test_displacement_grows_by_exactly_one_plus_alpha(seed, t, alpha):
-    splat = random_splat(seed)
-    as_it_was = positions_at(splat, t) - splat.means
-    np.testing.assert_allclose(
-        positions_at(splat, t, alpha) - splat.means, (1 + alpha) * as_it_was, rtol=1e-9, atol=1e-9
-    )
-
-
 @given(seeds, times, alphas, st.floats(0, 7), st.floats(7, 15))
 def test_modes_outside_the_band_keep_their_size(seed, t, alpha, low, high):
     assume(low < high)

@@ -109,8 +109,7 @@ def test_properties(refused):
 def test_f_rest_counts(refused, indices):
     names = [*NAMES, *(f"f_rest_{i}" for i in indices)]
     refused(
-        plain_ply(dict.fromkeys(names, ("float", "<f4"))),
-        f"has {len(indices)} f_rest properties; expected",
+        plain_ply(dict.fromkeys(names, ("float", "<f4"))), f"has {len(indices)} f_rest properties; expected"
     )
 
 

@@ -1,7 +1,6 @@
 """The synthetic scene filmed by cameras with clocks of their own, and by one that moves: exact observations."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,9 +8,7 @@ import torch
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.rasterize import rasterization
@@ -19,22 +16,20 @@ from tg4mm.fit.rasterize import rasterization
 FPS, SIZE = 30.0, 48
 
 
-def scene(frequency: float, amplitude: float = 0.01) -> tuple[Gaussians, ModalMotion]:
+def scene(frequency, amplitude=0.01):
     """The Gaussians at rest and their exact motion at `frequency` Hz."""
     parts = _parts(1)
     return _gaussians(parts, 1), _motion(parts, (frequency,), amplitude, FPS, 10_000)
 
 
-def K_of(size: int) -> np.ndarray:
+def K_of(size):
     """[3, 3] of square pictures."""
     focal = size / (2 * math.tan(CAMERA_ANGLE_X / 2))
     return np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]], np.float32)
 
 
 @torch.no_grad()
-def picture(
-    gaussians: Gaussians, viewmat: np.ndarray, noise: np.random.Generator, size: int = SIZE
-) -> np.ndarray:
+def picture(gaussians, viewmat, noise, size=SIZE):
     """[H, W, 4] uint16 over white, opaque; with a sensor's noise of one step of 8 bits."""
     g = gaussians
     rgb, _, _ = rasterization(
@@ -47,9 +42,7 @@ def picture(
     return out
 
 
-def clips(
-    gaussians: Gaussians, motion: ModalMotion, starts: Sequence[float], n_frames: int, kind: str = "clips"
-) -> Observations:
+def clips(gaussians, motion, starts, n_frames, kind="clips"):
     """One clip from each of several places, each begun at `starts` timesteps of the motion, its clock at 0."""
     frames, pictures, noise = [], [], np.random.default_rng(7)
     for c, viewmat in enumerate(_viewmats(len(starts), 0.0)):
@@ -62,9 +55,7 @@ def clips(
     return Observations(Kind(kind), "independent", frames, stack, FPS, n_frames, True)
 
 
-def walk(
-    gaussians: Gaussians, motion: ModalMotion | None, n_frames: int, tremor: float = 0.0, seed: int = 1
-) -> Observations:
+def walk(gaussians, motion, n_frames, tremor=0.0, seed=1):
     """One camera that moves around the scene all the time; `tremor` radians that its known poses are off by."""
     rng, noise = np.random.default_rng(seed), np.random.default_rng(seed + 1)
     frames, pictures = [], []
@@ -81,26 +72,26 @@ def walk(
     return Observations(Kind.handheld, "moving", frames, stack, FPS, n_frames, True)
 
 
-def error_of(found: np.ndarray, true: np.ndarray, opacities: np.ndarray) -> float:
+def error_of(found, true, opacities):
     """rms/rms of complex displacements [N, 3], weighted by opacity."""
     weights = opacities[:, None]
     return float(np.sqrt((weights * np.abs(found - true) ** 2).sum() / (weights * np.abs(true) ** 2).sum()))
 
 
-def fitted(gaussians: Gaussians, observations: Observations, nuisance: str = "auto") -> MotionFit:
+def fitted(gaussians, observations, nuisance="auto"):
     config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
     return fit_motion(gaussians, observations, config)
 
 
-def length(values: np.ndarray) -> float:
+def length(values):
     return float(np.linalg.norm(np.abs(values).astype(np.float64)))
 
 
-def at_hz(fit: MotionFit, hz: float) -> np.ndarray:
+def at_hz(fit, hz):
     return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - hz)))]
 
 
-def elsewhere(fit: MotionFit, hz: float) -> float:
+def elsewhere(fit, hz):
     """rms of what moves at other frequencies, over that at the true one."""
     other = np.abs(fit.motion.freqs_hz - hz) > 1
     return length(fit.motion.displacement[other]) / length(at_hz(fit, hz))

@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.fit.rasterize.oracle import Scene, make_scene
+from tests.fit.rasterize.oracle import make_scene
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.projection import nuisances_of
-from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.problem import Problem
 
 SCENES = {
@@ -29,35 +28,33 @@ class Camera:
     K: np.ndarray
 
 
-def gaussians_of(scene: Scene) -> Gaussians:
+def gaussians_of(scene):
     tensors = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
     return Gaussians(*(t.float() for t in tensors))
 
 
-def camera_of(scene: Scene, c: int = 0) -> Camera:
+def camera_of(scene, c=0):
     return Camera(scene.viewmats[c].float().numpy(), scene.Ks[c].float().numpy())
 
 
-def view_of(scene: Scene, c: int = 0) -> ViewJacobian:
+def view_of(scene, c=0):
     return view_jacobian(gaussians_of(scene), camera_of(scene, c), (scene.width, scene.height))
 
 
-def motion_of(scene: Scene, columns: slice, seed: int = 0) -> np.ndarray:
+def motion_of(scene, columns, seed=0):
     motion = np.zeros((len(scene.means), DOF), np.float32)
     draw = np.random.default_rng(seed).normal(size=motion.shape)
     motion[:, columns] = draw[:, columns]
     return motion
 
 
-def two_cameras() -> tuple[Scene, list[PosedView]]:
+def two_cameras():
     """One cloud of 40 Gaussians."""
     scene = make_scene(0, cameras=2)
     return scene, [camera_of(scene, c) for c in (0, 1)]
 
 
-def problem(
-    ridge: float = 0.1, nuisance: slice | None = None, mixed: bool = False, supported: bool = False
-) -> Problem:
+def problem(ridge=0.1, nuisance=None, mixed=False, supported=False):
     """Two cameras look at one cloud; `nuisance`: columns that are projected out; `mixed`: two target images of three
     fields; `supported`: each of these moves some of the Gaussians alone."""
     scene, cameras = two_cameras()
@@ -78,28 +75,28 @@ def problem(
     return out
 
 
-def weights_of(p: Problem) -> np.ndarray:
+def weights_of(p):
     """[V, H, W]: 0.2 to 1."""
     return np.random.default_rng(7).uniform(0.2, 1, (len(p.views), *p.size[::-1])).astype(np.float32)
 
 
-def operator(p: Problem, smoothness: float = 3.0, weighted: bool = False) -> CpuOperator:
+def operator(p, smoothness=3.0, weighted=False):
     """Of all views."""
     p = p.changed(pixel_weights=weights_of(p)) if weighted else p
     return p.on_cpu(p.everything, smoothness)
 
 
-def draw(o: CpuOperator, seed: int, count: int = 1) -> np.ndarray:
+def draw(o, seed, count=1):
     """θ [count, P, 3]."""
     n = 4 * len(o.preconditioner.blocks) + len(o.preconditioner.coarse_factor)
     return np.random.default_rng(seed).normal(size=(count, n, 3)).astype(np.float32)
 
 
-def inner(a: np.ndarray, b: np.ndarray) -> float:
+def inner(a, b):
     return float((a.astype(np.float64) * b).sum())
 
 
-def of_amplitudes(amplitudes: list[float], freqs: list[float], n: int = 50) -> ModalMotion:
+def of_amplitudes(amplitudes, freqs, n=50):
     """Each mode moves all Gaussians along x by its amplitude."""
     displacement = np.zeros((len(freqs), n, 3), np.complex64)
     displacement[..., 0] = np.array(amplitudes)[:, None]

@@ -23,8 +23,6 @@ def test_what_is_read_back_equals_that_written(run):
     m = replace(motion(), appearance=appearance())
     run.save_motion(m, {})
     back = run.load_motion()
-    assert back is not None
-    assert back.appearance is not None
     assert back.appearance.shapes.dtype == np.float32
     np.testing.assert_array_equal(back.appearance.shapes, m.appearance.shapes)
     np.testing.assert_array_equal(back.appearance.series, m.appearance.series)

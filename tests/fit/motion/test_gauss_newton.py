@@ -50,7 +50,6 @@ def _trained(run, config, device="cpu"):
 def _error(run):
     capture = load_capture(run.dataset)
     gaussians, motion = run.load_space(), run.load_motion()
-    assert motion is not None
     true = exact_motion(load_truth(run.dataset, capture.fps, capture.n_timesteps), gaussians.means.numpy())
     found = motion.selected(motion.freqs_hz > 0)
     return displacement_figures(found, true, blending_weights(gaussians, capture))["relative_error"]

@@ -143,7 +143,6 @@ class TestPixels:
         images = np.random.default_rng(0).normal(size=(2, 2, 60, 80, 3)).astype(np.float32)
         images[:, 1, :, :40] *= 3
         weights = pixel_weights(targets(images), np.array([False, True]))
-        assert weights is not None
         assert weights.dtype == np.float32
         assert weights[:, :, 5:35].mean() == pytest.approx(1 / (1 + 9 / 5), rel=0.1)
         assert weights[:, :, 45:75].mean() == pytest.approx(1 / (1 + 1 / 5), rel=0.1)

@@ -28,12 +28,7 @@ def pictures(seed):
 
 def fit(images, config=LONG, weight=LOOSE, mixing=None):
     targets = TargetImages(
-        np.eye(3, 10),
-        np.ones(10),
-        images,
-        np.zeros((2, *problem().size[::-1]), np.float32),
-        3,
-        images[:, 0],
+        np.eye(3, 10), np.ones(10), images, np.zeros((2, *problem().size[::-1]), np.float32), 3, images[:, 0]
     )
     whole = replace(problem(config.ridge), mixing=mixing)
     hyper = Hyperparameters(np.array([False, mixing is None, False]), weight)

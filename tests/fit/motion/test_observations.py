@@ -9,11 +9,7 @@ from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import moving_pictures
 from tg4mm.capture import ImageStack
 from tg4mm.core.errors import CaptureError
-from tg4mm.fit.motion.observations import (
-    fixed_cameras,
-    frames_of,
-    observe,
-)
+from tg4mm.fit.motion.observations import fixed_cameras, frames_of, observe
 
 STEP = 1 / 30  # s
 

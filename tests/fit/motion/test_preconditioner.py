@@ -11,11 +11,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.prior.graph import ROWS
 from tg4mm.fit.motion.solver.aggregates import Aggregates
 from tg4mm.fit.motion.solver.pcg import pcg
-from tg4mm.fit.motion.solver.preconditioner import (
-    TwoLevelPreconditioner,
-    information,
-    probe,
-)
+from tg4mm.fit.motion.solver.preconditioner import TwoLevelPreconditioner, information, probe
 
 
 def plain(o):

@@ -116,7 +116,6 @@ def test_the_post_turns_as_it_bends(scene, fitted):
 def test_the_run_holds_the_motion_and_its_figures(scene, fitted):
     (run, _), (found, _) = scene, fitted
     saved = run.load_motion()
-    assert saved is not None
     assert_stored(saved, found)
     assert (saved.fps, saved.n_timesteps) == (30.0, 10)
     log = run.log()["motion"]

@@ -15,11 +15,7 @@ from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.fit.motion.picture_gain import LACKING, PictureGain
 from tg4mm.fit.motion.prior.graph import nearest
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.motion.uncertainty import (
-    BLOCK,
-    MotionEstimate,
-    residual_displacement,
-)
+from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, residual_displacement
 from tg4mm.research.evaluate.displacement import mean_squares
 from tg4mm.research.evaluate.subject import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
@@ -123,7 +119,6 @@ def test_a_run_knows_how_far_off_it_is(seen, tmp_path):
     run.save_space(seen.gaussians, {})
     train_motion(run, seen.capture, load_images(seen.capture), MotionConfig())
     found = run.load_motion()
-    assert found is not None
     found = found.selected(found.freqs_hz > 0)
     part, log = run.load_part(UNCERTAINTY)[0], run.log()["motion"]
     weights = seen.weights()

@@ -11,7 +11,6 @@ in the loss is zero. `check` insists that such pixels are few.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -41,17 +40,17 @@ class Scene:
     width: int
     height: int
 
-    def tensors(self, dtype: torch.dtype = torch.float64, device: str = "cpu") -> list[Tensor]:
+    def tensors(self, dtype=torch.float64, device="cpu"):
         """Fresh leaves of everything that gets a gradient, in the order of NAMES."""
         source = (self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmats)
         return [a.detach().clone().to(device, dtype).requires_grad_() for a in source]
 
 
-def uniform(rng: torch.Generator, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
+def uniform(rng, *shape, low=0.0, high=1.0):
     return low + (high - low) * torch.rand(*shape, generator=rng, dtype=torch.float64)
 
 
-def random_rotations(rng: torch.Generator, n: int) -> Tensor:
+def random_rotations(rng, n):
     """Proper rotation matrices [n, 3, 3]."""
     q, r = torch.linalg.qr(torch.randn(n, 3, 3, generator=rng, dtype=torch.float64))
     q = q * torch.sign(torch.diagonal(r, dim1=1, dim2=2))[:, None]
@@ -59,15 +58,8 @@ def random_rotations(rng: torch.Generator, n: int) -> Tensor:
 
 
 def make_scene(
-    seed: int = 0,
-    n: int = 40,
-    size: tuple[int, int] = (50, 37),
-    scale: tuple[float, float] = (0.03, 0.3),
-    opacity: tuple[float, float] = (0.05, 0.95),
-    spread: float = 1.0,
-    distance: float = 4.0,
-    cameras: int = 1,
-) -> Scene:
+    seed=0, n=40, size=(50, 37), scale=(0.03, 0.3), opacity=(0.05, 0.95), spread=1.0, distance=4.0, cameras=1
+):
     """n Gaussians in a cube of half side `spread`, cameras at `distance` from its centre, turned at random
     and a little aside.
 
@@ -100,16 +92,14 @@ def make_scene(
     return Scene(**{k: v.float().double() for k, v in tensors.items()}, width=width, height=height)
 
 
-def with_channels(scene: Scene, channels: int, seed: int = 0) -> Scene:
+def with_channels(scene, channels, seed=0):
     """The scene with plain channels [N, channels] in place of spherical harmonics."""
     rng = torch.Generator().manual_seed(seed + 99)
     colors = uniform(rng, len(scene.means), channels, low=-1.0, high=2.0).float().double()
     return replace(scene, colors=colors)
 
 
-def render(
-    tensors: list[Tensor], scene: Scene, sh_degree: int | None = None, **options: Any
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
+def render(tensors, scene, sh_degree=None, **options):
     """`rasterization` of tensors in the order of NAMES, from the scene's cameras."""
     means, quats, scales, opacities, colors, viewmats = tensors
     return rasterization(
@@ -118,9 +108,7 @@ def render(
     )  # fmt: skip
 
 
-def twin(
-    tensors: list[Tensor], scene: Scene, sh_degree: int | None, backgrounds: Tensor | None, mode: str
-) -> tuple[Tensor, Tensor]:
+def twin(tensors, scene, sh_degree, backgrounds, mode):
     """`rasterization` by the dense twin: renders [C, H, W, X] and alphas [C, H, W, 1]."""
     means, quats, scales, opacities, colors, viewmats = tensors
     features = colors if sh_degree is None else colors[:, : (sh_degree + 1) ** 2]
@@ -153,7 +141,7 @@ class Thresholds:
     aspect: float  # largest ratio of the axes of an ellipse
 
 
-def thresholds(scene: Scene, c: int = 0, margin: float = 1e-4) -> Thresholds:
+def thresholds(scene, c=0, margin=1e-4):
     """Thresholds of camera c. `margin` is the relative distance of an alpha that counts as safe."""
     w, h, viewmat, K = scene.width, scene.height, scene.viewmats[c], scene.Ks[c]
     uv, cov, depth = project(scene.means, scene.quats, scene.scales, viewmat, K, w, h, 0.3)
@@ -187,7 +175,7 @@ def thresholds(scene: Scene, c: int = 0, margin: float = 1e-4) -> Thresholds:
     )
 
 
-def assert_close(name: str, actual: Tensor, expected: Tensor, tolerance: float) -> None:
+def assert_close(name, actual, expected, tolerance):
     """Every entry within `tolerance` times the largest entry expected; nothing may be NaN or misshapen."""
     assert actual.shape == expected.shape, f"{name}: shape {tuple(actual.shape)}, not {tuple(expected.shape)}"
     if expected.numel() == 0:
@@ -198,7 +186,7 @@ def assert_close(name: str, actual: Tensor, expected: Tensor, tolerance: float) 
     assert error <= tolerance * scale + 1e-12, f"{name}: error {error:.3g}, largest entry {scale:.3g}"
 
 
-def assert_gradients_close(actual: list[Tensor], expected: list[Tensor], tolerance: float) -> None:
+def assert_gradients_close(actual, expected, tolerance):
     """Gradients of the tensors NAMES. None stands for zero: what the loss does not depend on at all."""
     for name, a, e in zip(NAMES, actual, expected, strict=True):
         found = torch.zeros_like(a) if a.grad is None else a.grad
@@ -207,14 +195,14 @@ def assert_gradients_close(actual: list[Tensor], expected: list[Tensor], toleran
 
 
 def check(
-    scene: Scene,
-    sh_degree: int | None = 3,
-    backgrounds: Tensor | None = None,  # [C, D] float64
-    mode: str = "RGB",
-    tolerance: float | None = None,
-    margin: float = 1e-4,
-    device: str = "cpu",
-) -> None:
+    scene,
+    sh_degree=3,
+    backgrounds=None,  # [C, D] float64
+    mode="RGB",
+    tolerance=None,
+    margin=1e-4,
+    device="cpu",
+):
     """Compare `rasterization` with the twin: images, alphas and the gradients of a random loss on both."""
     if tolerance is None:
         tolerance = EXPECTED_DEPTH_TOLERANCE if "ED" in mode else TOLERANCE
@@ -236,6 +224,5 @@ def check(
         loss.backward()
     assert_gradients_close(ours, exact, tolerance)
     if fill is not None and fill.grad is not None:
-        assert fill32 is not None
         assert fill32.grad is not None
         assert_close("gradient by backgrounds", fill32.grad, fill.grad, tolerance)

@@ -7,11 +7,7 @@ from numba import njit
 
 from tg4mm.fit.rasterize.kernels.tiles import TABLE, constants
 from tg4mm.fit.rasterize.simd.functions import exp2
-from tg4mm.fit.rasterize.simd.memory import (
-    load,
-    load_pixels,
-    store,
-)
+from tg4mm.fit.rasterize.simd.memory import load, load_pixels, store
 from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS
 
 

@@ -8,7 +8,7 @@ from tg4mm.capture import Capture, ImageStack
 from tg4mm.fit.space import RestViews
 
 
-def orbit(n: int, centre: np.ndarray, radius: float = 4.0) -> np.ndarray:
+def orbit(n, centre, radius=4.0):
     """n world-to-camera matrices [n, 4, 4] that look at `centre` from all round (a Fibonacci sphere)."""
     k = np.arange(n) + 0.5
     z = 1 - 2 * k / n
@@ -23,13 +23,13 @@ def orbit(n: int, centre: np.ndarray, radius: float = 4.0) -> np.ndarray:
     return viewmats
 
 
-def intrinsics(size: int, angle: float = 0.7) -> np.ndarray:
+def intrinsics(size, angle=0.7):
     """K [3, 3] of a square image with the given field of view in radians."""
     focal = size / (2 * np.tan(angle / 2))
     return np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
 
 
-def rays(viewmat: np.ndarray, K: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+def rays(viewmat, K, size):
     """Origin [3] and unit directions [size, size, 3] through the pixel centres, in the world."""
     x, y = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
     cam = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
@@ -39,9 +39,7 @@ def rays(viewmat: np.ndarray, K: np.ndarray, size: int) -> tuple[np.ndarray, np.
     )
 
 
-def capsule_mask(
-    viewmat: np.ndarray, K: np.ndarray, size: int, ends: np.ndarray, radius: float
-) -> np.ndarray:
+def capsule_mask(viewmat, K, size, ends, radius):
     """[size, size] bool: the ray comes within `radius` of the segment between `ends` [2, 3] (equal: a ball)."""
     origin, d = rays(viewmat, K, size)
     along, start = ends[1] - ends[0], ends[0] - origin
@@ -51,9 +49,7 @@ def capsule_mask(
     return np.linalg.norm(to - (to * d).sum(-1, keepdims=True) * d, axis=-1) < radius
 
 
-def views_of(
-    viewmats: np.ndarray, K: np.ndarray, alpha: np.ndarray, rgb: np.ndarray | None = None
-) -> RestViews:
+def views_of(viewmats, K, alpha, rgb=None):
     """RestViews of masks alpha [V, H, W]; white pictures unless rgb [V, H, W, 3] is given."""
     rgb = np.ones((*alpha.shape, 3)) if rgb is None else rgb
     return RestViews(
@@ -65,7 +61,7 @@ def views_of(
     )
 
 
-def capture_of(camera_ids: list[int], timesteps: list[int], data: np.ndarray) -> tuple[Capture, ImageStack]:
+def capture_of(camera_ids, timesteps, data):
     """A capture whose image i is data[i] ([C, H, W, 4]), each camera with a pose of its own."""
     ids, c = np.asarray(camera_ids), len(camera_ids)
     viewmats = np.tile(np.eye(4), (c, 1, 1))

@@ -1,12 +1,10 @@
 """An unfinished space stage that does not fit is refused in one line and stays on disk, whoever wrote it."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import Tensor
 
 from tests.helpers.runs import copied
 from tests.helpers.space_train import SHORT, Killed, killed_after
@@ -17,8 +15,6 @@ from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
 FILE = "checkpoint_space.safetensors"
-Tensors = dict[str, Tensor]
-State = dict[str, Any]
 
 
 def _killed(root, data, views, points, config):

@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.fit.space.density import (
-    DIM,
-    EVERY,
-    SHRINK,
-    control_density,
-    growth,
-    is_due,
-    split_rows,
-)
+from tg4mm.fit.space.density import DIM, EVERY, SHRINK, control_density, growth, is_due, split_rows
 from tg4mm.fit.space.parameters import ParameterAdam
 
 EXTENT = 2.0

@@ -7,13 +7,7 @@ import torch
 from tests.helpers.space_parameters import EXTENT, N, gradients, take_step
 from tg4mm.fit.space.fused import FusedAdam
 from tg4mm.fit.space.initial import InitialPoints
-from tg4mm.fit.space.parameters import (
-    LEARNING_RATES,
-    SH_C0,
-    ParameterAdam,
-    activate,
-    initial_parameters,
-)
+from tg4mm.fit.space.parameters import LEARNING_RATES, SH_C0, ParameterAdam, activate, initial_parameters
 
 
 def points(n=N):

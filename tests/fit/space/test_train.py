@@ -5,12 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.helpers.space_train import (
-    SHORT,
-    Killed,
-    killed_after,
-    psnr_of_test_views,
-)
+from tests.helpers.space_train import SHORT, Killed, killed_after, psnr_of_test_views
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import RestViews, SpaceConfig, density
 from tg4mm.fit.space import train as stage

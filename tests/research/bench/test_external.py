@@ -210,10 +210,7 @@ def move_a_test_camera(path):
 
 @pytest.mark.parametrize(
     ("change", "what"),
-    [
-        (other_bytes, "003/train/r_000.png"),
-        (move_a_test_camera, "003/transforms_test.json"),
-    ],
+    [(other_bytes, "003/train/r_000.png"), (move_a_test_camera, "003/transforms_test.json")],
 )
 def test_a_dataset_whose_training_data_or_cameras_have_changed_is_refused(change, what, data, tmp_path):
     own, out = shutil.copytree(data, tmp_path / data.name), tmp_path / "out"

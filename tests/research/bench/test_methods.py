@@ -9,12 +9,7 @@ import torch
 from tests.research.bench.conftest import MODAL
 from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
 from tg4mm.research.bench.methods.tracking import HexPlane, tracking
-from tg4mm.research.bench.methods.video import (
-    Linear2D,
-    Phase2D,
-    SmoothedPhase,
-    band_response,
-)
+from tg4mm.research.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response
 from tg4mm.research.bench.request import Plan
 from tg4mm.research.bench.sets import BenchSet, open_set
 from tg4mm.run import Run

@@ -1,11 +1,8 @@
 """The main table: its numbers are evaluate's, what is finished is not done again, and times are matched by settings."""
 
 import json
-import shutil
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench import methods
 from tg4mm.research.bench.jobs import job_folder, rendered
 from tg4mm.research.bench.means import line_means
-from tg4mm.research.bench.measure import SEEN, _request
+from tg4mm.research.bench.measure import SEEN
 from tg4mm.research.bench.request import Plan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
 from tg4mm.research.bench.sets import open_set, truth_at
@@ -27,7 +24,6 @@ from tg4mm.run.train import parse_settings
 REQUEST = ScenesRequest(
     methods=("modal", "paper-tuned"), settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never"
 )
-Done = tuple[Path, dict[str, Any]]
 
 
 def silent(_):
@@ -183,17 +179,3 @@ def test_a_run_of_another_device_is_refused(done, data):
     opened = open_set(data, data.name)
     with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
         method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
-
-
-def test_figures_are_of_the_test_pictures_as_they_are(data, tmp_path):
-    own = shutil.copytree(data, tmp_path / data.name)
-    training = Training("modal", "modal", MODAL)
-
-    def asked(*alphas):
-        return _request(open_set(own, "x"), training, Plan(alphas=alphas))
-
-    before, other = asked(20.0), asked(5.0)
-    picture = own / "magnified" / "x020" / "003" / "test" / "r_000.png"
-    shutil.copyfile(own / "000" / "test" / "r_000.png", picture)
-    assert asked(20.0) != before
-    assert asked(5.0) == other

@@ -13,18 +13,10 @@ from tg4mm.capture import load_capture
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
 from tg4mm.core.pictures.frames import write_png
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.observed import AGREES, agreement, observed_figures, rms_motion
-from tg4mm.research.bench.scored import (
-    PROGRAMS,
-    cameras_of,
-    checkouts,
-    score_pictures,
-    video_of,
-)
-from tg4mm.research.bench.sets import BenchSet, open_set
+from tg4mm.research.bench.scored import PROGRAMS, cameras_of, checkouts, score_pictures, video_of
+from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.subject import Subject
 from tg4mm.show.weights import blending_weights
@@ -61,8 +53,6 @@ def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth, tmp_pat
         own = truth.paths[i]
         (half / own.relative_to(truth.root)).write_bytes(own.read_bytes())
     all_wrong, half_wrong = (score_pictures(truth, f)["psnr_moving_db"] for f in (whole, half))
-    assert all_wrong is not None
-    assert half_wrong is not None
     assert half_wrong - all_wrong == pytest.approx(3, abs=0.5)
 
 
@@ -158,9 +148,6 @@ def test_the_two_are_called_as_their_authors_say(tmp_path):
 def test_what_goes_wrong_is_said(tmp_path, program, message):
     with pytest.raises(BenchError, match=message):
         checkout(tmp_path, "md_vqa", program)(VIDEO, 30.0)
-
-
-Scene = tuple[Gaussians, ModalMotion, BenchSet]
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,7 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.sets import generator_arguments, with_noise, with_views
-from tg4mm.research.bench.sets import (
-    amplitude_name,
-    check_alphas,
-    goal_amplitude,
-    open_set,
-    open_sets,
-)
+from tg4mm.research.bench.sets import check_alphas, open_set, open_sets
 
 
 def one_line(match):
@@ -44,21 +38,6 @@ def test_pixels_are_those_of_the_projected_vertices(data):
     assert found.amplitude_px == pytest.approx(1e3 * largest, rel=1e-3)
     assert (found.frequency_hz, found.band_hz, found.alphas) == (5.0, (3.5, 6.5), (5, 20))
     assert (found.width, found.n_views, found.n_timesteps, found.group) == (32, 5, 6, "32×32, rig, 0.2 px")
-
-
-@pytest.mark.parametrize(
-    ("pixels", "goal", "name"),
-    [
-        (0.22, 0.2, "0.2 px"),
-        (0.44, 0.2, "0.2 px"),
-        (0.0215, 0.02, "0.02 px"),
-        (0.9, None, "0.9 px"),
-        (0.0, None, "0 px"),
-    ],
-)
-def test_which_goal_an_amplitude_stands_for(pixels, goal, name):
-    assert goal_amplitude(pixels) == goal
-    assert amplitude_name(pixels) == name
 
 
 def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(data, tmp_path):

@@ -27,15 +27,6 @@ def true(rng):
     return motion({3.0: 1e-3 * (rng.standard_normal((N, 3)) + 1j * rng.standard_normal((N, 3)))})
 
 
-def test_the_truth_itself_has_no_error(true):
-    figures = displacement_figures(true, true, np.ones(N))
-    assert figures["relative_error"] == 0.0
-    row = figures["per_frequency"][0]
-    assert row["amplitude_ratio"] == 1.0
-    assert row["direction_error_deg"] == pytest.approx(0, abs=1e-5)
-    assert row["phase_error_deg"] == pytest.approx(0, abs=1e-5)
-
-
 def test_a_phase_error_is_found_with_its_sign(true):
     """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
     phi = np.radians(18)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import load_capture
 from tg4mm.core.magnification import Magnification
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.scores import Candidate, change_figures, closure
 
@@ -45,9 +44,6 @@ def test_keys_are_equal_exactly_when_poses_are(m):
     for i, a in enumerate(poses):
         for j, b in enumerate(poses):
             assert (keys[i] == keys[j]) == np.allclose(a, b, atol=1e-6), (moments[i], moments[j])
-
-
-Scene = tuple[Capture, Gaussians, ModalMotion]
 
 
 @pytest.fixture(scope="module")

@@ -123,18 +123,6 @@ def write(root, arrays):
     return root / "truth" / "motion.npz"
 
 
-def test_a_written_file_reads_back(tmp_path):
-    arrays = good_arrays()
-    write(tmp_path, arrays)
-    truth = load_truth(tmp_path, FPS, T)
-    assert truth.objects[0].name == "beam"
-    np.testing.assert_array_equal(truth.freqs_hz, [3.0])
-    np.testing.assert_array_equal(truth.objects[0].rest, arrays["rest_0"])
-    np.testing.assert_array_equal(truth.objects[0].faces, arrays["faces_0"])
-    np.testing.assert_array_equal(truth.objects[0].modes, arrays["mode_0"])
-    assert exact_motion(truth, arrays["rest_0"][:2]).displacement.shape == (1, 2, 3)
-
-
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [

@@ -8,7 +8,7 @@ from tg4mm.show.analyse import Channel
 MASS_HZ, DAMPING = 8.0, 0.02  # of the one mass, 1 kg
 
 
-def channel(values: np.ndarray, rate: float, noise: float = 0.0, seed: int = 0, **how) -> Channel:
+def channel(values, rate, noise=0.0, seed=0, **how):
     """With white noise added and stated; displacement in mm unless said otherwise."""
     rng = np.random.default_rng(seed)
     named = {"name": "x", "quantity": "displacement", "base": "mm", "noise": noise or float("nan"), **how}
@@ -16,19 +16,19 @@ def channel(values: np.ndarray, rate: float, noise: float = 0.0, seed: int = 0, 
     return Channel(times_s=times, values=values + noise * rng.normal(size=len(values)), **{**named, **how})
 
 
-def receptance(hz: np.ndarray) -> np.ndarray:
+def receptance(hz):
     """mm / N of the one mass."""
     w, w0 = 2 * np.pi * hz, 2 * np.pi * MASS_HZ
     return 1000 / (w0**2 - w**2 + 2j * DAMPING * w0 * w)
 
 
-def driven(force: np.ndarray, rate: float) -> np.ndarray:
+def driven(force, rate):
     """[T] mm of the one mass under a force [T] N held from sample to sample, exactly."""
     w0 = 2 * np.pi * MASS_HZ
     return _run(np.array([[w0**2]]), np.array([[2 * DAMPING * w0]]), force[:, None], rate)[:, 0] * 1000
 
 
-def two_masses(n: int, rate: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def two_masses(n, rate, seed):
     """Responses [n, 2] to white forces, frequencies [2] Hz, damping ratios [2] and shapes [2, 2] in columns."""
     stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]]) * (2 * np.pi * 6) ** 2
     squares, shapes = np.linalg.eigh(stiffness)
@@ -39,7 +39,7 @@ def two_masses(n: int, rate: float, seed: int) -> tuple[np.ndarray, np.ndarray, 
     return out / out.std(), w / 2 / np.pi, ratios, shapes
 
 
-def _run(stiffness: np.ndarray, damping: np.ndarray, forces: np.ndarray, rate: float) -> np.ndarray:
+def _run(stiffness, damping, forces, rate):
     n = len(stiffness)
     a = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
     step = expm(a / rate)
@@ -51,6 +51,6 @@ def _run(stiffness: np.ndarray, damping: np.ndarray, forces: np.ndarray, rate: f
     return out
 
 
-def inside(scores: list[float]) -> float:
+def inside(scores):
     """Share within one deviation."""
     return float((np.abs(scores) < 1).mean())

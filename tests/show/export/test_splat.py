@@ -9,7 +9,7 @@ import torch
 from tests.helpers.synthetic import moving_run
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
-from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
+from tg4mm.show.export.splat import export_ply, export_ply_sequence
 from tg4mm.show.render.sequence import RenderRequest
 from tg4mm.show.result.line import mode_deviations
 
@@ -41,16 +41,6 @@ def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
     )
     shown = read_splat(frames / "frame_0001.ply").means
     np.testing.assert_allclose(positions_at(splat, 1, 4.0, None), shown, atol=1e-6)
-
-
-def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
-    out = export_ply_sequence(run, tmp_path / "frames", RenderRequest(Magnification.of(4.0, (2.0, 4.0))))
-    assert [path.name for path in sorted(out.iterdir())][1:] == [f"frame_{t:04d}.ply" for t in range(5)]
-    splat = to_splat(run.load_space(), run.load_motion())
-    for t in range(5):
-        frame = read_splat(out / f"frame_{t:04d}.ply")
-        np.testing.assert_allclose(frame.means, positions_at(splat, t, 4.0, (2.0, 4.0)), atol=1e-6)
-        assert (frame.n_modes, frame.unit_scale_m) == (0, 0.1)
 
 
 def test_a_killed_sequence_goes_on(run, tmp_path):

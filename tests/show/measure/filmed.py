@@ -1,16 +1,13 @@
 """Runs on generated pictures of exact motion: the floor stands still, the post and the ball move as they are told."""
 
 import json
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from PIL import Image
 
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _gaussians, _parts, _viewmats
-from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
@@ -23,15 +20,15 @@ BALL_SPHERE = "ball=sphere:0.5,0.1,0.37,0.33"
 Displacement = Callable[[float], np.ndarray]  # seconds -> [N, 3] scene units
 
 
-def model() -> Gaussians:
+def model():
     """The scene at rest."""
     return _gaussians(_parts(1), 1)
 
 
-def of_parts(**moves: Callable[[float], np.ndarray]) -> Displacement:
+def of_parts(**moves):
     """post=…, ball=…: functions of time in seconds that give [3] scene units."""
 
-    def displacement(t: float) -> np.ndarray:
+    def displacement(t):
         out = np.zeros((sum(PARTS), 3))
         for name, move in moves.items():
             out[{"post": POST, "ball": BALL}[name]] = move(t)
@@ -41,9 +38,7 @@ def of_parts(**moves: Callable[[float], np.ndarray]) -> Displacement:
 
 
 @torch.no_grad()
-def pictures(
-    gaussians: Gaussians, shift: np.ndarray, viewmats: np.ndarray, noise: float, rng: np.random.Generator
-) -> np.ndarray:
+def pictures(gaussians, shift, viewmats, noise, rng):
     """[V, H, W, 3] uint8 over white, with white noise of that standard deviation (0 … 1)."""
     g, n = gaussians, len(viewmats)
     focal = SIZE / (2 * np.tan(CAMERA_ANGLE_X / 2))
@@ -58,16 +53,8 @@ def pictures(
 
 
 def filmed(
-    path: Path,
-    displacement: Displacement,
-    n_views: int = 6,
-    n_timesteps: int = 45,
-    noise: float = 0.01,
-    seed: int = 0,
-    kind: str = "",
-    walks: bool = False,
-    starts: Sequence[float] = (),
-) -> Path:
+    path, displacement, n_views=6, n_timesteps=45, noise=0.01, seed=0, kind="", walks=False, starts=()
+):
     """A dataset in `path`/set: of fixed cameras, or of one that `walks` by a radian around the scene.
 
     starts: seconds at which each camera's own clock begins; by default all at 0.
@@ -102,7 +89,7 @@ def filmed(
     return path / "set"
 
 
-def run_of(path: Path, displacement: Displacement, motion: ModalMotion | None = None, **how: Any) -> Run:
+def run_of(path, displacement, motion=None, **how):
     """A run with the exact scene at rest on such a dataset; its motion is `motion`, or none at all."""
     dataset = filmed(path, displacement, **how)
     run = Run.create(path / "run", dataset, "modal", {"motion": {"nuisance": "none"}})
@@ -113,14 +100,14 @@ def run_of(path: Path, displacement: Displacement, motion: ModalMotion | None = 
     return run
 
 
-def modes(phasors: dict[float, np.ndarray], n_timesteps: int = 45) -> ModalMotion:
+def modes(phasors, n_timesteps=45):
     """A run's motion from phasors [N, 3] by frequency in Hz."""
     n = sum(PARTS)
     values = np.array([phasors[f] for f in sorted(phasors)], np.complex64).reshape(-1, n, 3)
     return ModalMotion(np.array(sorted(phasors), float), values, np.zeros_like(values), FPS, n_timesteps)
 
 
-def sine(hz: float, amplitude: np.ndarray | list[float], phase: float = 0.0, decay: float = 0.0):
+def sine(hz, amplitude, phase=0.0, decay=0.0):
     """amplitude · exp(−decay t) cos(2π hz t + phase)."""
     along = np.asarray(amplitude, float)
     return lambda t: along * np.exp(-decay * t) * np.cos(2 * np.pi * hz * t + phase)

@@ -32,7 +32,6 @@ def test_a_driven_oscillator_has_its_damping(ratio):
     assert ratios.mean() == pytest.approx(ratio, rel=0.12)
     assert (np.abs(ratios - ratio) < 2 * deviations).mean() > 0.7
     assert deviations.mean() < 0.4 * ratio
-    assert found[0] is not None
     assert found[0].decay_per_s == pytest.approx(2 * np.pi * HZ * found[0].ratio, rel=0.1)
 
 
@@ -62,14 +61,12 @@ def test_what_is_over_early_in_the_record_has_the_right_one(ratio):
         times_s=times, displacement=displacement, noise=noise, is_resolved=np.ones(3, bool)
     )
     found = damping_of(series, spectrum_of(times, displacement, noise).peaks[0])
-    assert found is not None
     assert found.ratio == pytest.approx(ratio / np.hypot(1, ratio), rel=0.001)
 
 
 def test_a_codec_that_takes_more_of_what_has_rung_down_is_in_the_dampings_deviation():
     ringing = Damping(0.012, 0.0003, 0.6)
     told = with_loss(ringing, Loss(0.97, 0.05), Loss(0.88, 0.05))
-    assert told is not None
     assert (told.ratio, told.decay_per_s) == (ringing.ratio, ringing.decay_per_s)
     assert told.deviation == pytest.approx(np.hypot(0.0003, 0.012 * np.log(0.97 / 0.88)))
     assert with_loss(ringing, Loss(1.0, 0.0), Loss(1.0, 0.0)) == ringing

@@ -49,13 +49,6 @@ def test_noise_alone_passes_the_floor_in_few_records_of_many():
     assert CHANCE == 0.01
 
 
-def test_two_tones_of_different_strength():
-    values, sigma = noisy(sinusoid(3.3) + sinusoid(6.9, 0.1), 0.01, 3)
-    assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx(
-        [3.3, 6.9], abs=0.02
-    )
-
-
 @pytest.mark.parametrize("missing", [1, 20])
 @pytest.mark.parametrize("hz", [12.4, 14.6])
 def test_frames_that_are_missing_make_no_frequency_above_half_the_rate(missing, hz):
@@ -139,7 +132,6 @@ def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():
     found = spectrum_of(TIMES, values, sigma)
     assert found.peaks == ()
     (asked,) = with_band(found, (0.4, 0.6), TIMES, values, sigma, share).peaks
-    assert asked.asked is not None
     assert asked.asked.band == (0.4, 0.6)
     assert asked.amplitude == pytest.approx([1, 0, 0.5], abs=2 * asked.deviation.max())
     assert 0.1 < asked.deviation[0] < 0.5

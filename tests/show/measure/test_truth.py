@@ -69,7 +69,6 @@ def test_ringing_down_has_its_damping(tmp_path):
     decay = 1.5  # 1/s
     run = run_of(tmp_path, of_parts(ball=sine(5.0, 2 * AMPLITUDE, 0.0, decay)), n_timesteps=60)
     damping = measured(run, BALL_SPHERE)["ball"].damping[0]
-    assert damping is not None
     assert damping.ratio == pytest.approx(decay / (2 * np.pi * 5), abs=max(3 * damping.deviation, 0.004))
     assert damping.deviation < 0.2 * damping.ratio
 

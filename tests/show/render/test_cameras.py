@@ -10,12 +10,7 @@ import pytest
 from tests.helpers.synthetic import CENTRE, RADIUS
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
-from tg4mm.show.render.cameras import (
-    cameras_from_file,
-    look_at,
-    orbit,
-    transforms_json,
-)
+from tg4mm.show.render.cameras import cameras_from_file, look_at, orbit, transforms_json
 
 
 @pytest.fixture

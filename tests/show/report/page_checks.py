@@ -11,7 +11,7 @@ LOADING = {"src", "href", "poster", "srcset", "data", "action", "background"}
 class PageReader(HTMLParser):
     """Collects errors of nesting, what attributes load, tags and text."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(convert_charrefs=True)
         self.open: list[str] = []
         self.errors: list[str] = []
@@ -41,7 +41,7 @@ class PageReader(HTMLParser):
             self.text.append(data)
 
 
-def read_page(text: str) -> PageReader:
+def read_page(text):
     """The page as read; `errors` and `open` are empty for a well-formed one."""
     reader = PageReader()
     reader.feed(text)
@@ -49,7 +49,7 @@ def read_page(text: str) -> PageReader:
     return reader
 
 
-def outside_loads(text: str) -> list[str]:
+def outside_loads(text):
     """Everything the page would fetch from elsewhere, in attributes, styles and scripts."""
     page = read_page(text)
     found = [value for value in page.loads if not value.startswith(("data:", "#"))]
@@ -59,12 +59,12 @@ def outside_loads(text: str) -> list[str]:
     return found
 
 
-def words(text: str) -> str:
+def words(text):
     """What a page says."""
     return " ".join(" ".join(read_page(text).text).split())
 
 
-def check(text: str) -> None:
+def check(text):
     """A page is well-formed, its drawings are XML, and it loads nothing."""
     reader = read_page(text)
     assert not reader.errors

@@ -1,9 +1,7 @@
 """A headless Chromium that draws in software, driven by playwright; a test is skipped where there is none."""
 
 import shutil
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import pytest
 
@@ -12,7 +10,7 @@ _SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsh
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
+def browser():
     """playwright's handle of the browser."""
     sync_api = pytest.importorskip(
         "playwright.sync_api", reason="playwright is absent: pip install playwright"
