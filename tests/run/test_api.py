@@ -123,11 +123,23 @@ def test_bad_input(capture, fit):
         (0, "20", "magnification is '20', expected a finite number"),
         (float("inf"), 20, "t is inf, expected a finite number"),
         (0, 1e12, "alpha is 1000000000000.0, expected"),
+        (0, tg4mm.Magnification.of("20"), "alpha is '20', expected"),
+        (0, tg4mm.Magnification.of([5], (2, 4)), r"alpha is \[5\], expected"),
+        (
+            0,
+            tg4mm.Magnification.of(5, (1e-6, 2e-6)),
+            r"band \(1e-06, 2e-06\) Hz holds no frequency of the motion; there are: \d",
+        ),
     ):
         with pytest.raises(tg4mm.Tg4mmError, match=said):
             tg4mm.animate(fit, t, alpha)
     with pytest.raises(tg4mm.RunError, match="method 'phase'"):
         tg4mm.animate(fit, 0, tg4mm.Magnification(method="phase"))
+    with pytest.raises(tg4mm.CaptureError, match=r"band \(2,\) is not two frequencies"):
+        tg4mm.Magnification.of(5, (2,))
+    known = replace(fit.motion, gains=np.stack([fit.motion.gains_at(t) for t in range(3)], 1))
+    with pytest.raises(tg4mm.RunError, match=r"timestep 3: this motion is known at 0 … 2"):
+        tg4mm.animate(replace(fit, motion=known), 3)
     still = replace(capture, n_timesteps=1)
     with pytest.raises(tg4mm.Tg4mmError, match="has one timestep"):
         tg4mm.prepare_fit(still, fit)

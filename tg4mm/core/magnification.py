@@ -4,21 +4,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from numbers import Real
 
 import numpy as np
 
 from tg4mm.core.choices import METHODS
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.values import Number
 
 
 def check_band(band: Sequence[float], fps: float) -> tuple[float, float]:
     """The band as (low, high) in Hz, if 0 ≤ low < high < fps / 2; CaptureError otherwise."""
-    numbers = list(band) if isinstance(band, Sequence) and not isinstance(band, str) else []
-    if len(numbers) != 2 or not all(isinstance(x, Real) and math.isfinite(x) for x in numbers):
-        raise CaptureError(f"band {band!r} is not two frequencies in Hz, low and high")
-    low, high = float(numbers[0]), float(numbers[1])
+    low, high = _pair(band)
     if not (math.isfinite(fps) and fps > 0):
         raise CaptureError(f"band ({low:g}, {high:g}) Hz needs a frame rate, and fps is {fps:g} (unknown)")
     if low < 0:
@@ -30,6 +27,13 @@ def check_band(band: Sequence[float], fps: float) -> tuple[float, float]:
             f"band ({low:g}, {high:g}) Hz reaches past half the frame rate, {fps / 2:g} Hz (fps = {fps:g})"
         )
     return low, high
+
+
+def _pair(band: Sequence[float]) -> tuple[float, float]:
+    numbers = list(band) if isinstance(band, Sequence) and not isinstance(band, str) else []
+    if len(numbers) != 2 or not all(Number().fits(x) for x in numbers):
+        raise CaptureError(f"band {band!r} is not two frequencies in Hz, low and high")
+    return float(numbers[0]), float(numbers[1])
 
 
 LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
@@ -73,7 +77,7 @@ class Magnification:
         filter: TemporalFilter | None = None,
     ) -> "Magnification":
         """The same α in each of the bands (low, high) in Hz; of all frequencies without any."""
-        gains = tuple(BandGain(low, high, alpha) for low, high in bands)
+        gains = tuple(BandGain(*_pair(band), alpha) for band in bands)
         return cls(gains, 0.0 if gains else alpha, method, filter)
 
     def times(self, alpha: float) -> "Magnification":
@@ -105,8 +109,8 @@ class Magnification:
         if self.filter is not None:
             self.filter.checked()
         for alpha in (self.everywhere, *(b.alpha for b in self.bands)):
-            if not abs(alpha) <= LARGEST_ALPHA:
-                raise Tg4mmError(f"alpha is {alpha}, expected a finite number within ±{LARGEST_ALPHA:g}")
+            if not Number(-LARGEST_ALPHA, LARGEST_ALPHA).fits(alpha):
+                raise Tg4mmError(f"alpha is {alpha!r}, expected a finite number within ±{LARGEST_ALPHA:g}")
         if self.bands and self.everywhere != 0:
             raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
         check_bands([b.band for b in self.bands], fps)

@@ -97,6 +97,7 @@ def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0
 
     Raises:
         Tg4mmError: α or t is no finite number, bands overlap, or the plan has another method or a filter.
+        RunError: a band holds none of the motion's frequencies, or the motion is not known at t.
         CaptureError: a band does not satisfy 0 ≤ low < high < fps / 2.
     """
     require("t", t, Number(), Tg4mmError)
@@ -110,5 +111,11 @@ def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0
             f"method {plan.method!r} with filter {plan.filter!r}: a fit of modes is magnified by the method 'modal', "
             "which has no filter"
         )
+    for low, high in plan.limits:
+        if not Magnification.of(0.0, (low, high)).inside(fit.motion.freqs_hz).any():
+            there = ", ".join(f"{f:g}" for f in fit.motion.freqs_hz if f > 0) or "none"
+            raise RunError(
+                f"band ({low:g}, {high:g}) Hz holds no frequency of the motion; there are: {there}"
+            )
     alphas = plan.ideal(fit.motion.freqs_hz)
     return motion_animate.animate(fit.gaussians, fit.motion, t, alphas)

@@ -1,16 +1,18 @@
 """Whole reports: of a full dataset, of the least there can be, of a scene with a hostile name."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from tests.helpers.synthetic import exact_run, make_synthetic_dataset
+from tests.helpers.synthetic import exact_run, make_synthetic_dataset, moving_run
 from tests.show.report.page_checks import check, read_page, words
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.pictures.frames import write_png
+from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import Run
 from tg4mm.show.measure import measure
 from tg4mm.show.measure.table import rows_of
@@ -165,3 +167,16 @@ def test_bad_requests_leave_no_report(run, metrics, tmp_path):
         with pytest.raises(RunError, match=message):
             report(run, tmp_path / "out", **options)
         assert not (tmp_path / "out").exists()
+
+
+def test_part_of_the_ground_truth_is_scored_and_said(tmp_path):
+    """Every third timestep at one α, without the exact motion."""
+    made = moving_run(tmp_path, n_views=3, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=1)
+    (made.dataset / "truth" / "motion.npz").unlink()
+    for timestep in (made.dataset / "magnified" / "x005").iterdir():
+        if int(timestep.name) % 3:
+            shutil.rmtree(timestep)
+    said = words(report(made, tmp_path, alpha=5.0, evaluate=evaluate_run))
+    assert "The ground truth at α = 5 holds 2 of 6 timesteps from this camera" in said
+    assert "needs the exact motion (truth/motion.npz)" in said
+    assert "α = 5, part of it: 4 of 6 timesteps" in said

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 
@@ -89,12 +90,12 @@ class ModalMotion:
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
 
-        Those are defined at whole timesteps: raises ValueError for any other t.
+        Those are defined at whole timesteps: raises RunError for any other t.
         """
         if self.gains is None:
             return np.asarray(np.exp(2j * np.pi * np.asarray(self.freqs_hz) * t / self.fps))
         if t != int(t) or not 0 <= t < self.gains.shape[1]:
-            raise ValueError(f"timestep {t:g}: this motion is known at 0 … {self.gains.shape[1] - 1}")
+            raise RunError(f"timestep {t:g}: this motion is known at 0 … {self.gains.shape[1] - 1}")
         return np.asarray(self.gains[:, int(t)])
 
     def is_magnified(self) -> np.ndarray:

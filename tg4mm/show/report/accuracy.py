@@ -100,11 +100,19 @@ def _score_table(metrics: dict[str, Any], scored: list[dict[str, Any]]) -> Block
             ]
             rows.append([f"{entry['alpha']:g}" if i == 0 else "", name, *cells])
             styles.append(style + (" last" if i == len(present) - 1 else ""))
-    caption = f"Scores against ground truth, mean over {scored[0]['n_images']} images each. "
+    caption = f"Scores against ground truth, mean over {_counts(scored)} images each. "
     caption += "↑ higher is better, ↓ lower is better."
     why = metrics["absent"].get("LPIPS")
     caption += f" LPIPS was not measured: {why}." if why else ""
     return Table(["α", "method", *(title for _, title, _ in columns)], rows, caption, styles, left=2)
+
+
+def _counts(scored: list[dict[str, Any]]) -> str:
+    """How many images each α is scored by, one number where it is the same for all."""
+    counts = {entry["alpha"]: entry["n_images"] for entry in scored}
+    if len({*counts.values()}) == 1:
+        return str(scored[0]["n_images"])
+    return ", ".join(f"{count} (α = {alpha:g})" for alpha, count in counts.items())
 
 
 def _differences(m: Material) -> Block:

@@ -160,7 +160,7 @@ def gather_view(run: Run, train: Capture, model: Model, magnified: Magnification
         there = [(t, camera) for t, _ in jobs]
         fixed = _rendered(still, there, "one pose, α = 0"), _rendered(pose, there, f"one pose, α = {alpha:g}")
     recorded = _pictures(split, np.array(rows[:kept]))
-    truth, why = _truth(run.dataset, split, rows[0], alpha, kept)
+    truth, why = _truth(run.dataset, split, rows[:kept], alpha)
     return View(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)
 
 
@@ -217,8 +217,8 @@ def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
     return np.stack([to_bytes(images.rgb(i)) for i in range(len(rows))])
 
 
-def _truth(dataset: Path, split: Capture, row: int, alpha: float, kept: int) -> tuple[np.ndarray | None, str]:
-    """The ground truth from the camera of picture `row`, or why there is none; "" where none can be expected."""
+def _truth(dataset: Path, split: Capture, rows: list[int], alpha: float) -> tuple[np.ndarray | None, str]:
+    """The ground truth of the pictures `rows` of one camera, or why there is none; "" where none can be expected."""
     known = magnified_alphas(dataset)
     if not known or split.split != "test":
         return None, ""
@@ -227,9 +227,12 @@ def _truth(dataset: Path, split: Capture, row: int, alpha: float, kept: int) -> 
         return None, f"The dataset has no ground truth at α = {alpha:g}; there is some at {there}."
     magnified = load_capture(dataset, split="test", magnification=int(alpha))
     # The same camera: magnified/ has the test split's file names and poses.
-    distance = np.abs(magnified.viewmats - split.viewmats[row]).max(axis=(1, 2))
-    rows = np.flatnonzero(distance <= 1e-6)
-    rows = rows[np.argsort(magnified.timesteps[rows], kind="stable")][:kept]
-    if len(rows) < kept:
+    distance = np.abs(magnified.viewmats - split.viewmats[rows[0]]).max(axis=(1, 2))
+    row_at = {int(magnified.timesteps[i]): int(i) for i in np.flatnonzero(distance <= 1e-6)}
+    found = [row_at[t] for t in split.timesteps[rows].tolist() if t in row_at]
+    if not found:
         return None, f"The ground truth at α = {alpha:g} was not rendered from this camera."
-    return _pictures(magnified, rows), ""
+    if len(found) < len(rows):
+        what = f"{len(found)} of {len(rows)} timesteps from this camera"
+        return None, f"The ground truth at α = {alpha:g} holds {what}: they are scored, and do not play here."
+    return _pictures(magnified, np.array(found)), ""
