@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 
 
 def view(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="INPUT",
+            help="A run folder made by tg4mm train, or the folder of tg4mm process. Or a video, a folder of its "
+            "numbered pictures, or a dataset, to draw regions and a scale on.",
+        ),
+    ],
     alpha: Annotated[
         float | None,
         typer.Option(
@@ -27,13 +34,23 @@ def view(
         ),
     ] = None,
     band: BandOption = None,
+    regions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Where regions are saved, and read if it is there. [default: NAME-regions.json in the current folder]",
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Pictures a second of a folder of pictures, or of slow motion.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for snapshots and clips. [default: RUN/view]")
     ] = None,
     port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 8474,
     open: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
 ) -> None:
-    """Show a run in the browser, with sliders for α and band.
+    """Show a run in the browser, with sliders for α and band; or draw regions on a recording.
 
     The page can be opened on this machine only (127.0.0.1), at the address that is printed. Ctrl+C stops the server.
     """
@@ -49,6 +66,11 @@ def view(
     from tg4mm.show.view.app import App
     from tg4mm.show.view.local_server import browsed
 
+    if (run / "process.json").is_file() and (run / "run").is_dir():
+        run = run / "run"
+    if not (run / "config.json").is_file():
+        _draw(run, regions, fps, port, open)
+        return
     session = _session(run, alpha, bands[0] if bands else None)
     app = App(session, port, out or run / "view")
     typer.echo(f"{app.url}  (Ctrl+C ends)")
@@ -61,6 +83,26 @@ def view(
         typer.echo("", err=True)  # the terminal shows ^C
     finally:
         app.stop()
+
+
+def _draw(source: Path, file: Path | None, fps: float | None, port: int, open_page: bool) -> None:
+    """The desk on a recording without a run."""
+    from tg4mm.core.regions import read_regions
+    from tg4mm.show.view.desk import Desk
+    from tg4mm.show.view.local_server import browsed
+
+    if not source.exists():
+        raise Tg4mmError(f"{source}: does not exist")
+    file = file or Path(f"{source.resolve().stem}-regions.json")
+    desk = Desk(source, file, read_regions(file) if file.is_file() else None, port, fps)
+    typer.echo(f"{desk.url}  (Ctrl+C ends)")
+    try:
+        with browsed(desk.url, Path.cwd()) if open_page else nullcontext():
+            desk.wait()
+    except KeyboardInterrupt:
+        typer.echo("", err=True)
+    finally:
+        desk.stop()
 
 
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:

@@ -24,7 +24,7 @@ from tg4mm.core.records import read_formed
 from tg4mm.core.values import POSITIVE, Just, Number
 
 Pixel = tuple[float, float]
-POINT_RADIUS = 8.0  # pixels around a point that says no other
+POINT_RADIUS = 12.0  # pixels around a point that says no other
 _READ_PX = 0.5  # standard deviation of a place that a hand marks
 _DISAGREE = 4.0  # deviations between two lengths
 _COUNT = {"box": 4, "point": 3}

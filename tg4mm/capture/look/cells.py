@@ -7,6 +7,7 @@ products; what the motion itself took from the mean picture (its second and thir
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import ndimage
@@ -108,6 +109,17 @@ class Template:
 
     def _cells(self, picture: np.ndarray) -> np.ndarray:
         return self.grid.cut(picture[None])[:, 0]
+
+
+@lru_cache
+def false_information(size: int) -> float:
+    """px⁻² that a cell of noise alone seems to have, times the pictures that its mean is of.
+
+    The mean picture's own noise is no texture: others do not show it again. Found on white noise, of whatever strength.
+    """
+    noise = np.random.default_rng(0).normal(size=(8 * size, 8 * size)).astype(np.float32)
+    covariance = Template(noise, Grid(8, 8, size)).covariance
+    return float(np.linalg.inv(covariance)[:, [0, 1], [0, 1]].mean())
 
 
 def _slope(picture: np.ndarray, axis: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from tg4mm.core.errors import CaptureError
 FEWEST = 24  # pictures: fewer hold no spectrum
 SMALL = 400_000  # pixels of a picture up to which cells are
 CELL, LARGE_CELL = 16, 48  # pixels a side; above it
-_FIRST = 256  # pictures, at most, that the mean is of
+MEAN_OF = 256  # pictures, at most, that the mean is of
 _FIRST_BYTES = 512 << 20  # and bytes
 _AT_ONCE = 32  # pictures whose cells fit a cache
 _KNOCK_PX = 0.5  # a step of the whole picture that stays
@@ -87,7 +87,7 @@ def read_cells(
         row_means.append(picture.grey.mean(1, dtype=np.float32))
         waiting.append(picture.grey.copy())
         if len(waiting) == (
-            _AT_ONCE if reader.templates else max(FEWEST, min(_FIRST, _FIRST_BYTES // picture.grey.size))
+            _AT_ONCE if reader.templates else max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
         ):
             reader.add(np.stack(waiting))
             waiting = []

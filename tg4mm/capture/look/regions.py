@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from tg4mm.capture.look.cells import false_information
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
 from tg4mm.capture.look.place import SYSTEMATIC
+from tg4mm.capture.look.reading import MEAN_OF
 from tg4mm.capture.look.scene import LEAST_INFORMATION, Scene
 from tg4mm.capture.look.spectra import without
 from tg4mm.core.lines import Line, find_lines
@@ -44,8 +46,12 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     information, seen = scene.information[cells], scene.seen[:, cells].astype(float)
     whole = information.sum(0)
     values, axes = np.linalg.eigh(whole)
-    values, axes = values[::-1], axes[:, ::-1]
-    told = values > max(values[0] / _EDGE**2, LEAST_INFORMATION)
+    false = cells.sum() * false_information(scene.grid.size) / min(len(scene.times_s), MEAN_OF)
+    values, axes = values[::-1] - false, axes[:, ::-1]
+    least = max(LEAST_INFORMATION, false)
+    if values[0] <= least:
+        raise RegionError(f"region {region.name!r} has no texture: no shift of it can be told")
+    told = values > max(values[0] / _EDGE**2, least)
     products = np.einsum("fc,cij->fij", seen, information)
     rows = np.linalg.det(products) > _SEEN**2 * np.linalg.det(whole)
     weighted = np.einsum("fc,cij,fcj->fi", seen, information, scene.own[:, cells], optimize=True)

@@ -34,14 +34,33 @@ STYLE = (  # of the page
 # The page answers a click on a peak by pressing the button of the same name below the chart.
 SCRIPT = """addEventListener("click", (event) => {
   const peak = event.target.dataset?.peak;
-  if (peak) [...document.querySelectorAll("button")].find((b) => b.textContent.trim() === peak)?.click();
-});"""
+  if (peak) press(peak);
+});
+addEventListener("keydown", (event) => {
+  const typed = event.target.closest?.("input:not([type=checkbox]), textarea");
+  if (typed || event.ctrlKey || event.metaKey || event.altKey) return;
+  const key = [...document.querySelectorAll("kbd[data-press]")].find((k) => k.dataset.key === event.key.toLowerCase());
+  if (key) { event.preventDefault(); event.stopImmediatePropagation(); press(...key.dataset.press.split("|")); }
+}, true);
+function press(...names) {
+  [...document.querySelectorAll("button")].find((b) => names.includes(b.textContent.trim()))?.click();
+}"""
 
 
 def block(*parts: str | Markup) -> str:
     """Paragraphs (text, escaped) and drawings (markup) as one block of the panel."""
     body = Markup("").join(p if isinstance(p, Markup) else Markup("<p>{}</p>").format(p) for p in parts if p)
     return str(Markup('<div class="tg4mm">{}</div>').format(body))
+
+
+def key_words(keys: Sequence[tuple[str, str]]) -> Markup:
+    """The keys of the page: each presses the button of one of the names, which "|" parts."""
+    each = Markup('<kbd data-key="{}" data-press="{}">{}</kbd> {}')
+    parts = [
+        each.format(key, names, {" ": "space"}.get(key, key), names.partition("|")[0].lower())
+        for key, names in keys
+    ]
+    return Markup('<p class="dim">Keys: {}</p>').format(Markup(", ").join(parts))
 
 
 def spectrum_chart(

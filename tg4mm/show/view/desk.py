@@ -1,0 +1,277 @@
+"""`tg4mm view` before there is a run: regions and a scale are drawn on a recording's first picture, and looked at."""
+
+import shlex
+import threading
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+from markupsafe import Markup
+
+from tg4mm.capture import load_capture
+from tg4mm.capture.frames import picture
+from tg4mm.capture.look import look
+from tg4mm.capture.look.recording import PICTURE_SUFFIXES
+from tg4mm.capture.transforms import natural
+from tg4mm.capture.video import VIDEO_SUFFIXES, video_frames
+from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.pages.svg import number
+from tg4mm.core.pictures.decode import decode
+from tg4mm.core.regions import Regions, write_regions
+from tg4mm.fit.motion.observations import frames_of
+from tg4mm.show.look.words import HEADER, Words
+from tg4mm.show.view.charts import ACCENT_RGB, block, composite_chart, key_words
+from tg4mm.show.view.drawing import TOOLS, Drawing, opened
+from tg4mm.show.view.local_server import address, start_server, stop_server
+from tg4mm.show.view.texture import Texture, drawn, texture_of
+
+_FIRST = 24  # pictures that tell the noise
+_PANEL = 400  # pixels
+_NARROW = 600  # pixels: a phone, whose lower half the panel covers
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+_KEYS = (("b", "box"), ("p", "polygon"), ("o", "point"), ("l", "length"), ("r", "rectangle"), ("f", "Finish"),
+         ("u", "Undo"), ("s", "Save"))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Shot:
+    """The first picture of one fixed camera."""
+
+    camera: str  # "" of a recording that is no dataset yet
+    rgb: np.ndarray  # [H, W, 3] uint8
+    texture: Texture
+
+
+def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
+    """Of a video, a folder of numbered pictures, or a dataset. Raises CaptureError for anything else."""
+    if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
+        return [_shot("", [frame.rgb for frame in islice(video_frames(path), _FIRST)])]
+    if path.is_dir() and (path / "scene.json").is_file():
+        capture = load_capture(path)
+        clock, frames = frames_of(capture)
+        if clock == "moving":
+            raise CaptureError(
+                f"{path}: its camera moves, so a region of a picture is no place: view its run"
+            )
+        return [_shot(f.name, [_rgb(picture(capture.paths[k])) for k in f.rows[:_FIRST]]) for f in frames]
+    if path.is_dir():
+        found = (f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES)
+        files = sorted(found, key=lambda f: natural(f.name))
+        if files:
+            return [_shot("", [_rgb(decode(file)) for file in files[:_FIRST]])]
+    raise CaptureError(f"{path}: is neither a run, a dataset, a video nor a folder of pictures")
+
+
+def _shot(camera: str, pictures: list[np.ndarray]) -> Shot:
+    if not pictures or any(p.shape != pictures[0].shape for p in pictures):
+        raise CaptureError(f"{camera or 'the recording'}: holds no pictures of one size")
+    grey = np.stack([p.astype(np.float32) @ _LUMA for p in pictures])
+    return Shot(camera, pictures[0], texture_of(grey))
+
+
+def _rgb(pixels: np.ndarray) -> np.ndarray:
+    """[H, W, 3] uint8 of [H, W, 4] of any depth."""
+    return np.asarray(pixels[..., :3] >> 8 if pixels.dtype == np.uint16 else pixels[..., :3]).astype(np.uint8)
+
+
+class Desk:
+    """The recording in the browser; one drawing for all open pages."""
+
+    def __init__(
+        self, source: Path, file: Path, drawing: Regions | None, port: int, fps: float | None
+    ) -> None:
+        """Serve at 127.0.0.1:`port`; Save writes `file`. Raises Tg4mmError where the port is taken."""
+        self._source, self._file, self._fps = source, file, fps
+        self._shots = shots_of(source)
+        self._shot = self._shots[0]
+        height, width = self._shot.rgb.shape[:2]
+        if drawing is not None:
+            drawing.check_size((width, height), source)
+        begun = opened(drawing) if drawing is not None else Drawing((width, height))
+        self._drawing = replace(begun, camera=self._own_camera())
+        self._lock, self._looking = threading.Lock(), threading.Lock()
+        self._stopping = threading.Event()
+        self.server = start_server(port)
+        self.url = address(self.server)
+        self._add_panel()
+        self._listen()
+
+    def _own_camera(self) -> str:
+        """What a region says of its camera: nothing where there is one."""
+        return self._shot.camera if len(self._shots) > 1 else ""
+
+    def _add_panel(self) -> None:
+        gui = self.server.gui
+        gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB)
+        gui.set_panel_label(f"tg4mm view: {self._source.resolve().name}")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_PANEL)
+        with gui.add_folder("Draw"):
+            if len(self._shots) > 1:
+                cameras = gui.add_dropdown("Camera", tuple(shot.camera for shot in self._shots))
+                cameras.on_update(lambda _: self._turn_to(cameras.value))
+            tools = gui.add_button_group("Tool", tuple(TOOLS))
+            tools.on_click(lambda _: self._change(lambda d: d.taking(str(tools.value))))
+            self._name: Any = gui.add_text("Name", "", hint="Of the next region; empty: numbered.")
+            self._wide: Any = gui.add_number(
+                "Length, width (mm)", 0.0, min=0.0, hint="Of the next length or rectangle."
+            )
+            self._high: Any = gui.add_number("Height (mm)", 0.0, min=0.0, hint="Of the next rectangle.")
+            finish = gui.add_button_group("Shape", ("Finish", "Undo"))
+            finish.on_click(
+                lambda _: self._change(Drawing.undone if finish.value == "Undo" else Drawing.finished)
+            )
+            self._show: Any = gui.add_checkbox(
+                "Texture", True, hint="Green: motion is told. Amber: along the stroke."
+            )
+            self._show.on_update(lambda _: self._draw())
+            self._said = gui.add_html("")
+        with gui.add_folder("File"):
+            gui.add_button("Save").on_click(lambda _: self._save())
+            self._saved = gui.add_html(block(f"To {self._file}", key_words(_KEYS)))
+        if not (self._source / "scene.json").is_file():
+            with gui.add_folder("Look"):
+                gui.add_button("What vibrates?").on_click(lambda _: self._look())
+                self._found = gui.add_html("")
+        self._tell()
+
+    def _listen(self) -> None:
+        server = self.server
+
+        @server.on_client_connect
+        def _(client: viser.ClientHandle) -> None:
+            shape = [(0, 0)]
+
+            def resized(_: object) -> None:
+                now = (client.camera.image_width, client.camera.image_height)
+                if now != shape[0]:
+                    shape[0] = now
+                    self._draw_for(client)
+
+            client.camera.on_update(resized)
+            self._draw_for(client)
+
+        @server.scene.on_click()
+        def _(event: viser.SceneClickEvent) -> None:
+            x, y = self._place(event.client, *event.screen_pos)
+            height, width = self._shot.rgb.shape[:2]
+            if -2 <= x <= width + 2 and -2 <= y <= height + 2:
+                self._change(lambda drawing: drawing.clicked((x, y)))
+
+    def wait(self) -> None:
+        """Until `stop`, or an interrupt."""
+        self._stopping.wait()
+
+    def stop(self) -> None:
+        """End serving."""
+        self._stopping.set()
+        stop_server(self.server)
+
+    def _turn_to(self, camera: str) -> None:
+        self._shot = next(shot for shot in self._shots if shot.camera == camera)
+        height, width = self._shot.rgb.shape[:2]
+        self._change(lambda d: replace(d, camera=camera, clicks=(), size=(width, height)))
+
+    def _change(self, change: Any) -> None:
+        """The drawing after `change`; what cannot be is said, and its last click is taken back."""
+        with self._lock:
+            before = self._drawing
+            sides = (float(self._wide.value or 0), float(self._high.value or 0))
+            try:
+                self._drawing = change(replace(before, name=str(self._name.value), sides_mm=sides))
+                if len(self._drawing.regions) > len(before.regions):
+                    self._name.value = ""
+                self._tell()
+            except Tg4mmError as error:
+                self._tell(str(error))
+        self._draw()
+
+    def _tell(self, error: str = "") -> None:
+        drawing, size = self._drawing, (int(self._drawing.size[0]), int(self._drawing.size[1]))
+        lines = [Markup('<p class="dim">{}</p>').format(f"{drawing.tool}: {TOOLS[drawing.tool]}")]
+        if error:
+            lines.append(Markup("<p><b>{}</b></p>").format(error[:1].upper() + error[1:]))
+        for region in drawing.regions:
+            if region.camera == drawing.camera:
+                lines.append(
+                    Markup("<p><b>{}</b>: {}</p>").format(region.name, self._shot.texture.words(region, size))
+                )
+        if drawing.scale is not None and (drawing.scale.lengths or drawing.scale.corners):
+            at = f"{number(1e3 * drawing.scale.reference_m)} mm per pixel ± {100 * drawing.scale.share:.2g} %"
+            tilt = ", tilted" if drawing.scale.corners else ", of a surface that the camera faces"
+            lines.append(Markup("<p>Scale: {}</p>").format(at + tilt))
+        self._said.content = block(*lines)
+
+    def _fit(self, client: viser.ClientHandle) -> tuple[float, int, int, int, int]:
+        """Scale, left and upper edge of the picture on a page's canvas, and the canvas' size."""
+        width, height = max(int(client.camera.image_width), 2), max(int(client.camera.image_height), 2)
+        own = self._shot.rgb.shape
+        scale = min(width / own[1], height / own[0])
+        upper = (
+            round((height - own[0] * scale) / 2) if width > _NARROW else 0
+        )  # where the panel hides no part
+        return scale, round((width - own[1] * scale) / 2), upper, width, height
+
+    def _place(self, client: viser.ClientHandle, x: float, y: float) -> tuple[float, float]:
+        scale, left, upper, width, height = self._fit(client)
+        return (x * width - left) / scale, (y * height - upper) / scale
+
+    def _draw(self) -> None:
+        for client in self.server.get_clients().values():
+            self._draw_for(client)
+
+    def _draw_for(self, client: viser.ClientHandle) -> None:
+        scale, left, upper, width, height = self._fit(client)
+        texture = self._shot.texture if self._show.value else None
+        shown = drawn(self._shot.rgb, self._drawing, texture, scale)[:height, :width]
+        canvas = np.full((height, width, 3), 235, np.uint8)
+        part = canvas[upper : upper + shown.shape[0], left : left + shown.shape[1]]
+        part[:] = shown[: part.shape[0], : part.shape[1]]
+        client.scene.set_background_image(canvas, format="jpeg", jpeg_quality=92)
+        client.flush()
+
+    def _regions(self) -> Regions:
+        return self._drawing.as_file(self._source.name)
+
+    def _save(self) -> None:
+        try:
+            with self._lock:
+                write_regions(self._file, self._regions())
+        except (Tg4mmError, OSError) as error:
+            self._saved.content = block(f"Not written: {error}")
+            return
+        source, file = shlex.quote(str(self._source)), shlex.quote(str(self._file))
+        out = shlex.quote(self._source.resolve().stem)
+        commands = [
+            f"tg4mm look {source} --regions {file}",
+            f"tg4mm process {source} --regions {file} --out {out}-out",
+        ]
+        if (self._source / "scene.json").is_file():
+            commands = [f"tg4mm measure RUN --regions {file} --out {out}-measured"]
+        code = [Markup("<p><code>{}</code></p>").format(command) for command in commands]
+        self._saved.content = block(f"Wrote {self._file}. Next:", *code, key_words(_KEYS))
+
+    def _look(self) -> None:
+        """What `tg4mm look` says of the recording and the regions; one at a time."""
+        if not self._looking.acquire(blocking=False):
+            return
+        try:
+            self._found.content = block("Looking: one pass over the recording …")
+            regions = self._regions()
+            found = look(self._source, self._fps, regions=regions)
+            words = Words(found, self._source, self._fps, drawn=regions)
+            rows = words.region_rows() or words.rows()
+            header = words.region_header() if words.region_rows() else list(HEADER)
+            named = [[(h, cell) for h, cell in zip(header, row, strict=True) if cell] for row in rows]
+            lines = [
+                ", ".join(cell if h in ("region", "remark") else f"{h} {cell}" for h, cell in row)
+                for row in named
+            ]
+            self._found.content = block(words.verdict, composite_chart(found), *lines)
+        except (Tg4mmError, OSError) as error:
+            self._found.content = block(f"Not told: {error}")
+        finally:
+            self._looking.release()
