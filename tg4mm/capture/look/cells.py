@@ -19,6 +19,7 @@ _LINEAR_PX = 0.03  # up to here third-order terms are below a thousandth
 _PLAIN, _UNKNOWN = 1e-3, 1e6  # a cell's squared slopes, grey levels² / px², of no texture at all; px² then
 _STEPS = 4  # of Gauss-Newton; the terms beyond third order are larger than what more steps would change
 _FURTHEST_PX = 1.0  # where the series in u ends
+FROZEN = 10.0  # pictures that a codec's noise may last: so many times less than white noise it averages out
 _LEAST_GAIN = 0.2  # a darker cell shows something else
 
 

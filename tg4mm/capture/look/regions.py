@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.capture.look.cells import false_information
+from tg4mm.capture.look.cells import FROZEN, false_information
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
 from tg4mm.capture.look.place import SYSTEMATIC
@@ -48,7 +48,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     values, axes = np.linalg.eigh(whole)
     false = cells.sum() * false_information(scene.grid.size) / min(len(scene.times_s), MEAN_OF)
     values, axes = values[::-1] - false, axes[:, ::-1]
-    least = max(LEAST_INFORMATION, false)
+    least = max(LEAST_INFORMATION, FROZEN * false)
     if values[0] <= least:
         raise RegionError(f"region {region.name!r} has no texture: no shift of it can be told")
     told = values > max(values[0] / _EDGE**2, least)

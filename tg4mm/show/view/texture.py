@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tg4mm.capture.look.cells import Grid, Template, false_information
+from tg4mm.capture.look.cells import FROZEN, Grid, Template, false_information
 from tg4mm.capture.look.reading import CELL
 from tg4mm.capture.look.scene import LEAST_INFORMATION, QUANTISED
 from tg4mm.core.regions import Region
@@ -63,7 +63,7 @@ def texture_of(pictures: np.ndarray) -> Texture:
     false = false_information(grid.size) / len(pictures)
     information = np.linalg.inv(covariance * noise[:, None, None] + 1e-12 * np.eye(2)) - false * np.eye(2)
     values, axes = np.linalg.eigh(information)
-    values = np.where(values > max(LEAST_INFORMATION, false), values, 0.0)
+    values = np.where(values > max(LEAST_INFORMATION, FROZEN * false), values, 0.0)
     return Texture(grid, np.einsum("cik,ck,cjk->cij", axes, values, axes))
 
 
