@@ -122,4 +122,5 @@ def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -
     speed = 1.0
     if strongest is not None and scene.motion is not None:
         speed = slow_enough(float(scene.motion.freqs_hz[strongest]))
-    return Session(scene, Look(plan), Clock(scene.duration, speed=speed, playing=scene.duration > 0))
+    look = Look(plan, beside=scene.duration > 0)
+    return Session(scene, look, Clock(scene.duration, speed=speed, playing=scene.duration > 0))

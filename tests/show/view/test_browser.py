@@ -12,6 +12,7 @@ from PIL import Image
 
 from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
+from tg4mm.show.analyse import read_channels
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.session import Clock, Session
@@ -132,7 +133,32 @@ def test_play_moves_the_picture(opened):
     until(lambda: not opened.session.clock.playing, "it stands")
 
 
+def test_the_scene_as_captured_is_shown_beside_the_magnified_one(opened):
+    opened.page.get_by_role("button", name="Pause").or_(
+        opened.page.get_by_role("button", name="Play")
+    ).wait_for()
+    opened.session.magnify(100.0)
+    opened.page.locator("canvas").last.focus()
+    opened.page.keyboard.press("b")
+    until(lambda: opened.session.look.beside, "the key presses the button")
+    seen = opened.settled()
+    middle = opened.page.locator("canvas").first.bounding_box()["width"] // 2
+    left, right = seen[:, : int(middle) - 2], seen[:, int(middle) + 2 : 2 * int(middle) - 2]
+    wide = min(left.shape[1], right.shape[1])
+    assert np.abs(left[:, :wide] - right[:, :wide]).max() > 40
+    opened.session.magnify(0.0)
+    seen = opened.settled()
+    left, right = seen[:, : int(middle) - 2], seen[:, int(middle) : 2 * int(middle) - 2]
+    assert np.median(np.abs(left - right)) <= 2
+    opened.page.get_by_role("button", name="Side by side").click()
+    until(lambda: not opened.session.look.beside, "one picture again")
+
+
 def test_buttons_write_files(opened):
+    opened.page.get_by_role("button", name="Numbers").click()
+    until(lambda: (opened.folder / "waveform_0001.csv").is_file(), "a waveform")
+    assert (opened.folder / "spectrum_0001.csv").read_text().startswith("frequency_hz,along_mm")
+    assert read_channels(opened.folder / "waveform_0001.csv")[0].unit == "mm"
     opened.page.get_by_role("button", name="Snapshot").click()
     until(lambda: (opened.folder / "snapshot_0001.png").is_file(), "a snapshot")
     opened.page.get_by_role("button", name="Clip").click()

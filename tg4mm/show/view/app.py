@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import viser
 
-from tg4mm.show.view.charts import ACCENT_RGB
+from tg4mm.show.view.charts import ACCENT_RGB, block, key_words
 from tg4mm.show.view.local_server import address, start_server, stop_server
 from tg4mm.show.view.panel import CameraPanel, Panel
 from tg4mm.show.view.pixel_panel import PixelPanel
@@ -18,6 +18,9 @@ from tg4mm.show.view.session import Session
 
 _IDLE = 0.1  # seconds between looks at cameras that say nothing
 _PANEL = 400  # pixels
+_BESIDE = "Side by side"
+_KEYS = ((" ", "Play|Pause"), ("b", _BESIDE), ("0", "all"), ("c", "Clip (mp4)"), ("n", "Numbers (CSV)"),
+         ("s", "Snapshot (PNG)"), ("j", "previous"), ("k", "next"))  # fmt: skip
 
 
 def canvas_of(client: viser.ClientHandle) -> Canvas:
@@ -48,12 +51,23 @@ class App:
         self._cameras = CameraPanel(self.server, session, self._panel.view)
         self._pixel = PixelPanel(self.server, session)
         with self._panel.view:
+            if session.scene.duration > 0:
+                beside = self.server.gui.add_button(
+                    _BESIDE, hint="The scene as captured beside the magnified one."
+                )
+                beside.on_click(lambda _: self._put_beside())
             dark = self.server.gui.add_checkbox("Dark page", False, hint="The scene stays over white.")
         dark.on_update(lambda _: self._theme(dark=bool(dark.value)))
-        SavePanel(self.server, session, folder, canvas_of)
+        SavePanel(self.server, session, folder, canvas_of, lambda: self._pixel.shown)
+        self.server.gui.add_html(block(key_words(_KEYS if session.scene.duration > 0 else _KEYS[-3:])))
         self._listen()
         self._thread = threading.Thread(target=self._draw, daemon=True)
         self._thread.start()
+
+    def _put_beside(self) -> None:
+        self._session.set_look(beside=not self._session.look.beside)
+        for client, _ in list(self._screens.values()):
+            self._cameras.again(client)
 
     def _dress(self) -> None:
         gui = self.server.gui

@@ -117,8 +117,17 @@ def waveform_chart(
     return _svg(parts, f"waveform: displacement ({unit}) over time (s)")
 
 
-def density_chart(frequencies: np.ndarray, amplitudes: np.ndarray, floor: np.ndarray, unit: str) -> Markup:
-    """A spectrum [B] over frequencies [B] in Hz with its noise floor [B] dashed."""
+def density_chart(
+    frequencies: np.ndarray,
+    amplitudes: np.ndarray,
+    floor: np.ndarray,
+    unit: str,
+    named: Sequence[tuple[float, str]] = (),
+) -> Markup:
+    """A spectrum [B] over frequencies [B] in Hz with its noise floor [B] dashed.
+
+    A click presses the button of the nearest frequency (Hz) that is `named`.
+    """
     top = float(max(amplitudes.max(), floor.max())) * 1.08 or 1.0
     span = 0.0, float(frequencies[-1])
     parts = [_axes(span, (0.0, top), "frequency (Hz)", unit)]
@@ -127,6 +136,9 @@ def density_chart(frequencies: np.ndarray, amplitudes: np.ndarray, floor: np.nda
             f"{_x(f, *span):.1f},{_y(v, 0, top):.1f}" for f, v in zip(frequencies, values, strict=True)
         )
         parts.append(Markup('<polyline class="{}" points="{}"/>').format(style, points))
+    if named:
+        hz, labels = np.array([f for f, _ in named]), [name for _, name in named]
+        parts += _hits(hz, np.interp(hz, frequencies, amplitudes), labels, span[1], unit)
     return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed")
 
 

@@ -26,11 +26,11 @@ from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.view.charts import ACCENT_RGB, block, composite_chart, key_words
 from tg4mm.show.view.drawing import TOOLS, Drawing, opened
 from tg4mm.show.view.local_server import address, start_server, stop_server
+from tg4mm.show.view.screen import NARROW
 from tg4mm.show.view.texture import Texture, drawn, texture_of
 
 _FIRST = 24  # pictures that tell the noise
 _PANEL = 400  # pixels
-_NARROW = 600  # pixels: a phone, whose lower half the panel covers
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _KEYS = (("b", "box"), ("p", "polygon"), ("o", "point"), ("l", "length"), ("r", "rectangle"), ("f", "Finish"),
          ("u", "Undo"), ("s", "Save"))  # fmt: skip
@@ -210,9 +210,7 @@ class Desk:
         width, height = max(int(client.camera.image_width), 2), max(int(client.camera.image_height), 2)
         own = self._shot.rgb.shape
         scale = min(width / own[1], height / own[0])
-        upper = (
-            round((height - own[0] * scale) / 2) if width > _NARROW else 0
-        )  # where the panel hides no part
+        upper = round((height - own[0] * scale) / 2) if width > NARROW else 0  # where the panel hides no part
         return scale, round((width - own[1] * scale) / 2), upper, width, height
 
     def _place(self, client: viser.ClientHandle, x: float, y: float) -> tuple[float, float]:

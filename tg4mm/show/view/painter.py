@@ -32,6 +32,8 @@ class Look:
 
     magnified: Magnification = AS_CAPTURED
     colour: Colour = Colour.picture
+    beside: bool = False  # as captured and magnified, side by side
+    mark: tuple[float, ...] | None = None  # [3] scene units, of the clicked pixel, where they are
 
 
 class Painter:

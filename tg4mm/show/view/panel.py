@@ -24,6 +24,7 @@ from tg4mm.show.view.colours import (
     main_peaks,
     peak_labels,
 )
+from tg4mm.show.view.screen import NARROW
 from tg4mm.show.view.session import Session
 
 _FOLLOW_EVERY = 0.2  # seconds between moves of the time slider as it plays
@@ -235,7 +236,14 @@ class CameraPanel:
             return
         scene = self._session.scene
         depth = middle_depth(scene.gaussians.means.numpy(), scene.weights, self._cameras[i])
-        place(client, standpoint_of(self._cameras[i], depth, client.camera.aspect))
+        aspect = client.camera.aspect
+        if self._session.look.beside and client.camera.image_width >= NARROW:
+            aspect /= 2
+        place(client, standpoint_of(self._cameras[i], depth, aspect))
+
+    def again(self, client: viser.ClientHandle) -> None:
+        """Back to the camera that is chosen."""
+        self.jump(client, self._chosen())
 
 
 def place(client: viser.ClientHandle, to: Standpoint) -> None:

@@ -18,6 +18,7 @@ from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure_one, prep
 from tg4mm.show.measure.sensors import PIXEL_RADIUS
 from tg4mm.show.measure.spectrum import strength_of
 from tg4mm.show.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
+from tg4mm.show.view.colours import main_peaks, peak_labels
 from tg4mm.show.view.scene import RunScene
 from tg4mm.show.view.screen import Canvas, full_size
 from tg4mm.show.view.session import Session
@@ -37,6 +38,9 @@ class PixelPanel:
         self._server, self._session = server, session
         self._measurer = Measurer(session.scene)
         self._busy = threading.Lock()
+        self.shown: Waveform | None = None  # the last answer
+        names = main_peaks(session.scene.frequencies, session.scene.peaks(), session.scene.duration)
+        self._named = list(zip(names.tolist(), peak_labels(names), strict=True))
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # place [3], weights [N]
         hint = (
             "The samples that the pictures give, with deviations and a noise floor. Reads all pictures once."
@@ -50,6 +54,8 @@ class PixelPanel:
     def clicked(self, canvas: Canvas, x: float, y: float) -> None:
         """Answer a click at (x, y), shares 0 … 1 of the canvas from its upper left corner."""
         session = self._session
+        if session.look.beside and canvas.holds_two:
+            x, canvas = min(2 * x - (x >= 0.5), 1.0), canvas.halved()
         width, height = size = full_size(canvas.width, canvas.height)
         column, row = min(int(x * width), width - 1), min(int(y * height), height - 1)
         seconds = session.clock.at(time.monotonic())
@@ -96,24 +102,33 @@ class PixelPanel:
         return heard
 
     def _mark(self, point: np.ndarray, canvas: Canvas) -> None:
+        self._session.set_look(mark=tuple(map(float, point)))
+        if self._session.look.beside:  # drawn in both pictures
+            self._server.scene.remove_by_name("/pixel")
+            return
         distance = float(np.linalg.norm(point - np.array(canvas.position)))
         radius = _MARK * distance * 2 * np.tan(canvas.fov / 2)
         self._server.scene.add_icosphere("/pixel", radius=radius, color=ACCENT_RGB, position=tuple(point))
 
     def _words(self, found: "Waveform", point: np.ndarray) -> str:
+        self.shown = found
         scene, per = self._session.scene, self._session.scene.per_unit
         unit = scene.unit
         deviation = None if found.deviation is None else found.deviation * per
         amplitudes = found.amplitudes * per
         if found.floor is not None:
-            chart = density_chart(found.frequencies, amplitudes, found.floor * per, f"peak ({unit})")
+            chart = density_chart(
+                found.frequencies, amplitudes, found.floor * per, f"peak ({unit})", self._named
+            )
             radius = number(self._measurer.radius(point) * per)
             clip = f"; the curve: {found.of_clip}" if found.of_clip else ""
             how = f"Measured in the pictures, within {radius} {unit}{_SHADED}; dashed: noise floor{clip}."
         else:
             assert scene.motion is not None
             band = self._session.band
-            chart = spectrum_chart(found.frequencies, amplitudes, scene.motion.fps / 2, unit, band)
+            labels = dict(self._named)
+            named = [labels.get(f, "") for f in found.frequencies.tolist()]
+            chart = spectrum_chart(found.frequencies, amplitudes, scene.motion.fps / 2, unit, band, named)
             how = f"The fitted motion, as captured{_SHADED if deviation is not None else ''}."
         wave = waveform_chart(found.times, found.displacement * per, unit, deviation)
         where = Markup('<p class="dim">{}</p>').format(f"At ({vector(point)}) scene units. {how}")

@@ -3,7 +3,7 @@
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,12 @@ import numpy as np
 import viser
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.frames import write_png
 from tg4mm.show.render.video import stream_mp4
 from tg4mm.show.view.charts import block
-from tg4mm.show.view.screen import Canvas, full_size
+from tg4mm.show.view.pixel_panel import Waveform
+from tg4mm.show.view.screen import Canvas, full_size, picture_of
 from tg4mm.show.view.session import Session
 
 CLIP_RATE = 30.0  # pictures a second
@@ -24,8 +26,8 @@ _LARGEST = 1280  # pixels, a clip's longer side
 
 def save_snapshot(session: Session, canvas: Canvas, now: float, folder: Path) -> Path:
     """Write what `canvas` shows at `now`, at its full size, as a new PNG in `folder`."""
-    camera = canvas.camera(full_size(canvas.width, canvas.height))
-    picture = session.painter.paint(session.look, session.clock.at(now), camera)
+    size = full_size(canvas.width, canvas.height)
+    picture = picture_of(session.painter, session.look, session.clock.at(now), canvas, size)
     path = next_name(folder, "snapshot", ".png")
     write_png(path, picture)
     return path
@@ -41,17 +43,38 @@ def save_clip(
     look, clock = session.look, session.clock
     share = min(1.0, _LARGEST / max(canvas.width, canvas.height))
     size = _even(canvas.width * share), _even(canvas.height * share)
-    camera = canvas.camera(size)
     moments = clip_moments(clock.duration, clock.speed)
 
     def pictures() -> Iterator[np.ndarray]:
         for i, seconds in enumerate(moments):
-            yield session.painter.paint(look, float(seconds), camera)
+            yield picture_of(session.painter, look, float(seconds), canvas, size)
             update((i + 1) / len(moments))
 
     path = next_name(folder, "clip", ".mp4")
     stream_mp4(path, pictures(), size, CLIP_RATE, len(moments))
     return path
+
+
+def save_numbers(found: Waveform, unit: str, per_unit: float, folder: Path) -> Path:
+    """A pixel's waveform as a new CSV that `tg4mm analyse` reads, its spectrum beside it; returns the waveform's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = next_name(folder, "waveform", ".csv")
+    name = "along_" + unit.replace(" ", "_")
+    columns = {"time_s": found.times, name: found.displacement * per_unit}
+    if found.deviation is not None:
+        columns[f"{name}_deviation"] = found.deviation * per_unit
+    spectrum = {"frequency_hz": found.frequencies, name: found.amplitudes * per_unit}
+    if found.floor is not None:
+        spectrum["floor"] = found.floor * per_unit
+    _write_table(path, columns)
+    _write_table(path.with_name(path.name.replace("waveform", "spectrum")), spectrum)
+    return path
+
+
+def _write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)]
+    text = "\n".join([",".join(columns), *rows, ""])
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def clip_moments(duration: float, speed: float) -> np.ndarray:
@@ -81,16 +104,23 @@ class SavePanel:
         session: Session,
         folder: Path,
         canvas_of: Callable[[viser.ClientHandle], Canvas],
+        answered: Callable[[], Waveform | None] = lambda: None,
     ) -> None:
+        self._answered = answered
         self._session, self._folder, self._canvas_of = session, folder, canvas_of
         self._busy = threading.Lock()
         with server.gui.add_folder("Save"):
             snapshot = server.gui.add_button("Snapshot (PNG)", hint="This picture at full size.")
             clip = server.gui.add_button("Clip (mp4)", hint="One pass through the capture as it plays here.")
             clip.visible = session.scene.duration > 0
+            numbers = server.gui.add_button(
+                "Numbers (CSV)", hint="Waveform and spectrum of the clicked pixel."
+            )
+            numbers.visible = session.scene.duration > 0
             self._bar: Any = server.gui.add_progress_bar(0.0, visible=False)
             self._said = server.gui.add_html(block(f"To {folder}"))
         snapshot.on_click(lambda event: self._save(event.client, self._snapshot))
+        numbers.on_click(lambda event: self._save(event.client, self._numbers))
         clip.on_click(lambda event: self._save(event.client, self._clip))
 
     def _save(self, client: viser.ClientHandle | None, write: Callable[[Canvas], Path]) -> None:
@@ -107,6 +137,11 @@ class SavePanel:
 
     def _snapshot(self, canvas: Canvas) -> Path:
         return save_snapshot(self._session, canvas, time.monotonic(), self._folder)
+
+    def _numbers(self, _: Canvas) -> Path:
+        if (found := self._answered()) is None:
+            raise Tg4mmError("click a pixel first")
+        return save_numbers(found, self._session.scene.unit, self._session.scene.per_unit, self._folder)
 
     def _clip(self, canvas: Canvas) -> Path:
         self._bar.value, self._bar.visible = 0.0, True

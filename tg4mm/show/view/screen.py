@@ -12,11 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.view.cameras import camera_of
+from tg4mm.show.view.charts import ACCENT_RGB
+from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.session import Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
+NARROW = 600  # pixels: a phone, whose lower half the panel covers
+_BORDER = 90  # grey level between two pictures
+_RING, _STROKE = 0.012, 1.5  # of the picture's shorter side; pixels
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,39 @@ class Canvas:
         """The camera for a picture of `size` (width, height)."""
         rotation = Rotation.from_quat(np.roll(self.wxyz, -1)).as_matrix()
         return camera_of(np.array(self.position), rotation, self.fov, self.width / self.height, size)
+
+    @property
+    def holds_two(self) -> bool:
+        """Whether there is room for two pictures: on a phone there is none."""
+        return self.width >= NARROW
+
+    def halved(self) -> "Canvas":
+        """One of two pictures side by side."""
+        return replace(self, width=self.width // 2)
+
+
+def picture_of(
+    painter: Painter, look: Look, seconds: float, canvas: Canvas, size: tuple[int, int]
+) -> np.ndarray:
+    """[H, W, 3] uint8 of `size` (w, h): what a page shows; with `look.beside` the scene as captured comes first."""
+    if not (look.beside and canvas.holds_two and size[0] > 1):
+        return painter.paint(look, seconds, canvas.camera(size))
+    camera = canvas.halved().camera((size[0] // 2, size[1]))
+    parts = [painter.paint(one, seconds, camera) for one in (replace(look, magnified=AS_CAPTURED), look)]
+    for part in parts:
+        if look.mark is not None:
+            _marked(part, camera, np.array(look.mark))
+    parts[0][:, -1] = _BORDER
+    return np.pad(np.concatenate(parts, 1), ((0, 0), (0, size[0] % 2), (0, 0)), mode="edge")
+
+
+def _marked(picture: np.ndarray, camera: Camera, point: np.ndarray) -> None:
+    """A ring where the point [3] lies, into picture [H, W, 3]."""
+    x, y, depth = camera.K @ (camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3])
+    if depth > 0:
+        rows, columns = np.ogrid[: camera.height, : camera.width]
+        away = np.hypot(columns + 0.5 - x / depth, rows + 0.5 - y / depth)
+        picture[np.abs(away - _RING * min(camera.height, camera.width)) < _STROKE] = [ACCENT_RGB]
 
 
 class Screen:
@@ -55,7 +94,7 @@ class Screen:
             return False
         size = (full_size if fine else self._pace.size)(canvas.width, canvas.height)
         begun = time.perf_counter()
-        picture = session.painter.paint(look, seconds, canvas.camera(size))
+        picture = picture_of(session.painter, look, seconds, canvas, size)
         self._send(picture, _STILL if fine else _MOVING)
         if not fine:
             self._pace = self._pace.after(time.perf_counter() - begun, size[0] * size[1])
