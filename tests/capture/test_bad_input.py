@@ -111,7 +111,7 @@ def test_bad_frame(folder, values, part):
         ("train/../../outside.png", "leads outside"),
         ("/etc/passwd", "'/etc/passwd' is absolute"),
         ("C:\\x.png", "is absolute"),
-        ("train/r_777", "r_777 does not exist (tried .png, .jpg, .jpeg, .exr)"),
+        ("train/r_777", "r_777 does not exist (tried .png, .jpg, .jpeg, .exr, .webp, .tif, .tiff)"),
         ("train/r_777.png", "r_777.png does not exist"),
         ("train/nul\0.png", "not a usable path"),
         ("", "file_path is ''"),

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from tg4mm.capture.frames import frame_of
 from tg4mm.core.errors import CaptureError
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff")
 
 
 def inside(root: Path, path: Path, where: str) -> Path:
@@ -23,8 +23,8 @@ def inside(root: Path, path: Path, where: str) -> Path:
 def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
     """The image, or the frame of a video, that `file_path` means, relative to `folder`.
 
-    Without a suffix .png, .jpg, .jpeg, .exr are tried. Raises CaptureError if it is absolute, leaves `root`, or is not
-    there.
+    Without a suffix those of `IMAGE_SUFFIXES` are tried. Raises CaptureError if it is absolute, leaves `root`, or is
+    not there.
     """
     if PurePosixPath(file_path).is_absolute() or PureWindowsPath(file_path).drive:
         raise CaptureError(f"{where}: file_path {file_path!r} is absolute; expected one relative to {folder}")

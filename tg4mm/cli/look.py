@@ -16,7 +16,7 @@ def look(
         Path,
         typer.Argument(
             metavar="VIDEO",
-            help="A video of a camera that stands still, or a folder of numbered PNG or JPEG pictures.",
+            help="A video of a camera that stands still, or a folder of numbered pictures.",
         ),
     ],
     fps: Annotated[

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import (
     NAMES,
@@ -24,7 +25,6 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import Update, progress
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _WATCHED = 30_000  # pixels, about, by which frames are compared with the one before
 _SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
@@ -102,10 +102,10 @@ class _Watched:
 
 def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:
     files = sorted(
-        (f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES), key=lambda f: natural(f.name)
+        (f for f in path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=lambda f: natural(f.name)
     )
     if not files:
-        raise CaptureError(f"{path}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
+        raise CaptureError(f"{path}: holds no pictures ({', '.join(IMAGE_SUFFIXES)})")
     if fps is None:
         raise CaptureError(f"{path}: a folder of pictures has no times; give --fps, pictures a second")
 

@@ -19,7 +19,7 @@ from tg4mm.core.files import link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import Update, progress
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-COPIED = (".png", ".jpg", ".jpeg")
+COPIED = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ LAYOUTS = (
     f"{SWEEP}/ with pictures of the scene at rest"
 )
 # Pictures that phones and cameras write and that are not read here.
-UNREAD = (".heic", ".heif", ".dng", ".tif", ".tiff", ".webp", ".cr2", ".cr3", ".nef", ".arw")
+UNREAD = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
 # Files by which a dataset that `tg4mm train` reads is told from pictures.
 DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/images.*", "sparse/0/images.*")
 

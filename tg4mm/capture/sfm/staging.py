@@ -19,6 +19,8 @@ from tg4mm.core.files import link_or_copy, write_atomic
 from tg4mm.core.pictures.decode import DAMAGE, FORMATS, THREADS, decode, image_header
 from tg4mm.core.progress import progress
 
+_LINKED = (".png", ".jpg", ".jpeg")  # what COLMAP reads; others become PNG
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -68,7 +70,7 @@ def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> 
 
 def exif_turns(path: Path) -> int:
     """Quarter turns counterclockwise that a photograph's EXIF orientation asks for; COLMAP takes it as it is stored."""
-    if path.suffix.lower() == ".exr":
+    if path.suffix.lower() in (".exr", ".tif", ".tiff"):  # a TIFF is turned as it is decoded
         return 0
     image_header(path)  # raises CaptureError for what is no picture, or promises more than its file can hold
     try:
@@ -119,7 +121,7 @@ def _stage_one(path: Path, target: Path, mask: Path) -> None:
     pixels = decode(path)
     maximum = np.iinfo(pixels.dtype).max
     opaque = pixels[..., 3].min() == maximum
-    if opaque and maximum == 255 and path.suffix.lower() != ".exr":
+    if opaque and maximum == 255 and path.suffix.lower() in _LINKED:
         link_or_copy(path, target)
         return
     alpha = pixels[..., 3] / maximum
@@ -129,9 +131,9 @@ def _stage_one(path: Path, target: Path, mask: Path) -> None:
 
 
 def staged_name(shot: Shot) -> str:
-    """The picture's name below images/: percent-encoded, since COLMAP's lists part names at spaces; EXR as PNG."""
+    """The picture's name below images/: percent-encoded (COLMAP's lists part names at spaces); a PNG if need be."""
     name = quote(shot.name, safe="/")
-    return f"{name}.png" if shot.path.suffix.lower() == ".exr" else name
+    return name if shot.path.suffix.lower() in _LINKED else f"{name}.png"
 
 
 def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: float | None) -> Path:

@@ -1,4 +1,4 @@
-"""One PNG, JPEG or EXR → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB, with or without alpha."""
+"""One PNG, JPEG, WebP, TIFF or EXR → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB."""
 
 import os
 import struct
@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from PIL.TiffImagePlugin import TiffImageFile
 
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.pictures import exr, png16
+from tg4mm.core.pictures import exr, png16, tiff
 from tg4mm.core.untrusted import DEFLATE
 
 THREADS = min(8, os.cpu_count() or 1)
-FORMATS = ("PNG", "JPEG")
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF")
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
 # What Pillow raises on a damaged file, depending on where the damage is.
 DAMAGE: tuple[type[BaseException], ...] = (
@@ -22,8 +23,10 @@ DAMAGE: tuple[type[BaseException], ...] = (
     *(RuntimeError, IndexError, KeyError, TypeError, AttributeError, Image.DecompressionBombError),
 )
 # Pixels, at most, that one byte of a file stands for. Of a PNG: of one bit each, packed by zlib. A JPEG has a bit or
-# more for every 64 pixels, an EXR two bytes a pixel, packed by zlib.
+# more for every 64 pixels, an EXR two bytes a pixel, packed by zlib. Of a WebP, whose size is held to 16383 a side, a
+# byte may stand for any number.
 _PIXELS_PER_BYTE = 8 * DEFLATE
+_LARGEST_WEBP = 178_956_970  # pixels, Pillow's own limit
 
 
 @dataclass(frozen=True)
@@ -38,12 +41,13 @@ class ImageHeader:
 def image_header(path: Path) -> ImageHeader:
     """Size and depth without decoding.
 
-    Raises CaptureError if it is no PNG, JPEG or EXR, or CMYK and the like, or promises more pixels than a file of its
-    length can hold.
+    Raises CaptureError if it is no PNG, JPEG, WebP, TIFF or EXR, holds several pictures, is CMYK and the like, or
+    promises more pixels than a file of its length can hold.
     """
     header = _header(path)
     length = path.stat().st_size
-    if not 0 < header.width * header.height <= length * _PIXELS_PER_BYTE:
+    pixels = header.width * header.height
+    if not 0 < pixels <= length * _PIXELS_PER_BYTE and not (0 < pixels <= _LARGEST_WEBP and _is_webp(path)):
         promised = f"{header.width}×{header.height} pixels"
         raise CaptureError(f"{path}: cannot be decoded: {promised} do not fit in its {length} bytes")
     return header
@@ -58,9 +62,17 @@ def _header(path: Path) -> ImageHeader:
         if header is not None and header.bits == 16:
             return ImageHeader(header.width, header.height, 16)
         with Image.open(path, formats=FORMATS) as image:
-            if image.mode not in MODES:
+            deep = isinstance(image, TiffImageFile) and tiff.bits_of(image) == 16
+            if image.mode not in MODES and not (deep and image.mode in tiff.GREY_16):
                 raise CaptureError(f"{path}: has colour mode {image.mode}; expected grey, RGB or RGBA")
-            return ImageHeader(*image.size, 8)
+            size, pages = image.size, getattr(image, "n_frames", 1)
+        if start.startswith(tiff.STARTS):
+            pages = tiff.page_count(path)
+        if pages > 1:
+            raise CaptureError(
+                f"{path}: holds {pages} pictures; expected one (a TIFF of several is a recording: give it alone)"
+            )
+        return ImageHeader(*size, 16 if deep else 8)
     except CaptureError:
         raise
     except DAMAGE as error:
@@ -68,7 +80,7 @@ def _header(path: Path) -> ImageHeader:
 
 
 def decode(path: Path) -> np.ndarray:
-    """[H, W, 4] uint8 (uint16 for a 16-bit PNG or an EXR); files without alpha get the largest value there.
+    """[H, W, 4] uint8 (uint16 for a 16-bit PNG or TIFF or an EXR); files without alpha get the largest value there.
 
     Raises CaptureError if the file is truncated or damaged.
     """
@@ -76,7 +88,10 @@ def decode(path: Path) -> np.ndarray:
         if _start(path).startswith(exr.SIGNATURE):
             image_header(path)
             return exr.decode(path)
-        if image_header(path).bits == 16:  # Pillow would keep the high byte only
+        bits = image_header(path).bits
+        if _start(path).startswith(tiff.STARTS):
+            return tiff.decode(path)
+        if bits == 16:  # Pillow would keep the high byte only
             return png16.decode(path.read_bytes())
         with Image.open(path, formats=FORMATS) as image:
             return np.asarray(image.convert("RGBA"))
@@ -91,7 +106,12 @@ def _start(path: Path) -> bytes:
         return file.read(png16.HEADER_BYTES)
 
 
+def _is_webp(path: Path) -> bool:
+    start = _start(path)
+    return start.startswith(b"RIFF") and start[8:12] == b"WEBP"
+
+
 def _unreadable(path: Path, error: BaseException) -> CaptureError:
     if isinstance(error, Image.UnidentifiedImageError):
-        return CaptureError(f"{path}: is neither a PNG, a JPEG nor an EXR")
+        return CaptureError(f"{path}: is neither a PNG, a JPEG, a WebP, a TIFF nor an EXR")
     return CaptureError(f"{path}: cannot be decoded: {' '.join(str(error).split())}")
