@@ -77,7 +77,7 @@ def decode(path: Path) -> Iterator[np.ndarray]:
     """
     import av
 
-    with av.open(str(path)) as container:
+    with av.open(f"file:{path}") as container:
         for frame in container.decode(video=0):
             yield to_rgb(*(_plane(plane) for plane in frame.reformat(format="yuv420p").planes))
 

@@ -39,7 +39,7 @@ def dataset(video, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def truth(video):
-    return [frame.rgb for frame in video_frames(video)]
+    return [frame.pixels for frame in video_frames(video)]
 
 
 def test_frames_and_files_come_once_each(video, truth, tmp_path):

@@ -17,7 +17,7 @@ from threading import Lock
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened, upright
+from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, colours, opened, upright
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
 
@@ -133,10 +133,10 @@ class _Reader:
     @property
     def header(self) -> ImageHeader:
         pixels = self.last if self.last.size else self.read(0)
-        return ImageHeader(pixels.shape[1], pixels.shape[0], 8)
+        return ImageHeader(pixels.shape[1], pixels.shape[0], 8 * pixels.itemsize)
 
     def read(self, number: int) -> np.ndarray:
-        """[H, W, 4] uint8."""
+        """[H, W, 4] uint8 or uint16."""
         if self.at == number:
             return self.last
         keys = self.index.keys
@@ -165,8 +165,10 @@ class _Reader:
         for frame in self.frames:
             self.at = self.number.get(frame.pts, -1)
             if self.at == number:
-                rgb = upright(frame, frame.to_ndarray(format="rgb24"))
-                self.last = np.asarray(Image.fromarray(rgb).convert("RGBA"))
+                pixels = upright(frame, colours(frame))
+                if pixels.dtype == np.uint8:
+                    pixels = np.asarray(Image.fromarray(pixels).convert("RGBA"))
+                self.last = pixels
             if self.at >= number:
                 return self.at == number
         return False

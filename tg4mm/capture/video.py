@@ -1,5 +1,6 @@
-"""Videos through PyAV: what the container says, and the frames one by one with their exact times."""
+"""Recordings in one file: what it says of itself, and the frames one by one with their exact times; videos by PyAV."""
 
+import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.stacks import STACK_SUFFIXES, TIFF_SUFFIXES, is_stack, stack_info, stack_pictures
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.extras import install
 
@@ -17,7 +19,19 @@ from tg4mm.core.extras import install
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
 ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+BARE_SUFFIXES = (".h264", ".264", ".h265", ".265", ".hevc")  # streams without a container
+VIDEO_SUFFIXES = (
+    *(".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".gif", ".ts", ".mts", ".m2ts", ".cine"),
+    *BARE_SUFFIXES,
+)
+RECORDING_SUFFIXES = (*VIDEO_SUFFIXES, *STACK_SUFFIXES)
+# FFmpeg's names of their formats: what a file holds is never a list of other files, or of addresses.
+_FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,mpegts,mpeg,cine,h264,hevc"
+_LOG = logging.getLogger("tg4mm")
+_SAID: set[Path] = set()  # interlaced ones
+_SQUARE = 0.005  # by which a pixel's sides may differ
+_NOMINAL = 25  # pictures a second of what does not say
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 PLANAR = ("yuv4", "yuvj4", "nv12", "gray")  # pixel formats whose first plane is the luma
 TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
@@ -46,14 +60,14 @@ class CodedFrame:
 class VideoFrame(CodedFrame):
     """One decoded frame in colour, upright."""
 
-    rgb: np.ndarray  # [H, W, 3] uint8
+    pixels: np.ndarray  # [H, W, 3] uint8, or [H, W, 4] uint8 or uint16 of what holds more
 
 
 @dataclass(frozen=True)
 class GreyFrame(CodedFrame):
     """One decoded frame's luma as it is coded, upright."""
 
-    grey: np.ndarray  # [H, W] uint8
+    grey: np.ndarray  # [H, W] uint8, or float32 of that range of what holds more
 
 
 def av_module() -> Any:
@@ -68,7 +82,12 @@ def av_module() -> Any:
 
 
 def video_info(path: Path) -> VideoInfo:
-    """The container's own figures. Raises CaptureError where it is no video that can be decoded."""
+    """The file's own figures. Raises CaptureError where it is no video that can be decoded."""
+    if is_stack(path):
+        stack = stack_info(path)
+        if stack.rate is None:
+            return VideoInfo((), Fraction(0), None, stack.count, None)
+        return VideoInfo((stack.rate,), Fraction(0), stack.count / float(stack.rate), stack.count, None)
     with opened(path) as container:
         stream = container.streams.video[0]
         rates = [stream.average_rate, stream.base_rate, stream.guessed_rate]
@@ -83,22 +102,57 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
 
     Raises CaptureError, naming the second, where decoding fails, damage is covered up, or the file ends early.
     """
+    if is_stack(path):
+        for time, pixels in _stacked(path, start_s, stop_s):
+            yield VideoFrame(time, False, True, pixels)
+        return
     for coded, frame in _decoded(path, start_s, stop_s):
-        yield VideoFrame(
-            coded.time, coded.is_between, coded.is_alone, upright(frame, frame.to_ndarray(format="rgb24"))
-        )
+        yield VideoFrame(coded.time, coded.is_between, coded.is_alone, upright(frame, colours(frame)))
 
 
 def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[GreyFrame]:
     """As `video_frames`, luma alone."""
+    if is_stack(path):
+        for time, pixels in _stacked(path, start_s, stop_s):
+            yield GreyFrame(time, False, True, grey_of(pixels))
+        return
     for coded, frame in _decoded(path, start_s, stop_s):
         yield GreyFrame(coded.time, coded.is_between, coded.is_alone, upright(frame, _luma(frame)))
 
 
+def is_untimed(path: Path) -> bool:
+    """Whether the file tells neither times nor a rate, by its name."""
+    return path.suffix.lower() in (*BARE_SUFFIXES, *TIFF_SUFFIXES)
+
+
+def grey_of(rgba: np.ndarray) -> np.ndarray:
+    """[H, W] float32, 0 to 255: luma of pixels [H, W, 3 or 4] uint8 or uint16."""
+    scale = 255 / np.iinfo(rgba.dtype).max
+    return np.asarray((rgba[..., :3].astype(np.float32) @ _LUMA) * np.float32(scale))
+
+
+def _stacked(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[Fraction, np.ndarray]]:
+    """Times, seconds since the first, and pixels [H, W, 4] of a stack."""
+    _check_window(path, start_s, stop_s)
+    rate = stack_info(path).rate or Fraction(_NOMINAL)
+    for k, pixels in enumerate(stack_pictures(path)):
+        if k / rate >= stop_s - HAIR_S:
+            return
+        if k / rate >= start_s - HAIR_S:
+            yield k / rate, pixels
+
+
+def _check_window(path: Path, start_s: float, stop_s: float) -> None:
+    if is_untimed(path) and (start_s > 0 or math.isfinite(stop_s)):
+        raise CaptureError(f"{path}: has no times of its own, which --from and --until are of")
+
+
 def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedFrame, Any]]:
     """Frames with PyAV's own, as they lie in the file."""
-    av = av_module()
+    av, untimed = av_module(), is_untimed(path)
+    _check_window(path, start_s, stop_s)
     first: Fraction | None = None
+    count = 0
     time, step = Fraction(0), Fraction(0)
     with av.logging.Capture(False) as log, opened(path) as container:
         stream = container.streams.video[0]
@@ -115,11 +169,18 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
             log.clear()
             if frame is None:
                 break
-            if frame.pts is None:
+            if frame.interlaced_frame and path not in _SAID:
+                _SAID.add(path)
+                _LOG.warning(
+                    f"{path}: is interlaced: even and odd rows are of different moments, which shows as motion; film "
+                    "progressively, or deinterlace it"
+                )
+            if frame.pts is None and not untimed:
                 raise CaptureError(
                     f"{path}: its frames have no time stamps; put it into an MP4 or MKV container"
                 )
-            stamp = frame.pts * Fraction(frame.time_base)
+            stamp = Fraction(count, _NOMINAL) if untimed else frame.pts * Fraction(frame.time_base)
+            count += 1
             first = stamp if first is None else first
             step, time = max(step, stamp - first - time), stamp - first
             if time >= stop_s - HAIR_S:
@@ -127,7 +188,7 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
             if time >= start_s - HAIR_S:
                 kind = int(frame.pict_type)
                 yield CodedFrame(time, kind == BETWEEN, kind == ALONE), frame
-        duration = _duration(container, stream)
+        duration = None if untimed else _duration(container, stream)
     if first is None:
         raise CaptureError(f"{path}: holds no frames")
     if duration is not None and float(time + 2 * step) < duration - 0.05:
@@ -142,17 +203,41 @@ def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
 
 def turns_of(path: Path) -> int:
     """By how many quarter turns pictures are turned upright, as the container asks."""
+    if is_stack(path):
+        return 0
     with opened(path) as container:
         frame = next(container.decode(video=0), None)
     return 0 if frame is None else TURNS.get(round(frame.rotation), 0)
 
 
 def _luma(frame: Any) -> np.ndarray:
-    """[H, W] uint8: the first plane of planar 8-bit formats, else converted."""
+    """[H, W]: uint8, the first plane of planar 8-bit formats, else converted; float32, 0 to 255, of deep grey."""
+    if _is_deep(frame):
+        return np.asarray(frame.to_ndarray(format="gray16le")).astype(np.float32) / np.float32(257)
     if not (frame.format.name.startswith(PLANAR) and frame.format.components[0].bits == 8):
         return np.asarray(frame.to_ndarray(format="gray"))
     plane = frame.planes[0]
     return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+
+
+def _is_deep(frame: Any) -> bool:
+    """Whether it is a high-speed camera's grey of more than 8 bits."""
+    return frame.format.name.startswith("gray") and frame.format.components[0].bits > 8
+
+
+def colours(frame: Any) -> np.ndarray:
+    """A decoded frame as `VideoFrame` has it, not turned."""
+    if not _is_deep(frame):
+        return np.asarray(frame.to_ndarray(format="rgb24"))
+    grey = np.asarray(frame.to_ndarray(format="gray16le"))
+    rgba = np.full((*grey.shape, 4), 65535, np.uint16)
+    rgba[..., :3] = grey[..., None]
+    return rgba
+
+
+def file_url(path: Path) -> str:
+    """What FFmpeg takes for this file, whatever it is called: it reads `12:30:00.mp4` and `http:o` as addresses."""
+    return f"file:{path}"
 
 
 def opened(path: Path) -> Any:
@@ -160,7 +245,8 @@ def opened(path: Path) -> Any:
     av = av_module()
     try:
         with av.logging.Capture(False):
-            container = av.open(str(path))
+            options = {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
+            container = av.open(file_url(path), container_options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(
             f"{path}: is not a video that can be decoded, or it was cut off before its index; copy it from the camera "
@@ -170,6 +256,13 @@ def opened(path: Path) -> Any:
     if not container.streams.video or container.streams.video[0].codec_context is None:
         container.close()
         raise CaptureError(f"{path}: holds no video that can be decoded")
+    shape = container.streams.video[0].sample_aspect_ratio
+    if shape and abs(shape - 1) > _SQUARE:
+        container.close()
+        raise CaptureError(
+            f"{path}: is anamorphic: its pixels are {shape.numerator}:{shape.denominator}, not square; "
+            "convert it with ffmpeg -vf scale=iw*sar:ih,setsar=1"
+        )
     return container
 
 

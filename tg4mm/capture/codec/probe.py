@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.video import ALONE, BETWEEN, TURNS, av_module
+from tg4mm.capture.video import ALONE, BETWEEN, TURNS, av_module, file_url
 
 _PIXELS = ("yuv420p", "yuvj420p")  # 8 bits, what the encoders are given
 # Options that x264 and x265 write into the file, by the names under which they take them.
@@ -41,7 +41,7 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
     """
     av = av_module()
     planes, kinds, settings = [], [], ""
-    with av.open(str(path)) as container:
+    with av.open(file_url(path)) as container:
         stream = container.streams.video[0]
         context, rate = stream.codec_context, stream.average_rate or stream.guessed_rate
         if context.pix_fmt not in _PIXELS or context.width % 2 or context.height % 2 or not rate:
@@ -62,7 +62,7 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
                 break
     if len(planes) < 2:
         return None
-    with av.open(str(path)) as container:
+    with av.open(file_url(path)) as container:
         packets = [p.size for p in container.demux(video=0) if p.size]
     own = np.array(kinds)
     return Probe(

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from tg4mm.capture.codec.probe import Probe, rate_options
-from tg4mm.capture.video import BETWEEN, av_module
+from tg4mm.capture.video import BETWEEN, av_module, file_url
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
@@ -84,7 +84,7 @@ def _series(tones: Sequence[Tone], times: np.ndarray, axis: int) -> np.ndarray:
 
 def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
     av = av_module()
-    with av.open(str(path), "w") as container:
+    with av.open(file_url(path), "w") as container:
         stream = container.add_stream(made.encoder, rate=made.rate)
         stream.height, stream.width = made.luma.shape[1:]
         stream.pix_fmt = "yuv420p"
@@ -102,7 +102,7 @@ def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
 
 def _decoded(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Luma [F, H, W] uint8, and [F] bool: B frames."""
-    with av_module().open(str(path)) as container:
+    with av_module().open(file_url(path)) as container:
         frames = [
             (f.to_ndarray()[: f.height], int(f.pict_type) == BETWEEN) for f in container.decode(video=0)
         ]

@@ -21,6 +21,7 @@ from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
+from tg4mm.capture.stacks import is_stack
 from tg4mm.core.lines import Line as CoreLine
 from tg4mm.core.lines import find_lines, fit_lines
 from tg4mm.core.regions import Region, Regions
@@ -48,7 +49,7 @@ def look(
     if regions is not None:
         regions.check_size(series.size, path)
     found = replace(look_at(series, drawn), repeats=repeats)
-    if path.is_dir():
+    if path.is_dir() or is_stack(path):
         return found
     own = [line for one in found.regions for line in one.lines]
     told = with_losses(replace(found, lines=(*found.lines, *own)), path, found.rate, window.start_s, repeats)

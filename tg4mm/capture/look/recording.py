@@ -11,21 +11,27 @@ from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import (
     NAMES,
-    VIDEO_SUFFIXES,
     WHOLE,
     Window,
+    check_numbers,
     frame_rate,
     is_regular,
     regular_times,
 )
 from tg4mm.capture.sfm.frozen import find_repeats
 from tg4mm.capture.transforms import natural
-from tg4mm.capture.video import VideoInfo, grey_frames, video_info
+from tg4mm.capture.video import (
+    RECORDING_SUFFIXES,
+    VideoInfo,
+    grey_frames,
+    grey_of,
+    is_untimed,
+    video_info,
+)
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import Update, progress
 
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _WATCHED = 30_000  # pixels, about, by which frames are compared with the one before
 _SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
 
@@ -43,8 +49,10 @@ def read_recording(
         raise CaptureError(f"{path}: does not exist")
     if path.is_dir():
         return _folder(path, fps, small_cells), ()
-    if path.suffix.lower() not in VIDEO_SUFFIXES:
+    if path.suffix.lower() not in RECORDING_SUFFIXES:
         raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
+    if fps is None and is_untimed(path):
+        raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
     info, watched = video_info(path), _Watched()
     with progress("regions", _expected(info, window), "pictures", brief=True) as update:
         seen = watched.passing(video_pictures(path, fps, window), update)
@@ -108,17 +116,12 @@ def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:
         raise CaptureError(f"{path}: holds no pictures ({', '.join(IMAGE_SUFFIXES)})")
     if fps is None:
         raise CaptureError(f"{path}: a folder of pictures has no times; give --fps, pictures a second")
+    check_numbers(files)
 
     def pictures() -> Iterator[Picture]:
         with progress("regions", len(files), "pictures", brief=True) as update:
             for k, file in enumerate(files):
-                yield Picture(_grey(decode(file)), k / fps)
+                yield Picture(grey_of(decode(file)), k / fps)
                 update(k + 1)
 
     return read_cells(pictures(), str(path), small_cells)
-
-
-def _grey(rgba: np.ndarray) -> np.ndarray:
-    """[H, W] float32, 0 to 255."""
-    scale = 255 / np.iinfo(rgba.dtype).max
-    return np.asarray((rgba[..., :3].astype(np.float32) @ _LUMA) * np.float32(scale))

@@ -1,7 +1,8 @@
 """A camera's pictures in order: the frames of a video or the files of a folder, each with its time."""
 
 import math
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -10,13 +11,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.video import VIDEO_SUFFIXES, video_frames
+from tg4mm.capture.stacks import is_stack
+from tg4mm.capture.video import RECORDING_SUFFIXES, is_untimed, video_frames
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic
+from tg4mm.core.pictures import png16
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 
-NAMES = ", ".join(VIDEO_SUFFIXES)
+NAMES = ", ".join(RECORDING_SUFFIXES)
 UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate to count as variable
 
 
@@ -55,8 +58,18 @@ class Clip:
 
     @property
     def is_video(self) -> bool:
-        """Whether the pictures are the frames of a video."""
-        return self.path.suffix.lower() in VIDEO_SUFFIXES and self.path.is_file()
+        """Whether the pictures are the frames of one file."""
+        return self.path.suffix.lower() in RECORDING_SUFFIXES and self.path.is_file()
+
+    @property
+    def is_coded(self) -> bool:
+        """Whether that file is a video, from which frames can be asked for."""
+        return self.is_video and not is_stack(self.path)
+
+    @property
+    def is_untimed(self) -> bool:
+        """Whether nothing tells when the pictures were taken, but their rate."""
+        return not self.is_video or is_untimed(self.path)
 
 
 @dataclass(frozen=True)
@@ -65,7 +78,7 @@ class Frame:
 
     index: int  # among those taken
     time: Fraction | None  # seconds as the container has them; a folder's pictures have none
-    pixels: np.ndarray  # [H, W, 3] uint8, or of a file [H, W, 4] uint8 or uint16
+    pixels: np.ndarray  # [H, W, 3] uint8, or [H, W, 4] uint8 or uint16
     path: Path | None  # the file it is
     is_between: bool = False  # of a video: predicted from the frames on both sides
     is_alone: bool = True  # coded without regard to other frames
@@ -77,7 +90,8 @@ def clip_frames(clip: Clip, window: Window = WHOLE) -> Iterator[Frame]:
         every = enumerate(video_frames(clip.path, window.start_s, window.stop_s))
         kept = (frame for row, frame in every if row not in clip.repeats)
         for i, frame in enumerate(kept):
-            yield Frame(i, frame.time, frame.rgb, None, frame.is_between, frame.is_alone)
+            time = None if clip.is_untimed else frame.time
+            yield Frame(i, time, frame.pixels, None, frame.is_between, frame.is_alone)
     else:
         for i, path in enumerate(clip.pictures):
             yield Frame(i, None, decode(path), path)
@@ -91,6 +105,8 @@ def frame_rate(
     Of the container's rates the one whose regular clock the stamps are, else the one nearest to their median step; one
     over that where none is near. Raises CaptureError where the stamps do not rise, so that there is no rate.
     """
+    if is_untimed(path):
+        raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
     steps = sorted(b - a for a, b in pairwise(times))
     if not steps or steps[0] <= 0:
         raise CaptureError(f"{path}: its time stamps do not rise, which leaves no frame rate; give --fps")
@@ -131,8 +147,29 @@ KEYS = 80  # sharp frames that poses are first found from, at most
 SWEEP_FRAMES = 60  # of a video of the scene at rest
 
 
+def check_numbers(pictures: Sequence[Path]) -> None:
+    """Raise CaptureError where the numbers at the end of pictures' names, in order, leave some out."""
+    ends = [re.search(r"\d+$", path.stem) for path in pictures]
+    numbers = [int(end[0]) for end in ends if end is not None]
+    if len(numbers) < len(pictures) or len(pictures) < 3:
+        return
+    steps = [b - a for a, b in pairwise(numbers)]
+    step = min(steps)
+    odd = [k for k, one in enumerate(steps) if one != step]
+    if step > 0 and 0 < len(odd) < len(steps) / 2 and all(one % step == 0 for one in steps):
+        k = odd[0]
+        raise CaptureError(
+            f"{pictures[k]}: the next is {pictures[k + 1].name}: pictures between them are missing, and the times of "
+            "those after them would be wrong; give one unbroken part"
+        )
+
+
 def save_png(path: Path, pixels: np.ndarray, level: int = 1) -> None:
-    """Write pixels [H, W, 3 or 4] uint8 as a PNG, whole or not at all. level: of compression, 0 to 9."""
+    """Write pixels [H, W, 3 or 4] as a PNG of 8 or 16 bits, whole or not at all. level: of compression, 0 to 9."""
+    if pixels.dtype == np.uint16:
+        data = png16.encode(pixels, level)
+        write_atomic(path, lambda temporary: temporary.write_bytes(data))
+        return
     image = Image.fromarray(pixels)
     write_atomic(path, lambda temporary: image.save(temporary, format="PNG", compress_level=level))
 

@@ -134,8 +134,9 @@ def _write_pictures(folders: list[Path], track: Track, update: Update, done: int
 
 
 def _write_picture(target: Path, lens: Lens, frame: Frame) -> None:
-    image = lens.apply(frame.pixels)
-    if image.shape[2] == 4 and (image[..., 3] == 255).all():
+    deep = lens.keeps and frame.pixels.dtype == np.uint16
+    image = frame.pixels if deep else lens.apply(frame.pixels)
+    if image.shape[2] == 4 and (image[..., 3] == np.iinfo(image.dtype).max).all():
         image = image[..., :3]
     save_png(target, image, level=3)
 
@@ -153,7 +154,7 @@ def video_frames_of(out: Path, track: Track) -> list[str] | None:
 
     So are those that are undistorted, and those of a container that does not tell of every frame.
     """
-    if not (track.clip.is_video and track.lens.keeps):
+    if not (track.clip.is_coded and track.lens.keeps) or track.clip.is_untimed:
         return None
     low, high = track.window.start_s - HAIR_S, track.window.stop_s - HAIR_S
     inside = (n for n, time in enumerate(index_of(track.clip.path).times) if low <= time < high)

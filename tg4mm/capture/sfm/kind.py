@@ -125,7 +125,7 @@ def check_options(sources: Sources, config: SfmConfig) -> None:
         raise Tg4mmError(
             f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"
         )
-    frames = [clip.name for clip in sources.clips if not clip.is_video]
+    frames = [clip.name for clip in sources.clips if clip.is_untimed]
     if frames and config.fps is None and not (config.kind and Kind(config.kind).still):
         raise Tg4mmError(
             f"--fps is missing: the pictures in {', '.join(frames[:4])} need their frames per second"

@@ -142,7 +142,7 @@ def _flat(job: _Job) -> dict[str, Any]:
 def _video(job: _Job) -> dict[str, Any]:
     """The one video, linked into the dataset, with what of it is left out: what its compression takes is told by it."""
     clip, survey = job.sources.clips[0], job.surveys[0]
-    if not clip.is_video:
+    if not clip.is_coded:
         return {}
     own, start_s = video_of(job.work.out, clip), max(job.config.window.start_s, 0.0)
     return {"video": {"file": f"video/{own.name}", "from_s": start_s, "repeats": list(survey.repeats)}}

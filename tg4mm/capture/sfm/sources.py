@@ -6,8 +6,9 @@ from pathlib import Path
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.sfm.clip import NAMES, Clip
+from tg4mm.capture.stacks import PHOTRON_SUFFIXES
 from tg4mm.capture.transforms import natural, train_command, whole_dataset
-from tg4mm.capture.video import VIDEO_SUFFIXES
+from tg4mm.capture.video import RECORDING_SUFFIXES, VIDEO_SUFFIXES
 from tg4mm.core.errors import CaptureError
 
 SWEEP = "sweep"  # name of the folder or video of pictures of the scene at rest
@@ -16,6 +17,8 @@ LAYOUTS = (
     "expected photographs, one video, or a video (or a folder of frames) for each fixed camera and, if you like, "
     f"{SWEEP}/ with pictures of the scene at rest"
 )
+# Recordings beside each other; a GIF among pictures is a preview, a TIFF one of them.
+_IN_FOLDERS = tuple({*VIDEO_SUFFIXES, *PHOTRON_SUFFIXES} - {".gif"})
 # Pictures that phones and cameras write and that are not read here.
 UNREAD = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
 # Files by which a dataset that `tg4mm train` reads is told from pictures.
@@ -44,7 +47,7 @@ def find_sources(path: Path, timed: bool = False) -> Sources:
     if not path.exists():
         raise CaptureError(f"{path}: does not exist")
     if path.is_file():
-        if path.suffix.lower() not in VIDEO_SUFFIXES:
+        if path.suffix.lower() not in RECORDING_SUFFIXES:
             raise CaptureError(f"{path}: is neither a folder nor a video ({NAMES})")
         return Sources(path, clips=(Clip(_named(path.stem), path),))
     if (part := whole_dataset(path)) is not None:
@@ -122,4 +125,4 @@ def _clip(path: Path) -> Clip | None:
     if path.is_dir():
         pictures = _pictures(path)
         return Clip(path.name, path, pictures) if pictures else None
-    return Clip(path.stem, path) if path.suffix.lower() in VIDEO_SUFFIXES else None
+    return Clip(path.stem, path) if path.suffix.lower() in _IN_FOLDERS else None

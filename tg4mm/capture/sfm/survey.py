@@ -15,7 +15,16 @@ from PIL import Image
 from scipy.ndimage import laplace
 
 from tg4mm.capture.scene import KINDS_OF_PICTURES
-from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, is_regular, regular_times
+from tg4mm.capture.sfm.clip import (
+    Clip,
+    Frame,
+    Window,
+    check_numbers,
+    clip_frames,
+    frame_rate,
+    is_regular,
+    regular_times,
+)
 from tg4mm.capture.sfm.frozen import NoveltyMeter, Repeats
 from tg4mm.capture.sfm.steadiness import PartMeter, reduced
 from tg4mm.capture.video import VideoInfo, video_info
@@ -91,6 +100,7 @@ def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
 
 def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
     info = video_info(clip.path) if clip.is_video else None
+    check_numbers(clip.pictures)
     total = (info.total if info else len(clip.pictures)) or 1
     look = _Look(clip)
     with progress(f"reading {clip.name}", total, "frames") as update:
@@ -257,7 +267,7 @@ class _Look:
             "frozen": self._novelty.frozen_frames()[kept].tolist(),
             "sharpness": [self.sharpness[k] for k in kept],
             "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
-            "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_video else "",
+            "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_coded else "",
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 
@@ -272,7 +282,7 @@ class _Look:
 
     def _clock(self, info: VideoInfo | None) -> tuple[Fraction | None, list[Fraction] | None]:
         times = [time for time in self.times if time is not None]
-        if info is None or len(times) < len(self.times):
+        if info is None or self.clip.is_untimed or len(times) < len(self.times):
             return None, None
         fps = frame_rate(self.clip.path, times, info.rates, info.tick)
         return fps, regular_times(times, fps, info.tick)

@@ -16,7 +16,6 @@ from tg4mm.core.untrusted import DEFLATE
 
 THREADS = min(8, os.cpu_count() or 1)
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF")
-MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
 # What Pillow raises on a damaged file, depending on where the damage is.
 DAMAGE: tuple[type[BaseException], ...] = (
     *(OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, MemoryError, OverflowError),
@@ -63,7 +62,7 @@ def _header(path: Path) -> ImageHeader:
             return ImageHeader(header.width, header.height, 16)
         with Image.open(path, formats=FORMATS) as image:
             deep = isinstance(image, TiffImageFile) and tiff.bits_of(image) == 16
-            if image.mode not in MODES and not (deep and image.mode in tiff.GREY_16):
+            if image.mode not in tiff.MODES and not (deep and image.mode in tiff.GREY_16):
                 raise CaptureError(f"{path}: has colour mode {image.mode}; expected grey, RGB or RGBA")
             size, pages = image.size, getattr(image, "n_frames", 1)
         if start.startswith(tiff.STARTS):

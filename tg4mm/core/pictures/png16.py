@@ -1,4 +1,4 @@
-"""16-bit PNG decoded by numpy, since Pillow keeps only the high byte (PNG specification, §§ 9 and 11)."""
+"""16-bit PNG by numpy, since Pillow keeps only the high byte (PNG specification, §§ 9 and 11)."""
 
 import functools
 import struct
@@ -54,6 +54,22 @@ def decode(data: bytes) -> np.ndarray:
     rows = np.frombuffer(raw, np.uint8).reshape(header.height, stride)
     pixels = unfilter(rows[:, 0], rows[:, 1:].reshape(header.height, header.width, 2 * channels))
     return _rgba(pixels.view(">u2").astype(np.uint16), transparent)
+
+
+def encode(pixels: np.ndarray, level: int) -> bytes:
+    """A PNG of pixels [H, W, 3 or 4] uint16, grey where all channels are alike; level: of compression, 0 to 9."""
+    height, width = pixels.shape[:2]
+    if pixels.shape[2] == 4 and (pixels[..., 3] == 65535).all():
+        pixels = pixels[..., :3]
+    if pixels.shape[2] == 3 and (pixels == pixels[..., :1]).all():
+        pixels = pixels[..., :1]
+    rows = np.zeros((height, 1 + 2 * width * pixels.shape[2]), np.uint8)  # a filter of none before each
+    rows[:, 1:] = pixels.astype(">u2").reshape(height, -1).view(np.uint8)
+    colour_type = {count: kind for kind, count in CHANNELS.items()}[pixels.shape[2]]
+    header = struct.pack(">IIBBBBB", width, height, 16, colour_type, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), level)), (b"IEND", b""))
+    packed = (struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks)
+    return SIGNATURE + b"".join(packed)
 
 
 def unfilter(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:

@@ -1,14 +1,16 @@
 """TIFF of 8 or 16 bits, page by page: by Pillow, but 16-bit colour, of which it keeps the high byte, by tifffile."""
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 from PIL.TiffImagePlugin import TiffImageFile
 
-GREY_16 = ("I;16", "I;16B")  # Pillow's modes
-STARTS = (b"II*\0", b"MM\0*")
+MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
+GREY_16 = ("I;16", "I;16B")
+STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BITS, _PHOTOMETRIC, _TURNED, _EXTRA, _SAMPLES = 258, 262, 274, 338, 339  # tags
 _INTEGERS, _STRAIGHT = 1, 2
 
@@ -36,14 +38,26 @@ def page_count(path: Path) -> int:
         return count if image.size == size else 1
 
 
-def decode(path: Path, page: int = 0) -> np.ndarray:
-    """[H, W, 4] uint8 or uint16, straight alpha. ValueError for what is not read."""
+def decode(path: Path) -> np.ndarray:
+    """[H, W, 4] uint8 or uint16, straight alpha, of the first page. ValueError for what is not read."""
+    return next(decode_pages(path))
+
+
+def decode_pages(path: Path) -> Iterator[np.ndarray]:
+    """All pages, as `decode`."""
     with opened(path) as image:
-        image.seek(page)
-        tags = dict(image.tag_v2)
-        if bits_of(image) == 8:
-            return np.asarray(image.convert("RGBA"))
-        pixels = _grey(image, tags) if image.mode in GREY_16 else _colour(path, page, tags)
+        for page in range(image.n_frames):
+            image.seek(page)
+            yield _rgba(path, page, image)
+
+
+def _rgba(path: Path, page: int, image: TiffImageFile) -> np.ndarray:
+    tags = dict(image.tag_v2)
+    if bits_of(image) == 8:
+        if image.mode not in MODES:
+            raise ValueError(f"page {page} has colour mode {image.mode}; expected grey, RGB or RGBA")
+        return np.asarray(image.convert("RGBA"))
+    pixels = _grey(image, tags) if image.mode in GREY_16 else _colour(path, page, tags)
     rgba = np.full((*pixels.shape[:2], 4), 65535, np.uint16)
     rgba[..., : pixels.shape[2]] = pixels
     return rgba
@@ -52,8 +66,9 @@ def decode(path: Path, page: int = 0) -> np.ndarray:
 def _grey(image: TiffImageFile, tags: dict) -> np.ndarray:
     grey = np.asarray(image).astype(np.uint16)
     if tags[_BITS][0] == 12:
-        grey = grey << 4 | grey >> 8
-    grey = 65535 - grey if tags.get(_PHOTOMETRIC) == 0 else grey
+        grey = (grey << 4 | grey >> 8).astype(np.uint16)
+    if tags.get(_PHOTOMETRIC) == 0:
+        grey = ~grey
     return np.repeat(grey[..., None], 3, axis=-1)
 
 

@@ -94,7 +94,7 @@ def _encode(
         *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "slow"),
         *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-threads", "2"),
         *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not say that it is one
-        str(path),
+        f"file:{path}",
     ]
     with (
         progress("video", count, "frames", brief=True) as update,
