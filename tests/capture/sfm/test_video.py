@@ -28,7 +28,7 @@ def test_a_rotation_in_the_container_is_obeyed(tmp_path, degrees, turns):
     picture = texture().astype(np.uint8)
     path = write_video(tmp_path / "a.mp4", [picture] * 3, rotation=degrees)
     expected = np.rot90(picture, turns)
-    found = next(video_frames(path)).rgb
+    found = next(video_frames(path)).pixels
     assert found.shape == expected.shape
     assert np.abs(found.astype(int) - expected).mean() < 6
     assert np.abs(found.astype(int) - np.rot90(expected, 2)).mean() > 10

@@ -12,11 +12,11 @@ import viser
 from markupsafe import Markup
 
 from tg4mm.capture import load_capture
+from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.frames import picture
 from tg4mm.capture.look import look
-from tg4mm.capture.look.recording import PICTURE_SUFFIXES
 from tg4mm.capture.transforms import natural
-from tg4mm.capture.video import VIDEO_SUFFIXES, video_frames
+from tg4mm.capture.video import RECORDING_SUFFIXES, video_frames
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.pages.svg import number
 from tg4mm.core.pictures.decode import decode
@@ -47,8 +47,8 @@ class Shot:
 
 def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
     """Of a video, a folder of numbered pictures, or a dataset. Raises CaptureError for anything else."""
-    if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
-        return [_shot("", [frame.rgb for frame in islice(video_frames(path), _FIRST)])]
+    if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
+        return [_shot("", [_rgb(frame.pixels) for frame in islice(video_frames(path), _FIRST)])]
     if path.is_dir() and (path / "scene.json").is_file():
         capture = load_capture(path)
         clock, frames = frames_of(capture)
@@ -58,7 +58,7 @@ def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
             )
         return [_shot(f.name, [_rgb(picture(capture.paths[k])) for k in f.rows[:_FIRST]]) for f in frames]
     if path.is_dir():
-        found = (f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES)
+        found = (f for f in path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
         files = sorted(found, key=lambda f: natural(f.name))
         if files:
             return [_shot("", [_rgb(decode(file)) for file in files[:_FIRST]])]
@@ -73,7 +73,7 @@ def _shot(camera: str, pictures: list[np.ndarray]) -> Shot:
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:
-    """[H, W, 3] uint8 of [H, W, 4] of any depth."""
+    """[H, W, 3] uint8 of [H, W, 3 or 4] of any depth."""
     return np.asarray(pixels[..., :3] >> 8 if pixels.dtype == np.uint16 else pixels[..., :3]).astype(np.uint8)
 
 

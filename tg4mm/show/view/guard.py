@@ -18,7 +18,7 @@ from websockets.http11 import Request, Response
 from tg4mm.show.view.charts import SCRIPT, STYLE
 
 LARGEST_MESSAGE = 1 << 16  # bytes; a camera or a slider is a few hundred
-LARGEST_CANVAS = 1 << 14  # pixels a side
+LARGEST_CANVAS = 1 << 14, 1 << 25  # pixels a side, and of the whole: 8K has 33 million
 _FARTHEST = 1e12  # scene units
 _NARROWEST = 1e-3  # radians, that a field of view is from 0 and from π
 _LONGEST = 1000  # characters of a text
@@ -140,7 +140,8 @@ def _is_camera(message: dict[str, Any]) -> bool:
         return False
     sizes = message["image_width"], message["image_height"]
     return (
-        all(isinstance(size, int) and 0 < size <= LARGEST_CANVAS for size in sizes)
+        all(isinstance(size, int) and 0 < size <= LARGEST_CANVAS[0] for size in sizes)
+        and math.prod(sizes) <= LARGEST_CANVAS[1]
         and _NARROWEST < message["fov"] < math.pi - _NARROWEST
         and 0.5 < math.hypot(*message["wxyz"]) < 2.0
         and min(math.dist(message["position"], message["look_at"]), math.hypot(*message["up_direction"])) > 0
