@@ -1,7 +1,7 @@
 """A capture's pictures, held once in memory, or on disk and decoded when their turn comes; both are read by strips.
 
-From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes, of which more than
-256 MiB lie in a temporary file (`mapped_zeros`).
+From disk, what one camera saw is decoded when its turn comes and let go when another's does: T · H · W · 4 bytes, of
+which more than 256 MiB lie in a temporary file (`mapped_zeros`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
@@ -18,6 +18,7 @@ import numpy as np
 
 from tg4mm.capture.frames import each_picture, picture, picture_header
 from tg4mm.capture.model import Capture
+from tg4mm.capture.window import Window
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.pictures.decode import THREADS
@@ -62,6 +63,10 @@ class ImageStack:
         """[H, W, 4] uint8 or uint16: image i."""
         return self.data[i]
 
+    def through(self, window: Window) -> ImageStack:
+        """The images as a window shows them."""
+        return ImageStack(np.stack([window.averaged(image) for image in self.data]))
+
     def alpha(self, i: int) -> np.ndarray:
         """[H, W] float32 coverage in 0..1 of image i."""
         return self.data[i, ..., 3] * np.float32(1 / self.maximum)
@@ -99,7 +104,7 @@ def load_images(capture: Capture) -> ImageStack:
         ) from None
 
     def take(i: int, image: np.ndarray) -> None:
-        data[i] = _stored(capture.paths[i], capture.pinhole(i, image), (height, width), bits)
+        data[i] = _widened(_sized(capture.paths[i], capture.pinhole(i, image), (height, width)), bits)
 
     shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
     with shown as update:
@@ -115,12 +120,16 @@ def _bits(capture: Capture) -> int:
         return max(header.bits for header in pool.map(picture_header, capture.paths))
 
 
-def _stored(path: Path, image: np.ndarray, size: tuple[int, int], bits: int) -> np.ndarray:
-    """A decoded picture, which must have that size; 8-bit values are widened where `bits` is 16."""
+def _sized(path: Path, image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A decoded picture, which must have that size (height, width)."""
     if image.shape[:2] != size:
         raise CaptureError(
             f"{path}: is {image.shape[1]}×{image.shape[0]} pixels, expected {size[1]}×{size[0]}"
         )
+    return image
+
+
+def _widened(image: np.ndarray, bits: int) -> np.ndarray:
     return image.astype(np.uint16) * 257 if bits == 16 and image.dtype == np.uint8 else image
 
 
@@ -152,20 +161,46 @@ class FilePictures:
     """
 
     capture: Capture
+    window: Window | None = None
+    _decoded: dict[tuple[int, ...], np.ndarray] = field(
+        default_factory=dict
+    )  # the most pictures that were asked for
 
     def __len__(self) -> int:
         return len(self.capture)
 
     @property
     def size(self) -> tuple[int, int]:
-        return self.capture.height, self.capture.width
+        whole = self.capture.height, self.capture.width
+        return whole if self.window is None else self.window.size
 
     @cached_property
     def maximum(self) -> int:
-        """65535 if any file has 16 bits."""
-        return (1 << _bits(self.capture)) - 1
+        """65535 if any file has 16 bits, and where the window averages."""
+        averages = self.window is not None and self.window.factor > 1
+        return (1 << (16 if averages else _bits(self.capture))) - 1
+
+    def through(self, window: Window) -> FilePictures:
+        """The pictures as a window shows them."""
+        return FilePictures(self.capture, window)
 
     def strips(self, rows: Sequence[int]) -> Strips:
+        asked = tuple(int(row) for row in rows)
+        data = self._decoded.get(asked)
+        if data is None:
+            data = self._decode(asked)
+            if len(asked) >= max(map(len, self._decoded), default=0):
+                self._decoded.clear()
+                self._decoded[asked] = data
+
+        def strip(rows: slice) -> np.ndarray:
+            out = np.array(data[:, rows])
+            release(data)
+            return out
+
+        return strip
+
+    def _decode(self, rows: Sequence[int]) -> np.ndarray:
         data = mapped_zeros((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
 
         def take(k: int, image: np.ndarray) -> None:
@@ -174,13 +209,7 @@ class FilePictures:
 
         for _ in each_picture([self.capture.paths[row] for row in rows], take):
             pass
-
-        def strip(rows: slice) -> np.ndarray:
-            out = np.array(data[:, rows])
-            release(data)
-            return out
-
-        return strip
+        return data
 
     def rgb(self, i: int) -> np.ndarray:
         """[H, W, 3] float32 in 0..1: picture i over white."""
@@ -195,8 +224,11 @@ class FilePictures:
         return self._stored(i, picture(self.capture.paths[i]))
 
     def _stored(self, i: int, image: np.ndarray) -> np.ndarray:
-        own = self.capture.pinhole(i, image)
-        return _stored(self.capture.paths[i], own, self.size, self.maximum.bit_length())
+        whole = self.capture.height, self.capture.width
+        own = _sized(self.capture.paths[i], self.capture.pinhole(i, image), whole)
+        if self.window is not None:
+            own = self.window.averaged(own)
+        return _widened(own, self.maximum.bit_length())
 
 
 @dataclass(frozen=True)

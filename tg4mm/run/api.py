@@ -12,6 +12,7 @@ from tg4mm.fit.motion import pipeline
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.reduction import window_on
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.plane import fit_plane
 from tg4mm.fit.space.targets import rest_views
@@ -80,7 +81,9 @@ def fit_motion(
         Tg4mmError: a setting is out of range, or the device is not available or has too little memory.
     """
     check_device(device)
-    observations = observe(capture, images or pictures_for(capture))
+    observations = observe(
+        capture, images or pictures_for(capture), window_on(capture, config or MotionConfig())
+    )
     return pipeline.fit_motion(gaussians, observations, config, device)
 
 

@@ -8,6 +8,7 @@ from tg4mm.core.settings import setting
 from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, SEED, Choice, Number, require
 
 FASTEST = 1e9  # Hz, where the frame rate is not known yet
+MOST_REDUCED = 16
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
 
@@ -57,6 +58,12 @@ class MotionConfig:
         "where motion may be, in the picture of the one fixed camera: a PNG's path (white), or a polygon "
         "X,Y X,Y X,Y …; empty: everywhere",
     )
+    reduce: str = setting(
+        "",
+        "a whole number: so many pixels along a side are averaged to one before the motion of fixed cameras is fitted; "
+        "1: none; empty: as many as a long recording of large pictures needs",
+        "pixels",
+    )
     seed: int = setting(0, "seed of the random generator")
 
 
@@ -77,7 +84,19 @@ def checked(config: MotionConfig) -> MotionConfig:
     for name, rule in _RULES.items():
         require(f"setting motion.{name}", getattr(config, name), rule, Tg4mmError)
     asked_band(config.band)
+    asked_factor(config.reduce)
     return config
+
+
+def asked_factor(text: str) -> int | None:
+    """`motion.reduce`; None where it is left to the recording. Raises Tg4mmError for what is no whole number."""
+    if not text.strip():
+        return None
+    if not text.strip().isdecimal() or not 1 <= int(text) <= MOST_REDUCED:
+        raise Tg4mmError(
+            f"setting motion.reduce is {text[:60]!r}, expected a whole number, 1 to {MOST_REDUCED}"
+        )
+    return int(text)
 
 
 def asked_band(text: str, fps: float = FASTEST) -> tuple[float, float] | None:

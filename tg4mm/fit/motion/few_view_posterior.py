@@ -15,11 +15,12 @@ stopped early they would say that what hardly changes the pictures is known.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from tg4mm.capture.window import Window
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.fit.motion.observations import PosedFrames
@@ -107,9 +108,9 @@ def coarser(problem: Problem, frames: Sequence[PosedFrames], enough: int = ENOUG
     factor = int(np.sqrt(height * width / enough))
     if factor < 2:
         return problem
-    scale = np.diag([1 / factor, 1 / factor, 1]).astype(np.float32)
-    small = [replace(f, K=scale @ f.K) for f in frames]
-    size = width // factor, height // factor
+    window = Window.on(height, width, factor)
+    small = [f.through(window, height) for f in frames]
+    size = window.columns, window.rows
     views = [view_jacobian(problem.gaussians, f, size) for f in small]
     nuisances: Sequence[Nuisance] = ()
     if problem.nuisances:

@@ -13,9 +13,11 @@ from tg4mm.capture.masks import mask_of
 from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, over_white
 from tg4mm.capture.scene import codec_period
 from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
+from tg4mm.capture.window import Window
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
+from tg4mm.fit.space.view import EPS2D
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
 _CLOCK = (
@@ -37,6 +39,19 @@ class PosedFrames:
     rows: np.ndarray  # [F] of the capture's pictures
     times_s: np.ndarray  # [F] float64, seconds on this camera's own clock, of the middle row
     readout_s: float = 0.0  # from the first row to the last; 0: all rows at once
+    low_pass: float = EPS2D  # square pixels, of the picture that Gaussians make
+
+    def through(self, window: Window, height: int) -> PosedFrames:
+        """As a window on the pictures, `height` pixels high, shows them: averaging squares widens what is drawn."""
+        k, rows = window.factor, window.rows * window.factor
+        middle = (window.top + rows / 2) / height - 0.5
+        return replace(
+            self,
+            K=window.K(self.K),
+            times_s=self.times_s + self.readout_s * middle,
+            readout_s=self.readout_s * rows / height,
+            low_pass=(self.low_pass + (k * k - 1) / 12) / k**2,
+        )
 
 
 @dataclass(frozen=True)
@@ -56,6 +71,7 @@ class Observations:
     is_whole: bool  # no other pictures made the scene at rest
     codec_period: int | None = None  # frames, of the video's compression
     counts: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that count; None: all
+    factor: int = 1  # pixels of the recording along a side of one of these
 
     @property
     def size(self) -> tuple[int, int]:
@@ -90,8 +106,13 @@ class Observations:
         return PERIODS / self.duration_s
 
 
-def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations:
-    """The observations in a capture of T > 1 timesteps. Raises CaptureError where too few pictures show motion."""
+def observe(
+    capture: Capture, images: ImageStack | FilePictures, window: Window | None = None
+) -> Observations:
+    """The observations in a capture of T > 1 timesteps, through a window on its pictures where one is given.
+
+    Raises CaptureError where too few pictures show motion.
+    """
     clock, frames = frames_of(capture)
     if clock != "moving" and (short := _too_short(capture, frames)):
         warnings.warn(
@@ -104,25 +125,31 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
             stacklevel=2,
         )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
-    of_time = capture.fps, capture.n_timesteps
-    period = codec_period(capture.root)
-    found = Observations(capture.kind, clock, frames, images, *of_time, is_whole, period)
-    return found if not capture.masks else _masked(found, capture)
+    counts = _counts(capture, frames) if capture.masks else None
+    factor = 1
+    if window is not None:
+        frames = [f.through(window, capture.height) for f in frames]
+        counts = None if counts is None else np.stack([window.all_of(c) for c in counts])
+        images, factor = images.through(window), window.factor
+    found = Observations(
+        capture.kind, clock, frames, images, capture.fps, capture.n_timesteps, is_whole,
+        codec_period(capture.root), counts, factor,
+    )  # fmt: skip
+    return found if counts is None or clock == "moving" else held(found, ~counts)
 
 
-def _masked(observations: Observations, capture: Capture) -> Observations:
-    """With the pixels that count in all pictures of a pose; of fixed cameras what others show does not change."""
-    counts = np.ones((len(observations.frames), capture.height, capture.width), bool)
-    for v, frames in enumerate(observations.frames):
-        for row in frames.rows.tolist():
+def _counts(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
+    """[V, H, W] bool: the pixels that count in all pictures of a pose."""
+    counts = np.ones((len(frames), capture.height, capture.width), bool)
+    for v, own in enumerate(frames):
+        for row in own.rows.tolist():
             if (mask := mask_of(capture, row)) is not None:
                 counts[v] &= mask
-    observations = replace(observations, counts=counts)
-    return observations if observations.clock == "moving" else held(observations, ~counts)
+    return counts
 
 
 def held(observations: Observations, masks: np.ndarray) -> Observations:
-    """Fixed cameras whose masked pixels [V, H, W] bool stay as they are in each one's first picture."""
+    """Fixed cameras whose masked pixels [V, H, W] bool, which do not count, stay as in each one's first picture."""
     of_row = {int(row): v for v, frames in enumerate(observations.frames) for row in frames.rows}
     first = tuple(int(frames.rows[0]) for frames in observations.frames)
     return replace(observations, pictures=MaskedPictures(observations.pictures, masks, of_row, first))

@@ -76,7 +76,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         return without_motion(model)
     fields, reliability = wiener_shrink(folds)
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
-    figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
+    figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": 0}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
     iterates = model.iterates and pixels > ABOVE_PX and model.config.gauss_newton > 0
     if iterates:
@@ -221,10 +221,10 @@ def _result(
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
-    if pixels > ABOVE_PX and not model.iterates:
+    if pixels > ABOVE_PX * observations.factor and not model.iterates:
         notes.append(
             f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
-            f"holds up to {ABOVE_PX} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
+            f"holds up to {ABOVE_PX * observations.factor:.2g} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
         )
     if (gain := figures.get("picture_gain", 1.0)) > LACKING:
         notes.append(

@@ -87,7 +87,7 @@ def _compare(adam: ParameterAdam, seen: MovedPictures, v: int, k: int, device: s
         for a in (camera.viewmat, camera.K, seen.pictures[v, k], seen.motions[k])
     )
     there = moved(activate(adam.parameters), motion)
-    view = render_view(there, viewmat, K, (width, height), there.sh_degree)
+    view = render_view(there, viewmat, K, (width, height), there.sh_degree, camera.low_pass)
     photometric_loss(view.rgb, target, _L2, 0.0).backward()
     release(seen.pictures)
 

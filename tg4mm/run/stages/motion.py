@@ -3,6 +3,7 @@
 RUN/checkpoint_motion.safetensors holds the finished steps of an unfinished fit (`checkpoints.py`).
 """
 
+import dataclasses
 import hashlib
 import logging
 import time
@@ -22,10 +23,11 @@ from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import held, observe
 from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.motion.reduction import note_on, window_on
 from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 15  # of a checkpoint: steps of another version are computed anew
+_VERSION = 16  # of a checkpoint: steps of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -36,10 +38,12 @@ def train_motion(
     config: MotionConfig,
     device: str = "cpu",
     mask: np.ndarray | None = None,
+    moves: np.ndarray | None = None,
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
 
-    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself.
+    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself. moves [H, W] bool:
+    where motion may be; what lies around is not read.
     The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
     docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
     each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
@@ -48,24 +52,32 @@ def train_motion(
     began = time.monotonic()
     reset_peak_memory()
     reset_gpu_peak(device)
-    observations = observe(capture, images)
+    window = window_on(capture, config, moves)
+    observations = observe(capture, images, window)
+    if moves is not None and config.nuisance == "auto":
+        config = dataclasses.replace(config, nuisance="exposure")  # too little is left to tell a shake by
     if mask is not None and mask.any():
-        observations = held(observations, mask[None])
+        own = mask if window is None else window.any_of(mask)
+        observations = held(observations, own[None])
     checkpoint = RunCheckpoint(run, began, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:
         fit = fit_motion(gaussians, observations, config, device, checkpoint)
     except RunError as error:
         raise RunError(f"{run.path}: {error}") from None
+    notes = list(fit.notes)
+    if window is not None and window.factor > 1:
+        notes.append(note_on(capture, images, window))
     figures = {
         "seconds": time.monotonic() - checkpoint.began,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         **fit.figures,
         **({"readout_s": capture.rows_s} if capture.rows_s else {}),
-        "notes": fit.notes,
+        **({"reduced": window.factor} if window is not None and window.factor > 1 else {}),
+        "notes": notes,
     }
-    for note in fit.notes:
+    for note in notes:
         _LOG.warning(note)
     if fit.gaussians is not gaussians:
         checkpoint.expect_scene(fit.gaussians)

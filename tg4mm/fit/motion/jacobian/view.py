@@ -21,7 +21,7 @@ from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.fit.rasterize.kernels.linearised import blend_cotangents, blend_tangents
 from tg4mm.fit.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.fit.rasterize.kernels.project import empty_splats, pack_camera, project_forward
-from tg4mm.fit.space.view import EPS2D, FAR, WHITE, near_plane
+from tg4mm.fit.space.view import FAR, WHITE, near_plane
 
 # Rendering drops alphas below 1/255, which cuts the rim off every Gaussian. The cut moves with the Gaussian, and that
 # step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
@@ -42,6 +42,10 @@ class PosedView(Protocol):
     @property
     def K(self) -> np.ndarray:
         """[3, 3] float32, pixels."""
+
+    @property
+    def low_pass(self) -> float:
+        """Square pixels added to a projected Gaussian's variance."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +164,7 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     means, quats, scales, opacities, sh = _arrays(gaussians)
     degree = gaussians.sh_degree
     near = near_plane(means, camera.viewmat)
-    packed_camera = pack_camera(camera.viewmat, camera.K, near, FAR, EPS2D, ALPHA_MIN_LINEAR)
+    packed_camera = pack_camera(camera.viewmat, camera.K, near, FAR, camera.low_pass, ALPHA_MIN_LINEAR)
     splats = empty_splats(len(means))
     project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
     bins = bin_splats(splats, width, height)

@@ -98,6 +98,7 @@ def look_at(
     views, active = rest_views(gaussians, observations), seen.nuisances[0].active
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), active)
     look = first_look(observations, nuisances)
+    shake_px *= observations.factor
     figures, notes = seen.figures | {"shake_px": round(shake_px, 4)}, _notes(observations, active, shake_px)
     return FixedCameras(gaussians, observations, views, look, nuisances, figures, notes)
 
@@ -142,11 +143,11 @@ def _looked_at(
         active[POSE] = False
         active[ROTATION if several else POSE] = is_shaking
     if looks:
-        figures["shake_px"] = round(pixels, 4)
+        figures["shake_px"] = round(pixels * observations.factor, 4)
     figures["nuisance"] = [n for n, s in (("exposure", EXPOSURE), ("pose", POSE)) if active[s].any()]
     shake_px = pixels if is_shaking else 0.0
     chosen = [n.with_active(active) for n in nuisances]
-    notes = _notes(observations, active, shake_px)
+    notes = _notes(observations, active, shake_px * observations.factor)
     return FixedCameras(gaussians, observations, views, look, chosen, figures, notes), shake_px
 
 

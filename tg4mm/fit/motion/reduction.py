@@ -1,0 +1,66 @@
+"""How much of a recording the motion stage reads: the part that motion may be in, and fewer, larger pixels of a long one.
+
+The stage's time and its temporary files grow with pixels times pictures. Displacements of less than a pixel can be read
+from pictures whose squares of pixels are averaged, as long as their texture is coarse enough; what is lost is told.
+"""
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.window import Window
+from tg4mm.fit.motion.config import MotionConfig, asked_factor
+from tg4mm.fit.motion.observations import fixed_cameras
+
+PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two cores a pass
+_SHORTEST = 270  # pixels along a side, which are never made fewer
+_SAMPLED = 16  # pictures that tell how fine the texture is
+
+
+def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None = None) -> Window | None:
+    """The window through which the pictures of fixed cameras are read; None where they are read as they are.
+
+    moves [H, W] bool: where motion may be, if someone said so.
+    """
+    cameras = fixed_cameras(capture)
+    if not cameras:
+        return None
+    whole = Window.on(capture.height, capture.width, 1, moves)
+    factor = asked_factor(config.reduce)
+    if factor is None:
+        pixels = whole.rows * whole.columns * sum(len(c.rows) for c in cameras)
+        least = int(np.ceil(np.sqrt(pixels / PIXELS)))
+        factor = max(min(least, min(whole.size) // _SHORTEST), 1)
+    window = Window.on(capture.height, capture.width, factor, moves)
+    return None if factor == 1 and window.size == (capture.height, capture.width) else window
+
+
+def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window) -> str:
+    """What a window that averages costs: by how much standard deviations grow.
+
+    Motion is told by slopes of the picture; averaging k² pixels of independent noise makes the noise k times smaller and
+    slopes per pixel k times larger, where the texture is coarse. Slopes are told apart from noise by the product of two
+    means over different pictures.
+    """
+    rows = fixed_cameras(capture)[0].rows
+    some = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).round().astype(int)].tolist()
+    whole = [
+        np.mean([window.part(images.rgb(row)) for row in half], axis=0) for half in (some[::2], some[1::2])
+    ]
+    ratio = _slopes(*whole) / max(_slopes(*(_averaged(half, window) for half in whole)), 1e-30)
+    height, width = window.size
+    return (
+        f"motion was fitted to pictures of {width}×{height}: {window.factor}×{window.factor} pixels averaged, which makes "
+        f"± about {np.sqrt(max(ratio, 1.0)):.2g} times as large; tg4mm measure reads them whole, and so does train with "
+        "--region around what matters or --set motion.reduce=1"
+    )
+
+
+def _averaged(picture: np.ndarray, window: Window) -> np.ndarray:
+    k = window.factor
+    return picture.reshape(window.rows, k, window.columns, k, 3).mean((1, 3))
+
+
+def _slopes(a: np.ndarray, b: np.ndarray) -> float:
+    """Sum of products of the slopes of two pictures of one scene."""
+    return float(sum(np.sum(np.diff(a, axis=axis) * np.diff(b, axis=axis)) for axis in (0, 1)))
