@@ -116,7 +116,7 @@ def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) ->
         ]
         given = [mask for mask in masks if mask is not None]
         mask = np.any(given, axis=0) if given else None
-        train_motion(run, capture, images, configs["motion"], device, mask, moves)
+        train_motion(run, capture, images, configs["motion"], device, mask, moves, found)
 
 
 def asked_masks(capture: Capture, configs: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tg4mm.capture.look.ringing import Vibration
 from tg4mm.core.regions import Region
 
 Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
@@ -44,6 +45,13 @@ class LookLine:
     kept_deviation: float | None = None
     lost: str = ""  # why the true amplitude is larger than said, by more than the ±; empty: no test says so
     readout_deviation_s: float | None = None
+
+    def course(self, times_s: np.ndarray) -> np.ndarray:
+        """[2, F]: cosine and sine, decaying as it was found to."""
+        start = float(times_s[0]) if self.start_s is None else self.start_s
+        ratio = self.damping or 0.0
+        decay = 2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9))
+        return Vibration(self.hz, decay, start).columns(times_s).T
 
 
 @dataclass(frozen=True)

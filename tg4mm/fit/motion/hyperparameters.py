@@ -69,7 +69,7 @@ def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
-    """[R] bool: the components on which two folds do not agree. The strongest never counts as noise."""
+    """[R] bool: the components on which two folds do not agree. The known ones, else the strongest, are no noise."""
     gains = []
     operators = [problem.operator(fold, _LOOSE, probes=4) for fold in folds]
     for first in range(0, targets.images.shape[1], _AT_ONCE):
@@ -80,7 +80,7 @@ def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fo
         )
         gains.append(reliability((a + b) / 2, a, b))
     is_noise = np.concatenate(gains) < _MIN_RELIABILITY
-    is_noise[0] = False
+    is_noise[: max(targets.n_known, 1)] = False
     return np.asarray(is_noise)
 
 

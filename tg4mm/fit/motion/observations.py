@@ -41,7 +41,7 @@ class PosedFrames:
     readout_s: float = 0.0  # from the first row to the last; 0: all rows at once
     low_pass: float = EPS2D  # square pixels, of the picture that Gaussians make
 
-    def through(self, window: Window, height: int) -> PosedFrames:
+    def through(self, window: Window, height: int) -> "PosedFrames":
         """As a window on the pictures, `height` pixels high, shows them: averaging squares widens what is drawn."""
         k, rows = window.factor, window.rows * window.factor
         middle = (window.top + rows / 2) / height - 0.5
@@ -71,6 +71,8 @@ class Observations:
     is_whole: bool  # no other pictures made the scene at rest
     codec_period: int | None = None  # frames, of the video's compression
     counts: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that count; None: all
+    # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for
+    courses: np.ndarray | None = None
     factor: int = 1  # pixels of the recording along a side of one of these
 
     @property
@@ -133,7 +135,7 @@ def observe(
         images, factor = images.through(window), window.factor
     found = Observations(
         capture.kind, clock, frames, images, capture.fps, capture.n_timesteps, is_whole,
-        codec_period(capture.root), counts, factor,
+        codec_period(capture.root), counts, factor=factor,
     )  # fmt: skip
     return found if counts is None or clock == "moving" else held(found, ~counts)
 

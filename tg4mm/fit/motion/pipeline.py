@@ -224,7 +224,8 @@ def _result(
     if pixels > ABOVE_PX * observations.factor and not model.iterates:
         notes.append(
             f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
-            f"holds up to {ABOVE_PX * observations.factor:.2g} px: tg4mm measure tells by the pictures whether amplitudes come out too small"
+            f"holds up to {ABOVE_PX * observations.factor:.2g} px: tg4mm measure tells by the pictures whether "
+            "amplitudes come out too small"
         )
     if (gain := figures.get("picture_gain", 1.0)) > LACKING:
         notes.append(

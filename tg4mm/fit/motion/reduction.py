@@ -1,4 +1,4 @@
-"""How much of a recording the motion stage reads: the part that motion may be in, and fewer, larger pixels of a long one.
+"""How much of a recording the motion stage reads: where motion may be, and of a long one fewer, larger pixels.
 
 The stage's time and its temporary files grow with pixels times pictures. Displacements of less than a pixel can be read
 from pictures whose squares of pixels are averaged, as long as their texture is coarse enough; what is lost is told.
@@ -38,9 +38,9 @@ def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None =
 def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window) -> str:
     """What a window that averages costs: by how much standard deviations grow.
 
-    Motion is told by slopes of the picture; averaging k² pixels of independent noise makes the noise k times smaller and
-    slopes per pixel k times larger, where the texture is coarse. Slopes are told apart from noise by the product of two
-    means over different pictures.
+    Motion is told by slopes of the picture. Averaging k² pixels makes independent noise k times smaller and slopes per
+    pixel k times larger, where the texture is coarse. Slopes are told from noise by the product of two means over
+    different pictures.
     """
     rows = fixed_cameras(capture)[0].rows
     some = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).round().astype(int)].tolist()
@@ -50,9 +50,9 @@ def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window)
     ratio = _slopes(*whole) / max(_slopes(*(_averaged(half, window) for half in whole)), 1e-30)
     height, width = window.size
     return (
-        f"motion was fitted to pictures of {width}×{height}: {window.factor}×{window.factor} pixels averaged, which makes "
-        f"± about {np.sqrt(max(ratio, 1.0)):.2g} times as large; tg4mm measure reads them whole, and so does train with "
-        "--region around what matters or --set motion.reduce=1"
+        f"motion was fitted to pictures of {width}×{height}, {window.factor}×{window.factor} pixels averaged, which "
+        f"makes ± about {np.sqrt(max(ratio, 1.0)):.2g} times as large; tg4mm measure reads them whole, and so does "
+        "train with --region around what matters or --set motion.reduce=1"
     )
 
 

@@ -33,6 +33,7 @@ class TargetImages:
     residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
     rank: int  # of what residual and images hold together, functions of time
     mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
+    n_known: int = 0  # of the functions, the first: known before to be motion
 
     def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """[r, H, W, 3] in memory: some of view v's images."""

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
@@ -39,11 +40,12 @@ def train_motion(
     device: str = "cpu",
     mask: np.ndarray | None = None,
     moves: np.ndarray | None = None,
+    found: Found | None = None,
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
 
-    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself. moves [H, W] bool:
-    where motion may be; what lies around is not read.
+    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself. moves [H, W]
+    bool: where motion may be; what lies around is not read. found: what was seen region by region before.
     The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
     docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
     each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
@@ -59,6 +61,10 @@ def train_motion(
     if mask is not None and mask.any():
         own = mask if window is None else window.any_of(mask)
         observations = held(observations, own[None])
+    if found is not None and found.vibrations and observations.clock == "synchronous":
+        times = observations.frames[0].times_s
+        courses = np.concatenate([line.course(times) for line in found.vibrations])
+        observations = dataclasses.replace(observations, courses=courses)
     checkpoint = RunCheckpoint(run, began, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:

@@ -32,6 +32,7 @@ _NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is n
 _MARGIN = 1.1
 _RANK_FOR_NOISE = 7
 _LARGEST = 24  # timesteps whose motion is looked at
+_DISTINCT = 0.05  # of the largest singular value: courses that differ by less are one
 _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
 
 
@@ -102,13 +103,18 @@ class Synchronous(TemporalModel):
 def principal_components(
     observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], most: int
 ) -> TargetImages:
-    """Principal components over time of the changes of all synchronous cameras together, at most `most`.
+    """Known courses of vibrations, and besides them principal components of the changes of all synchronous cameras.
 
-    What the active nuisance columns explain of a frame is taken out first.
+    A vibration of a small part of a large picture is no principal component: there the noise of all pixels is stronger.
+    Of the others there are at most `most`. What the active nuisance columns explain of a frame is taken out first.
     """
     gram = np.zeros_like(look.grams[0])
     for v, nuisance in enumerate(nuisances):
         gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
+    known = _orthonormal(observations.courses, gram)
+    known_energy = np.einsum("kt,ts,ks->k", known, gram, known)
+    gram -= known.T @ (known @ gram)
+    gram -= (gram @ known.T) @ known
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
     rank = int((energy[:-1] > _ROUNDING * energy[0]).sum())
@@ -118,10 +124,23 @@ def principal_components(
             f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
             stacklevel=2,
         )
-    basis = vectors[: min(count, most)]
+    basis = np.concatenate([known, vectors[: min(count, most)]])
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
     images, residual = projected(observations, look, nuisances, [basis] * len(look.grams))
-    return TargetImages(basis, energy, images, residual, max(rank, 1), look.mean)
+    n_known = len(known)
+    energy = np.concatenate([known_energy, energy[: len(energy) - n_known]])
+    return TargetImages(basis, energy, images, residual, max(rank, 1) + n_known, look.mean, n_known)
+
+
+def _orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
+    """[K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
+    if courses is None or not len(courses):
+        return np.zeros((0, len(gram)))
+    own = courses - courses.mean(1, keepdims=True)
+    _, sizes, span = np.linalg.svd(own / np.linalg.norm(own, axis=1, keepdims=True), full_matrices=False)
+    span = span[sizes > _DISTINCT * sizes[0]]
+    _, turn = np.linalg.eigh(span @ gram @ span.T)
+    return np.asarray(turn[:, ::-1].T @ span)
 
 
 def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
