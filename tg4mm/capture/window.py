@@ -70,7 +70,7 @@ class Window:
     def _sum(self, part: np.ndarray) -> np.ndarray:
         """[rows, columns, C] uint32 or uint64: sums over squares, first of rows, whose pixels lie together."""
         kind, k = (np.uint64 if part.dtype == np.uint64 else np.uint32), self.factor
-        down = part[::k].astype(kind)
+        down: np.ndarray = part[::k].astype(kind)
         for i in range(1, k):
             down += part[i::k]
         out = down[:, ::k].copy()

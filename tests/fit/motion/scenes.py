@@ -12,6 +12,7 @@ from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.nuisance.projection import nuisances_of
 from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.space.view import EPS2D
 
 SCENES = {
     "ordinary": make_scene(0),
@@ -26,6 +27,7 @@ N = 40  # Gaussians of `problem`
 class Camera:
     viewmat: np.ndarray
     K: np.ndarray
+    low_pass: float = EPS2D
 
 
 def gaussians_of(scene):

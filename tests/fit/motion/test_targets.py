@@ -158,3 +158,37 @@ class TestSinusoids:
         changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)
         left = changes - (found.images.astype(float) ** 2).sum()  # the trend
         assert 3 * found.residual_energy.sum() == pytest.approx(left, rel=1e-3)
+
+
+def test_a_vibration_of_few_pixels_is_held_by_its_own_course_alone():
+    """Twelve of 20,000 pixels swing by as much as their noise: no principal component, but two known functions."""
+    n, hz = 60, 3.3
+    rng, t = np.random.default_rng(0), np.arange(n) / 30
+    data = np.full((n, 100, 200, 4), 255, np.uint8)
+    noise = rng.normal(0, 8, (n, 100, 200, 3))
+    noise[:, 40:43, 60:64] += 8 * np.cos(2 * np.pi * hz * t + 0.4)[:, None, None, None]
+    data[..., :3] = (128 + noise).round()
+    capture, images = capture_of([0] * n, list(range(n)), data)
+    observed = observe(capture, images)
+    courses = np.stack([np.cos(2 * np.pi * hz * t), np.sin(2 * np.pi * hz * t)])
+    truth = courses - courses.mean(1, keepdims=True)
+    alone, known = components(observed), components(replace(observed, courses=courses))
+    share = [np.linalg.norm(truth @ f.basis.T) ** 2 / np.linalg.norm(truth) ** 2 for f in (alone, known)]
+    assert share[0] < 0.5
+    assert share[1] == pytest.approx(1)
+    assert known.n_known == 2
+    assert np.allclose(known.basis @ known.basis.T, np.eye(len(known.basis)), atol=1e-6)
+    shown = np.sqrt((known.images[0, :2] ** 2).sum(0).mean(-1))
+    assert shown[40:43, 60:64].mean() > 3 * np.median(shown)
+
+
+def test_courses_that_are_one_are_one():
+    n = 40
+    rng, t = np.random.default_rng(1), np.arange(n) / 30
+    data, _, _ = moving_pictures(1, n)
+    capture, images = capture_of([0] * n, list(range(n)), data)
+    courses = np.stack([np.cos(2 * np.pi * f * t + p) for f in (4.0, 4.001) for p in (0, 1.5)])
+    found = components(
+        replace(observe(capture, images), courses=courses + rng.normal(0, 1e-4, courses.shape))
+    )
+    assert found.n_known == 2

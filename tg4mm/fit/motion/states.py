@@ -189,13 +189,11 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
     """[V, K, H, W, 3] float32 (`mapped_zeros`): what cameras see of the Gaussians moved to every state, over white."""
     height, width = seen.pictures.shape[2:4]
     there, out = gaussians.to(device), mapped_zeros(seen.pictures.shape)
-    cameras = [
-        (*(torch.from_numpy(a).to(device) for a in (c.viewmat, c.K)), c.low_pass) for c in seen.cameras
-    ]
+    cameras = [[torch.from_numpy(a).to(device) for a in (c.viewmat, c.K)] for c in seen.cameras]
     for k, motion in enumerate(seen.motions):
         g = moved(there, torch.from_numpy(motion).to(device))
-        for v, (viewmat, K, low_pass) in enumerate(cameras):
-            view = render_view(g, viewmat, K, (width, height), g.sh_degree, low_pass)
+        for v, (viewmat, K) in enumerate(cameras):
+            view = render_view(g, viewmat, K, (width, height), g.sh_degree, seen.cameras[v].low_pass)
             out[v, k] = view.rgb.cpu().numpy()
             release(out)
     return out
