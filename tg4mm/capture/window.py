@@ -16,11 +16,16 @@ class Window:
     factor: int
 
     @staticmethod
-    def on(height: int, width: int, factor: int = 1, wanted: np.ndarray | None = None) -> "Window":
-        """About the pixels `wanted` [H, W] bool, or the whole picture; what makes no whole square is cut off."""
+    def on(
+        height: int, width: int, factor: int = 1, wanted: np.ndarray | None = None, margin: int = 0
+    ) -> "Window":
+        """About the pixels `wanted` [H, W] bool, and `margin` pixels around them, or the whole picture.
+
+        What makes no whole square is cut off.
+        """
         rows, columns = slice(0, height), slice(0, width)
         if wanted is not None:
-            rows, columns = (_reach(wanted.any(axis)) for axis in (1, 0))
+            rows, columns = (_reach(wanted.any(axis), margin) for axis in (1, 0))
         n_rows, n_columns = (max((s.stop - s.start) // factor, 1) for s in (rows, columns))
         return Window(rows.start, columns.start, n_rows, n_columns, factor)
 
@@ -82,6 +87,8 @@ class Window:
         return part.reshape(self.rows, self.factor, self.columns, self.factor)
 
 
-def _reach(some: np.ndarray) -> slice:
+def _reach(some: np.ndarray, margin: int) -> slice:
     where = np.flatnonzero(some)
-    return slice(int(where[0]), int(where[-1]) + 1) if len(where) else slice(0, len(some))
+    if not len(where):
+        return slice(0, len(some))
+    return slice(max(int(where[0]) - margin, 0), min(int(where[-1]) + 1 + margin, len(some)))

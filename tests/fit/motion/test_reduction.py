@@ -8,6 +8,7 @@ from scipy.ndimage import map_coordinates
 
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import moving_pictures
+from tg4mm.capture.window import Window
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion.config import MotionConfig, checked
 from tg4mm.fit.motion.observations import observe
@@ -31,12 +32,12 @@ def test_a_long_recording_of_large_pictures_is_read_smaller(n, size, factor):
     assert window_on(capture, MotionConfig(reduce="4")).size == (size[0] // 4, size[1] // 4)
 
 
-def test_a_region_is_read_whole():
+def test_a_region_is_read_whole_with_what_lies_around():
     capture, _ = filmed(600, 2160, 3840)
     moves = np.zeros((2160, 3840), bool)
-    moves[200:700, 900:1500] = True
+    moves[400:900, 900:1500] = True
     window = window_on(capture, MotionConfig(), moves)
-    assert (window.factor, window.size, window.top, window.left) == (1, (500, 600), 200, 900)
+    assert (window.factor, window.size, window.top, window.left) == (1, (1100, 1200), 100, 600)
 
 
 @pytest.mark.parametrize("text", ["0", "1.5", "-2", "17", "two"])
@@ -48,11 +49,7 @@ def test_what_is_no_factor_is_refused(text):
 def test_rows_of_a_region_keep_their_times():
     capture, images = filmed(20, 4, 5)
     capture = replace(capture, readout_s=0.02, kind="flat")
-    moves = np.zeros((4, 5), bool)
-    moves[2:] = True
-    whole, part = (
-        observe(capture, images, w).frames[0] for w in (None, window_on(capture, MotionConfig(), moves))
-    )
+    whole, part = (observe(capture, images, w).frames[0] for w in (None, Window(2, 0, 2, 5, 1)))
     row = 3  # of the picture, the second of the region
     of_whole = whole.times_s + whole.readout_s * ((row + 0.5) / 4 - 0.5)
     of_part = part.times_s + part.readout_s * ((row - 2 + 0.5) / 2 - 0.5)

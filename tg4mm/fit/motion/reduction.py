@@ -14,6 +14,7 @@ from tg4mm.fit.motion.observations import fixed_cameras
 
 PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two cores a pass
 _SHORTEST = 270  # pixels along a side, which are never made fewer
+_AROUND = 16  # pixels at least
 _SAMPLED = 16  # pictures that tell how fine the texture is
 
 
@@ -31,7 +32,9 @@ def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None =
         pixels = whole.rows * whole.columns * sum(len(c.rows) for c in cameras)
         least = int(np.ceil(np.sqrt(pixels / PIXELS)))
         factor = max(min(least, min(whole.size) // _SHORTEST), 1)
-    window = Window.on(capture.height, capture.width, factor, moves)
+    # what lies around is held still: without it the prior would carry motion on beyond the region
+    margin = max(_AROUND, max(whole.size) // 2)
+    window = Window.on(capture.height, capture.width, factor, moves, margin)
     return None if factor == 1 and window.size == (capture.height, capture.width) else window
 
 
