@@ -1,6 +1,5 @@
 """Bad input is refused with one line that names the option and the value."""
 
-import json
 import re
 import subprocess
 import sys
@@ -10,7 +9,6 @@ import pytest
 
 from dataset_gen.__main__ import main
 from dataset_gen.options import parser, request_from
-from dataset_gen.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -178,13 +176,6 @@ def test_a_foreign_folder_is_refused_and_stays(tmp_path, capsys, file, content, 
 )
 def test_folder_name(arguments, name):
     assert settings("mic", *arguments).folder == name
-
-
-def test_settings_survive_json():
-    chosen = settings(
-        "mic", "--alphas", "5,100", "--frequency", "3.7", "--sensor", "high-speed", "--cameras", "rig"
-    )
-    assert Settings.from_json(json.loads(json.dumps(chosen.to_json()))) == chosen
 
 
 def test_describing_scenes_needs_neither_bpy_nor_torch():

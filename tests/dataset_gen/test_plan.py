@@ -19,13 +19,6 @@ def test_the_demo_set_costs_155_renders_and_7_for_the_noise():
     assert len(again) == 7  # α = 0, the five, and rest
 
 
-def test_a_sweep_is_taken_at_timestep_0_alone():
-    _, every, _ = plan("--cameras sweep --views 6 --timesteps 8")
-    names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]
-    assert sum(name.startswith("000/") for name in names) == 7
-    assert all(sum(name.startswith(f"{t:03d}/") for name in names) == 1 for t in range(1, 8))
-
-
 def test_the_noise_is_measured_where_the_motion_is_largest():
     _, _, again = plan()
     assert {picture.alpha for shot in again for picture in shot.pictures} == {-1, 0, 5, 10, 20, 50, 100}

@@ -70,33 +70,6 @@ def test_every_kind_reads_and_comes_back_the_same():
     assert again.modes[6].field.region == Region((0.0, 0.0, 0.0), 2.0)
 
 
-def test_yaml_as_a_person_writes_it(tmp_path):
-    pytest.importorskip("yaml")
-    description = read(
-        tmp_path,
-        """
-        # the mast bends, the flag waves
-        modes:
-          - name: mast
-            kind: bending
-            frequency: 3
-            amplitude_px: 0.2
-            base: [0, 0, -1]
-            tip: [0, 0, 1.5]
-            direction: [1, 0, 0]
-            parts: mast
-            phases: random
-          - {name: drift, kind: drift, rate: 1.0e-3, direction: [0, 1, 0], magnified: false}
-        """,
-    )
-    mast, drift = description.modes
-    assert (mast.frequency_hz, mast.amplitude, mast.amplitude_px) == (3.0, None, 0.2)
-    assert (mast.parts, mast.phases) == (("mast",), "random")
-    assert (drift.amplitude, drift.magnified, drift.frequency_hz) == (0.001, False, 0.0)
-    assert description.main is mast
-    assert description.source == "motion.yaml"
-
-
 @pytest.mark.parametrize(
     ("name", "text", "expected"),
     [

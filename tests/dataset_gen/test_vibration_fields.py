@@ -5,7 +5,7 @@ import pytest
 
 from dataset_gen.vibration import reach
 from dataset_gen.vibration.fields import Rock, Twist, phasor
-from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel, bessel_zero
+from dataset_gen.vibration.structures import Bending, Membrane, Plate, Region, Wave, bessel_zero
 
 BASE, TIP = np.array([0.2, -0.1, -0.3]), np.array([0.5, 0.2, 0.4])
 LENGTH = float(np.linalg.norm(TIP - BASE))
@@ -95,17 +95,6 @@ def test_what_stands_on_a_beam_turns_rigidly_and_sections_stay_plane():
 
 
 # Membranes and plates.
-
-
-def test_bessel_functions_are_those_of_the_tables():
-    # Abramowitz & Stegun, tables 9.1 and 9.5.
-    assert bessel(0, np.array(1.0)) == pytest.approx(0.7651976865579666, abs=1e-15)
-    assert bessel(1, np.array(2.0)) == pytest.approx(0.5767248077568734, abs=1e-15)
-    assert bessel(5, np.array(50.0)) == pytest.approx(-0.08140024769656964, abs=1e-14)
-    zeros = {(0, 1): 2.404825557695773, (0, 2): 5.520078110286311, (1, 1): 3.831705970207512}
-    zeros |= {(2, 3): 11.61984117214906, (5, 1): 8.771483815959954}
-    for (order, number), zero in zeros.items():
-        assert bessel_zero(order, number) == pytest.approx(zero, abs=1e-13)
 
 
 @pytest.mark.parametrize("nodes", [(0, 1), (1, 1), (2, 2), (0, 3)])

@@ -5,24 +5,9 @@ import pytest
 import torch
 
 from tests.core.splatfile.conftest import random_splat
-from tests.core.splatfile.formats.conftest import turned
 from tg4mm.core.splatfile import positions_at, rotations_at
-from tg4mm.core.splatfile.axes import TURN, harmonics_turn, transformed, y_up
+from tg4mm.core.splatfile.axes import TURN, harmonics_turn, transformed
 from tg4mm.fit.rasterize.reference import rotation_matrices, sh_colours
-
-
-def test_gaussians_and_their_motion_are_turned():
-    splat = random_splat(seed=3, n=60, k=16, m=2)
-    other = y_up(splat)
-    np.testing.assert_allclose(
-        positions_at(other, 3.5, 2.0), positions_at(splat, 3.5, 2.0) @ TURN.T, atol=1e-5
-    )
-    for before, after in (
-        (turned(splat), turned(other)),
-        (rotations_at(splat, 3.5, 2.0), rotations_at(other, 3.5, 2.0)),
-    ):
-        axes = rotation_matrices(torch.as_tensor(before)).numpy()
-        np.testing.assert_allclose(rotation_matrices(torch.as_tensor(after)), TURN @ axes, atol=1e-5)
 
 
 @pytest.mark.parametrize("k", [1, 4, 9, 16])
