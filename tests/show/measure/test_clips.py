@@ -49,6 +49,7 @@ def test_a_vibration_has_its_phasor_and_the_clips_their_phases():
     assert [len(peaks) for peaks in own.of_clips] == [1] * 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_known", [False, True])
 def test_deviations_are_the_scatter_over_many_records(is_known):
     known = KnownPhases(np.array([HZ]), THETA[:, None]) if is_known else NONE
