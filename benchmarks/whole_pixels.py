@@ -13,7 +13,7 @@ from benchmarks.calibration.film import FINE, Coding, texture, write_video
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, SensorResult, prepare
-from tg4mm.show.measure.iterated import iterated
+from tg4mm.show.measure.linearity import iterated
 from tg4mm.show.measure.measurement import measure_one
 
 OPTIONS: dict[str, Any] = {"out": Path, "--codec": "libx264", "--seed": 0}

@@ -21,7 +21,7 @@ from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
-from tg4mm.show.result.read import Reading, reading_of
+from tg4mm.show.result.reading import Reading, reading_of
 
 FPS = 30.0
 # Options of the generator, pictures of each camera over time, and the fewest periods that such a record must hold.

@@ -35,7 +35,7 @@ from tg4mm.research.evaluate.wanted import _is_ours
 from tg4mm.research.paper import preset
 from tg4mm.research.paper.model import load_model, save_planes
 from tg4mm.research.paper.preset import series_of
-from tg4mm.run import Run, figures_file
+from tg4mm.run import Run, log
 from tg4mm.show.analyse import lines_of, read_channels
 from tg4mm.show.measure import prepare, prepared
 from tg4mm.show.measure.measurement import measure_one
@@ -100,7 +100,7 @@ def _read_metrics(root):
     """All that the report does with them."""
     _is_ours(root / "metrics.json")
     found: Any = SimpleNamespace(
-        metrics=figures_file.read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
+        metrics=log.read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
         train=SimpleNamespace(unit_scale_m=0.1, scene={}), view=SimpleNamespace(alpha=5.0, truth=None),
     )  # fmt: skip
     accuracy.accuracy_section(found)

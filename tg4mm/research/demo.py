@@ -131,7 +131,7 @@ def _export(places: Places) -> None:
 
 def _report(places: Places) -> None:
     from tg4mm.run import Run
-    from tg4mm.run.figures_file import read_figures
+    from tg4mm.run.log import read_figures
     from tg4mm.show.report import ReportOptions, write_report
 
     metrics = read_figures(places.metrics)

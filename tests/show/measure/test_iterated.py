@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.film import FINE, texture
-from tg4mm.show.measure.iterated import registered
+from tg4mm.show.measure.linearity import registered
 
 SIDE, FRAMES = 48, 60
 

@@ -13,7 +13,7 @@ from tests.show.measure.filmed import FPS, model, modes, of_parts, pictures, run
 from tg4mm.cli import main
 from tg4mm.core.errors import RunError
 from tg4mm.show.measure import measure, parse_sensor, prepare
-from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.reading import reading_of
 
 HZ = 6.0
 

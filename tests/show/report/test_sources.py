@@ -15,7 +15,7 @@ from tg4mm.run import Run
 from tg4mm.show.report import videos as video
 from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.report.videos import clip
-from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.reading import reading_of
 
 
 @pytest.fixture(scope="module")

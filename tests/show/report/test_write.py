@@ -20,7 +20,7 @@ from tg4mm.show.report import ReportOptions, write_report
 from tg4mm.show.report.sources import gather_view, load_model
 from tg4mm.show.result import Length, result_of
 from tg4mm.show.result.model import with_deviation
-from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.reading import reading_of
 
 
 def report(made, folder, **options):

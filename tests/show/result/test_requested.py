@@ -11,7 +11,8 @@ from tests.show.result.conftest import NOISE
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import BandGain, Magnification
-from tg4mm.show.result.read import reading_of, result_of
+from tg4mm.show.result.read import result_of
+from tg4mm.show.result.reading import reading_of
 from tg4mm.show.result.requested import auto_band, refuse_empty, reversed_motion, too_far
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.fit.motion.scenes import of_amplitudes
 from tests.helpers.look import found
-from tg4mm.capture.sfm.flat import VIEWMAT
+from tg4mm.capture.sfm.dataset import VIEWMAT
 from tg4mm.core.magnification import check_band
 from tg4mm.core.phasors import series_modes
 from tg4mm.fit.motion.modes import ModalMotion

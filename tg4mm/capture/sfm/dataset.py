@@ -12,10 +12,12 @@ from tg4mm.capture.frames import index_of
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames, save_png
+from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.sfm.undistort import Lens
 from tg4mm.capture.video import HAIR_S
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import link_or_copy, write_atomic, write_json
+from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import Update, progress
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -184,3 +186,40 @@ def _frame(track: Track, t: int, file: str) -> dict[str, Any]:
         "h": height,
     }
     return frame if track.times_s is None else frame | {"time": float(track.times_s[t])}
+
+
+SPACING = 3  # pixels between points of the plane
+# World to camera, OpenCV axes: the camera is at the origin, upright, and looks along +y.
+VIEWMAT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+def write_flat(
+    out: Path, clip: Clip, survey: Survey, times_s: np.ndarray, window: Window, scene: dict[str, Any]
+) -> int:
+    """Write the clip as a tree of timesteps seen from the origin along +y, the scene being the plane y = 1.
+
+    A pixel is then 1/f of a scene unit with f = max(width, height), `pixels_per_unit`. Returns the number of points.
+    """
+    width, height = survey.size
+    focal = float(max(width, height))
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    points = plane_points(decode(survey.mean)[..., :3], focal)
+    viewmats = np.tile(VIEWMAT, (len(survey), 1, 1))
+    track = Track(clip.name, clip, Lens(K, survey.size, None), viewmats, times_s, window=window)
+    write_dataset(out, [track], points, scene | {"pixels_per_unit": focal, "unit_scale_m": None})
+    return len(points.xyz)
+
+
+def plane_points(picture: np.ndarray, focal: float) -> SurfacePoints:
+    """A regular grid of points on the plane y = 1 with the colours of picture [H, W, 3] uint8, f in pixels."""
+    height, width = picture.shape[:2]
+    u, v = np.meshgrid(_centres(width), _centres(height))
+    xyz = np.stack([(u - width / 2) / focal, np.ones_like(u), -(v - height / 2) / focal], axis=-1)
+    rgb = picture[v.astype(int), u.astype(int)]
+    return SurfacePoints(xyz.reshape(-1, 3).astype(np.float32), rgb.reshape(-1, 3))
+
+
+def _centres(pixels: int) -> np.ndarray:
+    """Places some SPACING pixels apart, centred, half of that from both edges."""
+    n = max(1, round(pixels / SPACING))
+    return (np.arange(n) + 0.5) * pixels / n

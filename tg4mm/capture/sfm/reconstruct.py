@@ -17,10 +17,9 @@ from typing import Any
 from tg4mm.capture.sfm import mapping
 from tg4mm.capture.sfm.clip import KEYS, SWEEP_FRAMES, WHOLE, extract_frames, sharp_rows
 from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, Work, checked, open_request
-from tg4mm.capture.sfm.dataset import video_of, write_dataset
+from tg4mm.capture.sfm.dataset import video_of, write_dataset, write_flat
 from tg4mm.capture.sfm.defects import check_usable, motion_of, warn_bumps, warn_clocks
 from tg4mm.capture.sfm.engine import colmap
-from tg4mm.capture.sfm.flat import write_flat
 from tg4mm.capture.sfm.kind import (
     check_enough,
     check_fits,

@@ -26,7 +26,7 @@ from tg4mm.research.evaluate.scores import Key
 from tg4mm.research.evaluate.subject import subject_of
 from tg4mm.research.paper.model import disk_mib
 from tg4mm.run import Run
-from tg4mm.run.figures_file import DISPLACEMENT
+from tg4mm.run.log import DISPLACEMENT
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.run.train import parse_settings, train
 

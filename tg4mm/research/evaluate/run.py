@@ -44,7 +44,7 @@ from tg4mm.research.evaluate.wanted import (
     target_file,
 )
 from tg4mm.run import Run
-from tg4mm.run.figures_file import FORMAT
+from tg4mm.run.log import FORMAT
 from tg4mm.run.poses import method_of
 
 VERSION = 1

@@ -16,7 +16,7 @@ from tg4mm.research.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.research.evaluate.scores import Metric
 from tg4mm.research.text import shown, table
 from tg4mm.run import Run
-from tg4mm.run.figures_file import FORMAT
+from tg4mm.run.log import FORMAT
 
 
 def target_file(run: Run, out: Path | str | None) -> Path:

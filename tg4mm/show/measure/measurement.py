@@ -14,13 +14,14 @@ from tg4mm.core.regions import Scale
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
+from tg4mm.run.stages.look import look_of
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
-from tg4mm.show.measure.iterated import iterated
 from tg4mm.show.measure.limits import limits_of
+from tg4mm.show.measure.linearity import iterated
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
     body_of,
@@ -32,7 +33,6 @@ from tg4mm.show.measure.locate import (
 from tg4mm.show.measure.modal_fields import clock_phases
 from tg4mm.show.measure.model_error import shared_error, with_model_error
 from tg4mm.show.measure.prepared import prepare
-from tg4mm.show.measure.regions import found_in, region_sensors
 from tg4mm.show.measure.relations import relation_of
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.rigid import Body, equations_of
@@ -247,3 +247,22 @@ class _silent:
 
     def __exit__(self, *error: object) -> None:
         return None
+
+
+def found_in(scene: Prepared) -> Found | None:
+    """What the look found; None of other captures than flat ones, and of fits without a run."""
+    if scene.capture.kind.sees_depth or scene.folder is None:
+        return None
+    return look_of(Run.open(scene.folder))
+
+
+def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
+    """A disc as large as each vibration's region at the region's centre."""
+    camera = scene.observations.frames[0].name
+    out: list[Sensor] = []
+    for line in found.vibrations:
+        radius = found.cell_px * float(np.sqrt(line.region.sum() / np.pi))
+        name = f"{line.hz:.4g} Hz"
+        if name not in [sensor.name for sensor in out]:
+            out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
+    return out

@@ -17,13 +17,13 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
-from tg4mm.run.figures_file import read_figures
+from tg4mm.run.log import read_figures
 from tg4mm.show.maps import image_motion, strongest
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.result.advice import suggested_alpha
-from tg4mm.show.result.read import Reading
+from tg4mm.show.result.reading import Reading
 from tg4mm.show.weights import blending_weights
 
 METRICS = "metrics.json"

@@ -4,30 +4,42 @@ import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tg4mm import __version__
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.look import LookLine
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
-from tg4mm.core.pages.page import Page, Section, render_page
+from tg4mm.core.pages.charts import chart
+from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, drawing, picture, render_page
 from tg4mm.core.progress import progress
 from tg4mm.core.regions import Scale
 from tg4mm.run import Run
+from tg4mm.run.stages.look import look_of
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.measure import Sensor
+from tg4mm.show.regions import composite, region_picture
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
-from tg4mm.show.report.regions import regions_section
 from tg4mm.show.report.sections import capture_section, motion_section
-from tg4mm.show.report.sources import Evaluate, choose_alpha, gather_view, load_model, metrics_of
+from tg4mm.show.report.sources import (
+    Evaluate,
+    choose_alpha,
+    contact_images,
+    gather_view,
+    load_model,
+    metrics_of,
+)
 from tg4mm.show.report.spectra import measured, sensors_section
 from tg4mm.show.report.summary import Material, limits_section, stats, summary
 from tg4mm.show.report.videos import videos
-from tg4mm.show.result.model import title_of
-from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.model import Length, title_of, with_deviation
+from tg4mm.show.result.read import result_from
+from tg4mm.show.result.reading import reading_of
 from tg4mm.show.result.requested import too_far
 
 _LOG = logging.getLogger("tg4mm")
@@ -87,7 +99,7 @@ def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
     bands = () if options.band is None else (check_band(options.band, train.fps),)
     chosen = Magnification.of(1.0, *bands)
     reading = reading_of(run)
-    result = reading.result(options.band)
+    result = result_from(reading, options.band)
     model = load_model(reading, train, chosen)
     alpha, why_alpha = options.alpha, ""
     if alpha is None or model.motion is None:
@@ -145,3 +157,50 @@ def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Pag
             "docs/protocol.md defines displacement error, ceiling and the other scores."
         ),
     )
+
+
+_HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x, y)", "change", "remark"]
+
+
+def regions_section(m: Material) -> list[Section]:
+    """Of a flat capture that was looked at; else []."""
+    found = None if m.train.kind.sees_depth else look_of(m.run)
+    if found is None:
+        return []
+    words = (
+        f"The picture was cut into cells of {found.cell_px} pixels, each cell's shift was measured in every picture, "
+        "and lines were sought region by region, the strongest first, each tested by itself. What no small shift "
+        "explains moves by itself and is left out of the fit."
+    )
+    spectrum = Figure(
+        [drawing(chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0)))],
+        "Composite spectrum: power over noise, mean over all cells; 1 where nothing vibrates. Dashed: what noise alone "
+        "exceeds anywhere in one recording of a hundred. Dotted: lines of the light.",
+        width="narrow",
+    )
+    seen = region_picture(found, contact_images(m.train, 1)[0])
+    where = Figure(
+        [picture(seen, alt="what vibrates and what moves by itself", photo=True)],
+        "Coloured: cells that show a line, and its direction; the first colour is the strongest. Striped: what moves "
+        "by itself. White frames: that, and where something passes.",
+    )
+    blocks: list[Block] = [Text(words), spectrum, where]
+    if found.lines:
+        caption = "Lines of the regions, the largest amplitude first; a remark says why a line may be none of its own."
+        blocks.append(Table(_HEADER, [_row(line) for line in found.lines], caption, left=len(_HEADER)))
+    return [Section("Region by region", blocks)]
+
+
+def _row(line: LookLine) -> list[str]:
+    damping = "–"
+    if line.damping is not None:
+        percent = None if line.damping_deviation is None else 100 * line.damping_deviation
+        damping = f"{with_deviation(Length(100 * line.damping, percent))} %"
+    return [
+        with_deviation(Length(line.hz, line.hz_deviation)),
+        with_deviation(Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))),
+        damping,
+        f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})",
+        line.change,
+        line.mark,
+    ]

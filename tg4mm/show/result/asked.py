@@ -1,9 +1,6 @@
 """The motion in a band that a person gives, where nothing there stands out by itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +8,7 @@ from tg4mm.core.lines.band import FEWEST, Tone, tone_in
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.result.line import mode_deviations, series_of
 from tg4mm.show.result.model import Band, Vibration
-
-if TYPE_CHECKING:
-    from tg4mm.show.result.read import Reading
+from tg4mm.show.result.reading import Reading
 
 
 def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
@@ -39,7 +34,7 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
         deviations = mode_deviations(
             motion, reading.uncertainty["displacement"], reading.uncertainty["noise"]
         )[k]
-    amplitude, place = reading.largest(phasors, reading.seen, deviations)
+    amplitude, place = reading.largest(phasors, deviations)
     deviation = float(np.hypot(amplitude.deviation or 0.0, share * amplitude.value))
     amplitude = replace(amplitude, deviation=deviation)
     frequency, width = (
@@ -51,7 +46,7 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
         deviation_hz=width,
         amplitude=amplitude,
         place=place,
-        pixels=reading.pixels(phasors, reading.seen, amplitude),
+        pixels=reading.pixels(phasors, amplitude),
         damping=None,
         damping_deviation=None,
         why_no_damping="nothing stands out in the band",

@@ -1,9 +1,6 @@
 """A flat capture's vibrations as the look at its regions found them: what the picture's whole does not show, either."""
 
-from __future__ import annotations
-
 import shlex
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +12,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
-
-if TYPE_CHECKING:
-    from tg4mm.show.result.read import Reading
-
+from tg4mm.show.result.reading import Reading
 
 _MOST = 4  # things that move by themselves, said one by one
 _WHY_NO_DAMPING = {

@@ -12,7 +12,8 @@ from tg4mm.run import Run
 from tg4mm.run.poses import method_of
 from tg4mm.show.result.model import Band, Result, with_deviation
 from tg4mm.show.result.reach import NOISE_PX, TURN, Reach
-from tg4mm.show.result.read import reading_of, result_of
+from tg4mm.show.result.read import result_from, result_of
+from tg4mm.show.result.reading import reading_of
 
 _LISTED = 8  # modes
 _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
@@ -64,7 +65,7 @@ def how_sure(run: Run, plan: Magnification) -> list[str]:
         return []
     reading, out = reading_of(run), []
     for band in plan.limits:
-        for v in reading.result(band).vibrations:
+        for v in result_from(reading, band).vibrations:
             if v.doubt and v.band == band:
                 length = v.amplitude if v.pixels is None else v.pixels
                 unit = "scene units" if v.pixels is None else "px"

@@ -24,7 +24,8 @@ from tg4mm.run import Run
 from tg4mm.show.maps import image_motion, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.result.model import title_of, unit_of
-from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.read import peak_bands, result_from
+from tg4mm.show.result.reading import reading_of
 from tg4mm.show.web.pack import MotionFields, Packed, motion_fields, pack
 
 _HERE = Path(__file__).parent
@@ -164,7 +165,7 @@ def _motion_json(
     magnified = motion.is_magnified()
     reading = reading_of(run)
     top = float((pixels * magnified).max(initial=0))
-    result = reading.result()
+    result = result_from(reading)
     alpha = result.alpha if top > 0 else 1.0
     amplitudes = {v.hz: v.amplitude.value for v in result.vibrations}
     light = motion.appearance
@@ -178,7 +179,7 @@ def _motion_json(
         "amplitude": [_amplitude(m) for m in motion.displacement],
         "peaks": [
             {"hz": hz, "band": list(band), "amplitude": amplitudes.get(hz, _nearest(motion, hz))}
-            for hz, band in reading.peak_bands()
+            for hz, band in peak_bands(reading)
         ],
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
