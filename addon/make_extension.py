@@ -1,9 +1,4 @@
-"""Build the extension's zip, by Python's own library alone: stage a folder that is the package, then pack it.
-
-Not part of the extension. What the extension needs of tg4mm/core, and dataset_gen, which background processes run, go
-into a wheel, as they are; Blender unpacks it where extensions find their modules. A test has Blender's own validator
-look at the zip.
-"""
+"""Build the extension's zip, by Python's own library alone: stage a folder that is the package, then pack it."""
 
 import base64
 import hashlib

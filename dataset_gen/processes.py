@@ -1,9 +1,4 @@
-"""Render processes: a fresh one per range of pictures, fed and watched; progress with the time left.
-
-A fresh process per range keeps memory from growing over long runs, and a crash costs one range. Several
-processes of one thread each beat one of several threads: at these sizes half of a picture's time is spent
-preparing it, which Cycles does on one core.
-"""
+"""Render processes: a fresh one per range of pictures, fed and watched; progress with the time left."""
 
 import contextlib
 import json

@@ -1,8 +1,4 @@
-"""One process inside Blender: renders a range of shots, looks into a user's file, or saves an animation.
-
-Every finished shot is reported by a line of its own. Wrong input ends with status REFUSED and one line on
-standard error.
-"""
+"""One process inside Blender: renders a range of shots, looks into a user's file, or saves an animation."""
 
 import json
 import os

@@ -1,8 +1,4 @@
-"""The live preview: what is going to move is shown moving, at any gain, by modifiers that are taken away again.
-
-Nothing is kept in Python: whether a preview is on is told by the marked data-blocks, so that undo and redo take
-it away and bring it back like anything else. It never gets into a saved file.
-"""
+"""The live preview: what is going to move is shown moving, at any gain, by modifiers that are taken away again."""
 
 import cmath
 import math

@@ -1,7 +1,4 @@
-"""The tree of the modifier: points → where Apply Transform found them → motion or sequence → colour → shapes → back.
-
-Self-contained: the .blend plays without the extension, sub-frames and render farms included.
-"""
+"""The tree of the modifier: points → where Apply Transform found them → motion or sequence → colour → shapes → back."""
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,4 @@
-"""The group "Shapes": what is drawn at each point: an ellipsoid, a splat, a dot or an arrow.
-
-Reads the attributes scale, rotation, opacity and, for arrows, displacement. A way to draw is an entry of DRAW_MODES;
-nothing else names one.
-"""
+"""The group "Shapes": what is drawn at each point: an ellipsoid, a splat, a dot or an arrow."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,8 +1,4 @@
-"""The panel's pictures as pure functions: spectrum with band, displacement over time, legends of the colours.
-
-Each returns [SIDE, SIDE, 4] float32 sRGB, row 0 at the top. They are drawn at twice the size they are shown in, in
-numpy, with words by Blender: no graphics card is needed.
-"""
+"""The panel's pictures as pure functions: spectrum with band, displacement over time, legends of the colours."""
 
 import math
 import tempfile

@@ -1,8 +1,4 @@
-"""From a farm's configuration to its datasets: folders, numbers of parts, commands. The Snakefile asks for it.
-
-`python -m dataset_gen.farm.sets < config.json` prints a JSON object, folder by folder. It runs in the Python
-that renders, which need not be the one that runs Snakemake.
-"""
+"""From a farm's configuration to its datasets: folders, numbers of parts, commands. The Snakefile asks for it."""
 
 import json
 import shlex

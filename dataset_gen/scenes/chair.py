@@ -1,8 +1,4 @@
-"""The scene "chair": an upholstered armchair with carved cabriole legs; the backrest rocks, seat and legs stand still.
-
-In the spirit and at the scale of NeRF-synthetic's chair: green and gold brocade in a frame of honey-coloured wood,
-2.2 units high. It faces +x. Above the seat's rail everything bends backwards and forwards.
-"""
+"""The scene "chair": an upholstered armchair with carved cabriole legs; the backrest rocks."""
 
 from dataclasses import replace
 

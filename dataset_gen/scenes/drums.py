@@ -1,8 +1,4 @@
-"""The scene "drums": a drum kit on a round rug; cymbals rock on their stands and the front head breathes.
-
-In the spirit and at the scale of NeRF-synthetic's drums. Designed with y to the audience and x to the
-drummer's right, then turned into the world by `PLACE`. Lengths in scene units.
-"""
+"""The scene "drums": a drum kit on a round rug; cymbals rock on their stands and the front head breathes."""
 
 import numpy as np
 

@@ -1,9 +1,4 @@
-"""The scene "ficus": a weeping fig with several stems and some thousand leaves in a glazed pot.
-
-In the spirit and at the scale of NeRF-synthetic's ficus: it spans about ±1 unit around the origin, thin parts
-everywhere. Pot and soil stand still; the stems are clamped in the soil and bend, and each limb with its twigs
-and leaves is a part of its own, so that it can jiggle by itself.
-"""
+"""The scene "ficus": a weeping fig with several stems and some thousand leaves in a glazed pot."""
 
 import numpy as np
 

@@ -1,8 +1,4 @@
-"""The scene "hotdog": two hot dogs on a decorated plate, one with mustard, one with ketchup; the plate stands still.
-
-In the spirit and at the scale of NeRF-synthetic's hotdog: the plate has a radius of 1.24 units. Bun, sausage and
-sauce jiggle together like soft bodies held where the bun lies on the plate.
-"""
+"""The scene "hotdog": two hot dogs on a decorated plate, one with mustard, one with ketchup; the plate stands still."""
 
 from dataclasses import dataclass
 

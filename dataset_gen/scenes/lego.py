@@ -1,8 +1,4 @@
-"""The scene "lego": a yellow toy bulldozer of studded bricks on a baseplate; its blade and arms rock.
-
-In the spirit and at the scale of NeRF-synthetic's lego. It is designed in stud pitches with x forward, y to
-its left and z up from the baseplate, then turned and scaled into the world by `PLACE`.
-"""
+"""The scene "lego": a yellow toy bulldozer of studded bricks on a baseplate; its blade and arms rock."""
 
 import numpy as np
 

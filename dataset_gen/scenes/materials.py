@@ -1,8 +1,4 @@
-"""The scene "materials": twelve balls on a tray, one pattern in space for each; balls roll in their rings.
-
-In the spirit and at the scale of NeRF-synthetic's materials: three rows of four. Every ball wobbles on its ring like a
-soft body, each with a phase and a direction of its own.
-"""
+"""The scene "materials": twelve balls on a tray, one pattern in space for each; balls roll in their rings."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

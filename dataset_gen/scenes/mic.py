@@ -1,8 +1,4 @@
-"""The scene "mic": a studio microphone on a small tripod with its cable; the rod bends, the rest rides on it.
-
-In the spirit and at the scale of NeRF-synthetic's mic: it spans about ±1.1 units around the origin. The
-tripod stands still (clamped below the rod), the microphone follows the rod's tip, the cable hangs between.
-"""
+"""The scene "mic": a studio microphone on a small tripod with its cable; the rod bends, the rest rides on it."""
 
 import numpy as np
 

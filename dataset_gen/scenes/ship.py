@@ -1,8 +1,4 @@
-"""The scene "ship": a three-masted wooden ship with furled sails in a round disc of sea, on which she rocks.
-
-In the spirit and at the scale of NeRF-synthetic's ship: bow along +x, the sea's disc spans ±1.2 units around
-the origin. The hull with all that stands on it is one rigid body; the water is separate.
-"""
+"""The scene "ship": a three-masted wooden ship with furled sails in a round disc of sea, on which she rocks."""
 
 from dataclasses import replace
 

@@ -1,7 +1,4 @@
-"""The user's own geometry: a .blend file or a mesh file, as a stage that the generator can move.
-
-Importing this package does not import Blender; opening a file does, and takes over its session.
-"""
+"""The user's own geometry: a .blend file or a mesh file, as a stage that the generator can move."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Vibration as data: mode shapes as displacement fields on the rest vertices, times a law in time.
-
-numpy only; no Blender. What moves and how is described in YAML (describe.py), solved on meshes into a
-Motion (motion.py) that is exactly linear in the gain of every mode. The convention of phases: values.py.
-"""
+"""Vibration as data: mode shapes as displacement fields on the rest vertices, times a law in time."""
 
 from .describe import MotionDescription, read_motion
 from .fields import Body, Field, Mode

@@ -1,7 +1,4 @@
-"""The motion description: modes from a YAML or JSON file, and back to plain data.
-
-Every mistake is one GenerateError line: file, mode, key, value.
-"""
+"""The motion description: modes from a YAML or JSON file, and back to plain data."""
 
 import sys
 from collections.abc import Mapping

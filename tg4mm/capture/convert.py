@@ -1,7 +1,4 @@
-"""A capture as other trainers read one: nerfstudio's transforms.json with a time per frame, or a COLMAP text model.
-
-Pictures are hard links to the dataset's own, copies where links are not to be had; frames of a video are written out.
-"""
+"""A capture as other trainers read one: nerfstudio's transforms.json with a time per frame, or a COLMAP text model."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,4 @@
-"""Packages whose names are imported when they are first asked for.
-
-What lies in them and needs no torch (pages, charts, picture files, image metrics) can then be imported without it.
-"""
+"""Packages whose names are imported when they are first asked for."""
 
 import importlib
 from collections.abc import Callable, Mapping

@@ -1,8 +1,4 @@
-"""JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked before memory is given for it.
-
-Needs numpy alone, and PyYAML for YAML, so that the reader of splat files, the add-on and the generator read by it too.
-What is wrong is a ValueError of one line without the file's name, which the caller puts in front.
-"""
+"""JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked first."""
 
 import errno
 import io

@@ -1,7 +1,4 @@
-"""The strongest place and frequency of all pools: candidates for a line, each with the chance that noise makes it.
-
-All of the record is searched first, then windows of a quarter and a twelfth of it, for what dies out early.
-"""
+"""The strongest place and frequency of all pools: candidates for a line, each with the chance that noise makes it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

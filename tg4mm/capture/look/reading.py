@@ -1,8 +1,4 @@
-"""One pass over the pictures: every cell's shift, gain and misfit in each of them.
-
-The first pictures' mean is what all are compared with. Where something passes, the mean is made without it; where the
-camera was knocked for good, each resting place has a mean of its own.
-"""
+"""One pass over the pictures: every cell's shift, gain and misfit in each of them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

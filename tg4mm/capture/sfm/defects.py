@@ -1,7 +1,4 @@
-"""Which parts of a recording cannot be used: black, frozen, of another scene, or on the other side of a knock.
-
-Each is named with its time, and with the --from and --until that leave it out.
-"""
+"""Which parts of a recording cannot be used: black, frozen, of another scene, or on the other side of a knock."""
 
 import math
 import warnings

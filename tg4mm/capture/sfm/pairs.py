@@ -1,8 +1,4 @@
-"""Which pictures are matched: each with all others, frames with their neighbours, or each with those most like it.
-
-Matching thousands of features of two pictures takes a fifth of a second, so that all pairs of a hundred photographs
-take a quarter of an hour. Most pairs show little of the same; a few hundred features of each, the largest, tell which.
-"""
+"""Which pictures are matched: each with all others, frames with their neighbours, or each with those most like it."""
 
 from collections.abc import Sequence
 from itertools import combinations

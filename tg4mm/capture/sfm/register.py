@@ -1,8 +1,4 @@
-"""Frames of a moving camera placed one by one against a model of its sharp ones, then all adjusted together.
-
-A frame's features are matched with those of the nearest frames of the model; those of them that are points of the model
-give the pose (perspective-n-point in RANSAC, then least squares over the inliers), the lens being known.
-"""
+"""Frames of a moving camera placed one by one against a model of its sharp ones, then all adjusted together."""
 
 from collections import Counter
 from collections.abc import Sequence

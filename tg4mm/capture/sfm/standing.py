@@ -1,8 +1,4 @@
-"""A video that walks round the scene and then stands, or stands and then walks: which part is which.
-
-Pictures an eighth of a second apart are compared. Where they stay put the camera stands: on a tripod, a wall, a table;
-a hand moves them by pixels.
-"""
+"""A video that walks round the scene and then stands, or stands and then walks: which part is which."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

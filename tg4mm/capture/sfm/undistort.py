@@ -1,8 +1,4 @@
-"""Pictures through a lens as pictures of a pinhole, all of one size, with their alpha and in 8 bits.
-
-COLMAP chooses the pinhole. The pictures are resampled here, since COLMAP's own routine knows neither alpha nor one
-size for several cameras, and works out the same map again for every frame; a test compares the two.
-"""
+"""Pictures through a lens as pictures of a pinhole, all of one size, with their alpha and in 8 bits."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""The parts of a page, and the page as one self-contained HTML file.
-
-Every string is escaped by the template (jinja2 with autoescape); what is already markup says so by its type.
-"""
+"""The parts of a page, and the page as one self-contained HTML file."""
 
 import base64
 import io

@@ -1,8 +1,4 @@
-"""Checkpoints: each step of a fit is computed once, and a run that was stopped goes on after the last finished one.
-
-A step has a name and a function that gives named arrays. `no_checkpoint` keeps nothing; the stage
-(`tg4mm/run/stages/motion.py`) keeps them in the run.
-"""
+"""Checkpoints: each step of a fit is computed once, and a run that was stopped goes on after the last finished one."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields

@@ -1,9 +1,4 @@
-"""What is known of each mode: which are peaks, which hold nothing but noise, what else it could be.
-
-A fit gives a phasor for every bin of the record's Fourier transform, and most of them hold nothing. The run keeps them
-all, since together they are the motion at every timestep and their median tells a peak from noise; what is handed on
-(a splat file, a band that is asked for) leaves the empty ones out.
-"""
+"""What is known of each mode: which are peaks, which hold nothing but noise, what else it could be."""
 
 from collections.abc import Sequence
 

@@ -1,9 +1,4 @@
-"""The scene at rest once its motion is known: sharp where the mean over time is blurred.
-
-The space stage sees the mean over time of what each camera saw. Motion of a pixel or more blurs it, and so the
-Gaussians. With the motion found, every state's own picture can be compared with the Gaussians moved there. Their
-number and order stay, so that the motion stays theirs.
-"""
+"""The scene at rest once its motion is known: sharp where the mean over time is blurred."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,4 @@
-"""What is asked about a kernel that numba's cache lacks, before it is compiled: whether it may be there by now.
-
-`tg4mm.fit.precompile` answers where the program has it compile kernels in other processes. Importing this imports
-nothing heavy.
-"""
+"""What is asked about a kernel that numba's cache lacks, before it is compiled: whether it may be there by now."""
 
 from collections.abc import Callable
 

@@ -1,9 +1,4 @@
-"""What an unfinished space stage may be continued from; all else is refused before anything is computed with it.
-
-The kernels trust the shapes of their arrays, so a file that was edited, damaged, or belongs to other pictures must not
-reach them. Damage is found where the file is read; the digest of the pictures tells whether they are still those of
-the interrupted run.
-"""
+"""What an unfinished space stage may be continued from; all else is refused before anything is computed with it."""
 
 import hashlib
 import json

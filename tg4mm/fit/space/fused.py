@@ -1,8 +1,4 @@
-"""A training iteration on the CPU without torch around the kernels, and the optimiser that belongs to it.
-
-`train.py` does the same with torch's autograd and Adam on a GPU, and the tests compare the two. Between density
-controls nothing is allocated but what the tile lists grow by.
-"""
+"""A training iteration on the CPU without torch around the kernels, and the optimiser that belongs to it."""
 
 import numpy as np
 import torch

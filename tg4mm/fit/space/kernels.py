@@ -1,9 +1,4 @@
-"""The two passes of a CPU iteration that are not rendering: the loss with its gradient, and the step.
-
-A step takes the gradient by the splats through projection and activations to Adam, a few hundred Gaussians at a time,
-so that no gradient by the parameters is ever written to memory. Every Gaussian and every row of pixels stands for
-itself: the results do not depend on the number of threads.
-"""
+"""The two passes of a CPU iteration that are not rendering: the loss with its gradient, and the step."""
 
 import math
 

@@ -1,10 +1,4 @@
-"""Resolution from coarse to fine: which size of the pictures an iteration sees, and how many Gaussians it may have.
-
-An iteration on pictures of half the size takes a quarter of the time, and large structures need no more. So most
-iterations are made before the pictures have their own size, with as many Gaussians as those sizes can tell apart. And
-an iteration need not see every pixel where Gaussians cover many: some one for each Gaussian, spread evenly, pull them
-as all do.
-"""
+"""Resolution from coarse to fine: which size of the pictures an iteration sees, and how many Gaussians it may have."""
 
 import math
 from dataclasses import dataclass, replace

@@ -1,7 +1,4 @@
-"""The space stage's own unit: cameras DISTANCE away from the middle of what they see, whatever unit the scene is in.
-
-Rates, thresholds and the near plane then mean the same in every scene, and float32 loses nothing to an offset.
-"""
+"""The space stage's own unit: cameras DISTANCE away from the middle of what they see, whatever unit the scene is in."""
 
 from dataclasses import dataclass, replace
 

@@ -1,10 +1,8 @@
 """The scene of a camera that never moves and of which nothing else is known: its mean picture, as Gaussians on a plane.
 
-Discs that face the camera lie at distance 1, one on each cell of a quadtree that goes deeper where the picture has
-detail. With places and sizes given, blending weights are given too and the picture is linear in the colours: least
-squares finds them by conjugate gradients, in place of a long descent in all parameters. Discs let part of the coarser
-ones below shine through: with opaque ones the picture is as good, but its slope, which motion is read from, is not (of
-a shift of a whole picture 7 % were missing), and gaps open where they move apart.
+A quadtree's cells are discs at distance 1: with places and sizes given the picture is linear in the colours, found by
+conjugate gradients. Discs let part of the coarser ones below shine through: of opaque ones the slope, which motion is
+read from, is wrong, and gaps open where they move apart.
 """
 
 import time

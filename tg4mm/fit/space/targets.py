@@ -1,8 +1,4 @@
-"""What the static Gaussians are fitted to: one picture per camera, the mean over time.
-
-Averaging over the images of a camera that stays put takes out noise and leaves the mean pose, around which the
-motion stage measures; a camera used once is its own mean. A capture of one timestep is the special case.
-"""
+"""What the static Gaussians are fitted to: one picture per camera, the mean over time."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,8 +1,4 @@
-"""The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again.
-
-A step is one `tg4mm` command; done again it finds its work done. `run_preset` runs them one after the other on this
-machine; the `Snakefile` beside this module runs the same ones on many.
-"""
+"""The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again."""
 
 import json
 import sys

@@ -1,7 +1,4 @@
-"""Settings of the presets `paper`, [TG4MM]'s own numbers (§IV.B), and `paper-tuned`, where it departs from them.
-
-What each departure brings is measured in docs/paper.md.
-"""
+"""Settings of the presets `paper`, [TG4MM]'s own numbers (§IV.B), and `paper-tuned`, where it departs from them."""
 
 from dataclasses import dataclass, replace
 

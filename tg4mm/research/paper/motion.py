@@ -1,7 +1,4 @@
-"""Phase 2 of [TG4MM]: for each timestep a motion triplane that starts at zero and is added to the frozen space planes.
-
-What is trained here is that triplane alone; space planes, decoder and base attributes stay as phase 1 left them.
-"""
+"""Phase 2 of [TG4MM]: for each timestep a motion triplane added to the frozen space planes."""
 
 import math
 import time

@@ -1,7 +1,4 @@
-"""The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
-
-RUN/checkpoint_motion.safetensors holds the finished steps of an unfinished fit (`checkpoints.py`).
-"""
+"""The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill."""
 
 import dataclasses
 import hashlib

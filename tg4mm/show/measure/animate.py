@@ -1,7 +1,4 @@
-"""Animated pictures of every peak's shape: one period, magnified to a few pixels, from the view that shows most of it.
-
-What stands under its floor does not move in them and is drawn grey: nothing is magnified that was not measured.
-"""
+"""Animated pictures of every peak's shape: one period, magnified to a few pixels, from the view that shows most."""
 
 import io
 from dataclasses import replace

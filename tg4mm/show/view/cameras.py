@@ -1,7 +1,4 @@
-"""Cameras of the capture and of the browser: from one to the other.
-
-The browser's camera has square pixels, its principal point in the middle, and a field of view from top to bottom.
-"""
+"""Cameras of the capture and of the browser: from one to the other."""
 
 import math
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""Drawings of the panel: a spectrum whose peaks can be clicked, a waveform. Inline SVG in the browser's own colours.
-
-The panel's width is what they are drawn for, so that their text is as large as the panel's.
-"""
+"""Drawings of the panel: a spectrum whose peaks can be clicked, a waveform. Inline SVG in the browser's own colours."""
 
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,8 +1,4 @@
-"""The picture of one open page: drawn anew when what it shows or its camera changed.
-
-While something changes, pictures are as fine as keeps up with the frame rate; once all is still, one is drawn at the
-page's full size.
-"""
+"""The picture of one open page: drawn anew when what it shows or its camera changed."""
 
 import math
 import time

@@ -1,8 +1,4 @@
-"""Products with the Jacobian of projection: one 8 × 6 block a Gaussian, stored without its zeros.
-
-Displacement changes all eight columns of a splat, rotation its conic alone: 33 numbers, padded to 36. Each Gaussian is
-summed by one thread in a fixed order, so that results do not depend on the number of threads.
-"""
+"""Products with the Jacobian of projection: one 8 × 6 block a Gaussian, stored without its zeros."""
 
 # mypy: disable-error-code="call-arg, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context

@@ -1,7 +1,4 @@
-"""The Jacobian of projection: derivative of each Gaussian's splat by its displacement and rotation.
-
-Projection's backward pass, once for each column, over chunks of Gaussians that stay in the cache.
-"""
+"""The Jacobian of projection: derivative of each Gaussian's splat by its displacement and rotation."""
 
 # mypy: disable-error-code="no-untyped-call"
 

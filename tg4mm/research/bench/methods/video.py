@@ -1,8 +1,4 @@
-"""Magnification of each test view's own video, in two dimensions: no scene, no other view.
-
-These methods see the very pictures that they are scored on, unmagnified, which no 3D method does: they are what a user
-would get who films from the test view itself. They have no other views to offer.
-"""
+"""Magnification of each test view's own video, in two dimensions: no scene, no other view."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
