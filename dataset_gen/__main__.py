@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tg4mm.core import events
+from tg4mm.core.digits import aligned
 from tg4mm.core.errors import Tg4mmError
 
 from . import run
@@ -77,8 +78,7 @@ def _table(bodies: Sequence[Body]) -> list[str]:
             body.name, f"{len(body.vertices):,}", f"({_place(low)})", f"({_place(high)})", ", ".join(groups),
         )  # fmt: skip
         rows.append(row)
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return aligned(rows)
 
 
 def _modes(settings: Settings, found: Found) -> list[str]:

@@ -21,6 +21,7 @@ from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import Reading, reading_of
 
 FPS = 30.0
@@ -151,7 +152,7 @@ def _nearest(hz: float, found: Sequence[tuple[float, float]], duration_s: float)
 
 
 def _of_run(reading: Reading, truth: Truth, exact: np.ndarray, what: Drawn) -> Score:
-    out, named = Score(), reading.result().vibrations
+    out, named = Score(), result_from(reading).vibrations
     lines, used = [(v.hz, v.deviation_hz) for v in named], set()
     for hz, phasors in _at(truth.freqs_hz, exact):
         size = reading.seen.pixels(phasors) or 0.0

@@ -15,6 +15,7 @@ from tg4mm.capture.sfm.clip import save_png
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.files import json_digest, link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import progress
+from tg4mm.core.splatfile.axes import quats_of
 from tg4mm.core.work_folder import WorkFolder
 
 POINTS = "points3d.ply"
@@ -181,15 +182,6 @@ def link_pictures(capture: Capture, folder: Path) -> list[str]:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """[4] unit quaternion wxyz, w ≥ 0, of a rotation matrix [3, 3]: the eigenvector of Bar-Itzhack's matrix."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], 0, 0, 0],
-            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], 0, 0],
-            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0],
-            [r[1, 0] - r[0, 1], r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    q = np.linalg.eigh(k)[1][:, -1]  # of the lower triangle
+    """[4] unit quaternion wxyz, w ≥ 0, of a rotation matrix [3, 3]."""
+    q = quats_of(rotation[None])[0]
     return q if q[0] >= 0 else -q

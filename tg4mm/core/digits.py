@@ -1,6 +1,7 @@
-"""Numbers as text, with as many digits as are known."""
+"""Numbers as text, with as many digits as are known; tables as text."""
 
 import math
+from collections.abc import Sequence
 
 
 def value_with_deviation(value: float, deviation: float | None) -> str:
@@ -13,3 +14,9 @@ def value_with_deviation(value: float, deviation: float | None) -> str:
     digits = max(0, 1 - math.floor(math.log10(deviation)))
     text = f"{value:.{digits}f} ± {deviation:.{digits}f}"
     return text if power == 0 else f"({text})e{power}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The rows of a table as lines, each column as wide as its longest cell and two spaces from the next."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

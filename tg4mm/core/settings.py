@@ -5,6 +5,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Any
 
+from tg4mm.core.digits import aligned
 from tg4mm.core.errors import Tg4mmError
 
 
@@ -22,8 +23,7 @@ def listed(defaults: Mapping[str, Any]) -> list[str]:
             text = str(value).lower() if isinstance(value, bool) else str(value) or "empty"
             unit = field.metadata.get("unit", "") if value != "" else ""
             rows.append((f"{stage}.{field.name}", f"{text} {unit}".strip(), field.metadata.get("about", "")))
-    wide = [max((len(row[i]) for row in rows), default=0) for i in range(2)]
-    return [f"{name:<{wide[0]}}  {value:<{wide[1]}}  {about}".rstrip() for name, value, about in rows]
+    return aligned(rows)
 
 
 def unknown(name: str, defaults: Mapping[str, Any]) -> Tg4mmError:

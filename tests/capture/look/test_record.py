@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.helpers.look import found
-from tg4mm.capture.look.look import marked
+from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.record import from_record, to_record
 
 

@@ -25,7 +25,7 @@ def photographs(tmp_path):
 def test_of_many_photographs_the_likely_pairs_place_all(photographs, tmp_path, monkeypatch):
     """The one that is like none is tried with all others, the rest with their nearest alone."""
     pytest.importorskip("pycolmap")
-    monkeypatch.setattr(reconstruct, "CHOSEN_FROM", 6)
+    monkeypatch.setattr(pairs, "CHOSEN_FROM", 6)
     monkeypatch.setattr(pairs, "most_alike", lambda alike: most_alike(alike, most=4))
     asked: list[list[pairs.Pair]] = []
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage, stats
 
 from tg4mm.capture.look.compression import with_losses
+from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import Look, LookLine, Mover, Tone
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
@@ -15,8 +16,8 @@ from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, Picture, read_cel
 from tg4mm.capture.look.recording import read_recording
 from tg4mm.capture.look.regions import region_looks, with_lines
 from tg4mm.capture.look.rows import by_light
-from tg4mm.capture.look.scene import PATTERNS, Scene, against_background, scene_of
-from tg4mm.capture.look.search import Line, Search, images
+from tg4mm.capture.look.scene import Scene, against_background, scene_of
+from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.capture.stacks import is_stack
@@ -210,62 +211,3 @@ def _passing(scene: Scene) -> Iterator[Mover]:
             box = (columns.start * size, rows.start * size, columns.stop * size, rows.stop * size)
             first, last = scene.times_s[times.start], scene.times_s[times.stop - 1]
             yield Mover("passes", box, from_s=float(first), until_s=float(last))
-
-
-_WEAK = 30.0  # times weaker beside a line: what a codec makes of it
-_LARGER = 2.0  # times the amplitude of a line that others are made of
-_MULTIPLES = (2, 3, 4)
-_EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
-
-
-def marked(
-    lines: list[LookLine],
-    rate: float,
-    duration_s: float,
-    patterns: tuple[int, ...] = PATTERNS,
-    light_hz: Sequence[float] = (),
-) -> list[LookLine]:
-    """The same lines, each with why it may be none of its own.
-
-    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts, and with it what is
-    no further from it than the record tells apart.
-    """
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
-
-
-@dataclass(frozen=True)
-class _Near:
-    line: LookLine
-    resolution_hz: float
-
-    def __call__(self, hz: float, other: LookLine, times: int = 1) -> bool:
-        known = 3 * np.hypot(self.line.hz_deviation, times * other.hz_deviation)
-        return bool(abs(hz - self.line.hz) < max(0.5 * self.resolution_hz, known))
-
-
-def _mark(
-    line: LookLine,
-    lines: list[LookLine],
-    rate: float,
-    duration_s: float,
-    patterns: tuple[int, ...],
-    light_hz: Sequence[float],
-) -> str:
-    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
-        return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
-    for hz in light_hz:
-        if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
-    near = _Near(line, 1 / duration_s)
-    for other in lines:
-        if other.amplitude_px >= _LARGER * line.amplitude_px:
-            for n in _MULTIPLES:
-                folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
-                if near(folded, other, n):
-                    return f"{n} × {other.hz:.3f} Hz"
-            if any(near(image, other) for image in images(other.hz, rate, patterns)):
-                return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
-    for other in lines:
-        if other.statistic > _WEAK * line.statistic:
-            return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
-    return ""

@@ -26,6 +26,13 @@ FIRM = 30  # verified matches of a pair that is relied on
 FEWEST_FIRM = 4  # such pairs that a picture needs, or it is matched with all others after all
 
 
+def chosen_pairs(names: Sequence[str], frames: int, ordered: bool, matching: str) -> list[Pair] | None:
+    """The pairs to match, None for those that are alike. The first `frames` are a recording's; ordered: in time."""
+    if matching == "sequential" or (matching == "auto" and ordered and frames > EXHAUSTIVE_MOST):
+        return picture_pairs(names, frames)
+    return None if matching == "auto" and len(names) > CHOSEN_FROM else picture_pairs(names)
+
+
 def picture_pairs(names: Sequence[str], sequence: int = 0) -> list[Pair]:
     """Pairs to match: all, but of the first `sequence` pictures, frames in order, each with the next OVERLAP and then
     ever rarer ones; others with every EVERY-th of those.

@@ -28,7 +28,7 @@ from tg4mm.capture.sfm.kind import (
     kind_of,
     possible_kinds,
 )
-from tg4mm.capture.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
+from tg4mm.capture.sfm.pairs import chosen_pairs
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.capture.sfm.register import Workspace, register_frames
 from tg4mm.capture.sfm.scale import baseline_scale, measured_length
@@ -224,23 +224,14 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
 def _first_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
     names = [staged_name(shot) for shot in taken]
-    pairs = _pairs(job, taken, names)
+    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
+    ordered = job.kind.moving or (job.kind.still and bool(job.sources.clips))
+    pairs = chosen_pairs(names, frames, ordered, job.config.matching)
     model = mapping.find_poses(
         workspace.database, workspace.images, workspace.masks, names, pairs, workspace.seed, job.threads
     )
     _check_placed(job, taken, mapping.registered(model), quiet=True)
     return mapping.as_pinholes(model, job.threads)
-
-
-def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
-    """The pairs to match, None for those that are alike."""
-    matching = job.config.matching
-    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
-    ordered = job.kind.moving or (job.kind.still and bool(job.sources.clips))
-    many = ordered and matching == "auto" and frames > EXHAUSTIVE_MOST
-    if many or matching == "sequential":
-        return picture_pairs(names, frames)
-    return None if matching == "auto" and len(names) > CHOSEN_FROM else picture_pairs(names)
 
 
 def _moving_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:

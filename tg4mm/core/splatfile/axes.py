@@ -37,7 +37,7 @@ def transformed(splat: SplatFile, linear: np.ndarray, shift: np.ndarray | None =
     alike = stretch[0] - stretch[-1] <= _ALIKE * size
     if alike:
         quats, scales = (
-            quat_product(_quats(proper[None]), splat.quats.astype(np.float64)),
+            quat_product(quats_of(proper[None]), splat.quats.astype(np.float64)),
             size * splat.scales,
         )
     else:
@@ -64,7 +64,7 @@ def transformed(splat: SplatFile, linear: np.ndarray, shift: np.ndarray | None =
 def _stretched(splat: SplatFile, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions [N, 4] and scales [N, 3] of the Gaussians under `linear`: axes of A R S (A R S)ᵀ."""
     axes, scales, _ = np.linalg.svd(linear @ _matrices(splat.quats) * splat.scales[:, None, :])
-    return _quats(axes * np.linalg.det(axes)[:, None, None]), scales
+    return quats_of(axes * np.linalg.det(axes)[:, None, None]), scales
 
 
 def _matrices(quats: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ def _matrices(quats: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _quats(matrices: np.ndarray) -> np.ndarray:
+def quats_of(matrices: np.ndarray) -> np.ndarray:
     """[N, 4] unit quaternions wxyz of rotations [N, 3, 3]: the eigenvector of Bar-Itzhack (2000), good at any angle."""
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrices, 0, 2)
     rows = (

@@ -267,11 +267,14 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
     iterations = config.iterations or ITERATIONS
     gaussians = plane_gaussians(picture, K, viewmat, budget).to(device)
     with progress("space stage", iterations) as update, full_precision(device):
-
-        def report(done: int, psnr: float) -> None:
-            update(done, psnr_db=round(psnr, 2))
-
-        gaussians = solve_colours(gaussians, picture, viewmat, K, iterations, report)
+        gaussians = solve_colours(
+            gaussians,
+            picture,
+            viewmat,
+            K,
+            iterations,
+            lambda done, psnr: update(done, psnr_db=round(psnr, 2)),
+        )
     psnr = plane_psnr(gaussians, picture, viewmat, K)
     gaussians = gaussians.detach().to("cpu")
     figures = {

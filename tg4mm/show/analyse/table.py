@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.show.analyse.quantities import Value
 from tg4mm.show.analyse.write import Analysis
-from tg4mm.show.result.model import Length, with_deviation
 
 
 def format_analysis(found: Analysis) -> str:
@@ -68,14 +68,8 @@ def _both(value: Value) -> str:
         return "–"
     if not np.isfinite(value.deviation):
         return f"{value.value:.4g}"
-    return with_deviation(Length(value.value, value.deviation))
+    return value_with_deviation(value.value, value.deviation)
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    if not rows:
-        return ""
-    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-    return "".join(
-        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() + "\n"
-        for row in (head, *rows)
-    )
+    return "".join(f"{line}\n" for line in aligned([head, *rows])) if rows else ""

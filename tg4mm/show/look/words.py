@@ -13,7 +13,7 @@ from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.sfm.clip import WHOLE, Window
-from tg4mm.core.digits import value_with_deviation
+from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.files import write_json
 from tg4mm.core.regions import Region, Regions
 
@@ -177,9 +177,7 @@ class Words:
         """All of it as lines of text."""
         out = [self.head]
         for header, rows in ((list(HEADER), self.rows()), (self.region_header(), self.region_rows())):
-            widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
-            for row in [header, *rows] if rows else []:
-                out.append("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+            out += [f"  {line}" for line in aligned([header, *rows])] if rows else []
         if not self.found.vibrations:
             out.append(f"  {self.verdict}")
         last = ""

@@ -3,13 +3,13 @@
 import numpy as np
 
 from tg4mm.capture.codec import Loss, reported_deviation
+from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.lines import FEWEST, Line
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
 from tg4mm.show.measure.units import unit_of
-from tg4mm.show.result.model import Length, with_deviation
 
 _WHOLE = 0.9  # of an amplitude that compression let through: less is said
 _NO_NOISE_PX = 1e-5  # of a floor: no sensor is so free of noise
@@ -18,11 +18,13 @@ HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase,
 
 def format_table(measurement: Measurement) -> str:
     """A table, amplitudes zero to peak along each orbit's main axis; phases against the reference sensor."""
-    rows = table_of(measurement)
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
-    return "\n".join([*lines, "", reference, *(f"note: {note}" for note in measurement.notes)]) + "\n"
+    return (
+        "\n".join(
+            [*aligned(table_of(measurement)), "", reference, *(f"note: {note}" for note in measurement.notes)]
+        )
+        + "\n"
+    )
 
 
 def table_of(measurement: Measurement) -> list[list[str]]:
@@ -44,12 +46,14 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         out.append(
             [
                 result.name if not out else "",
-                _both(peak.frequency_hz, peak.frequency_deviation_hz),
-                f"{_both(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
-                f"{_both(orbit.amplitude * pixels, error * pixels)} px",
+                value_with_deviation(peak.frequency_hz, peak.frequency_deviation_hz),
+                f"{value_with_deviation(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
+                f"{value_with_deviation(orbit.amplitude * pixels, error * pixels)} px",
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
-                "" if damping is None else f"{_both(100 * damping.ratio, 100 * damping.deviation)} %",
+                ""
+                if damping is None
+                else f"{value_with_deviation(100 * damping.ratio, 100 * damping.deviation)} %",
                 remark(peak, orbit, loss),
             ]
         )
@@ -65,10 +69,6 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     told = f"under {level * unit.factor:.2g} {unit.name}"
     told += "" if unit.name == "px" else f", {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
-
-
-def _both(value: float, deviation: float) -> str:
-    return with_deviation(Length(value, deviation))
 
 
 def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:

@@ -1,0 +1,68 @@
+"""Which lines may be made of a stronger one: by the codec, or as its multiples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.capture.look.model import LookLine
+from tg4mm.capture.look.scene import PATTERNS
+from tg4mm.capture.look.search import images
+
+_WEAK = 30.0  # times weaker beside a line: what a codec makes of it
+_LARGER = 2.0  # times the amplitude of a line that others are made of
+_MULTIPLES = (2, 3, 4)
+_EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
+
+
+def marked(
+    lines: list[LookLine],
+    rate: float,
+    duration_s: float,
+    patterns: tuple[int, ...] = PATTERNS,
+    light_hz: Sequence[float] = (),
+) -> list[LookLine]:
+    """The same lines, each with why it may be none of its own.
+
+    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts, and with it what is
+    no further from it than the record tells apart.
+    """
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
+
+
+@dataclass(frozen=True)
+class _Near:
+    line: LookLine
+    resolution_hz: float
+
+    def __call__(self, hz: float, other: LookLine, times: int = 1) -> bool:
+        known = 3 * np.hypot(self.line.hz_deviation, times * other.hz_deviation)
+        return bool(abs(hz - self.line.hz) < max(0.5 * self.resolution_hz, known))
+
+
+def _mark(
+    line: LookLine,
+    lines: list[LookLine],
+    rate: float,
+    duration_s: float,
+    patterns: tuple[int, ...],
+    light_hz: Sequence[float],
+) -> str:
+    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
+        return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
+    for hz in light_hz:
+        if abs(hz - line.hz) < 1 / duration_s:
+            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
+    near = _Near(line, 1 / duration_s)
+    for other in lines:
+        if other.amplitude_px >= _LARGER * line.amplitude_px:
+            for n in _MULTIPLES:
+                folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
+                if near(folded, other, n):
+                    return f"{n} × {other.hz:.3f} Hz"
+            if any(near(image, other) for image in images(other.hz, rate, patterns)):
+                return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
+    for other in lines:
+        if other.statistic > _WEAK * line.statistic:
+            return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
+    return ""
