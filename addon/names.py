@@ -33,9 +33,8 @@ REFERENCE_MODES = "tg4mm_reference_modes"
 # Custom properties of the object. MARK tells our objects; the others say what the file said.
 MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"
 FRAMES = "tg4mm_frames"  # of a sequence, the name of the collection that holds its frames
-LOW_PASS = (
-    "tg4mm_low_pass_px2"  # what the file says its scales hold of the training's low-pass; absent if nothing
-)
+# what the file says its scales hold of the training's low-pass; absent if nothing
+LOW_PASS = "tg4mm_low_pass_px2"
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
 AXES = "tg4mm_axes"  # what the import took for up, as in io/splats.py; absent: as in the file
 TIME_ORIGIN = "tg4mm_time_origin_s"  # of timestep 0 on the recording's clock, s; absent: 0

@@ -200,7 +200,6 @@ def build_tree(name: str, motion: Motion, gain: float, first_frame: int) -> Any:
 
 
 def _gain(graph: Graph, motion: Motion, basis: Basis, t: Any) -> Any:
-    """The gain of a basis shape at timestep t."""
     law, turn = motion.laws[basis.mode], cmath.phase(basis.turn)
     if not isinstance(law, Vibration):  # a ramp, i t / fps
         slope = 1j * basis.turn / motion.fps

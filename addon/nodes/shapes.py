@@ -47,12 +47,10 @@ class DrawMode:
 
     about: str  # a line of the preferences
     build: Callable[[_Asked], Any]  # what is drawn of the points
-    drawn_ns: float | None = (
-        None  # that a laptop takes for a Gaussian; None: an import never takes it by itself
-    )
-    soft: bool = (
-        False  # see-through: needs faint Gaussians, blends, is drawn as ellipsoids where all is one mesh
-    )
+    # that a laptop takes for a Gaussian; None: an import never takes it by itself
+    drawn_ns: float | None = None
+    # see-through: needs faint Gaussians, blends, is drawn as ellipsoids where all is one mesh
+    soft: bool = False
     native: bool = False  # Blender draws it, from 5.3 on
     sized: bool = False  # ends at the input Ellipsoid Radius
     still: bool = False  # of the points at rest, with their displacement beside them: of moving files alone

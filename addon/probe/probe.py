@@ -40,9 +40,8 @@ class Probe:
     axes: np.ndarray  # [M, 3] the unit vector of each mode against which its phases are measured
     fps: float  # Hz
     n_timesteps: int
-    deviations: np.ndarray | None = (
-        None  # [M] standard deviation of each amplitude, scene units; None: not known
-    )
+    # [M] standard deviation of each amplitude, scene units; None: not known
+    deviations: np.ndarray | None = None
 
     @property
     def duration_s(self) -> float:

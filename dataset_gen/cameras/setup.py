@@ -44,9 +44,8 @@ class CameraSetup:
     angle_x: float = CAMERA_ANGLE_X  # horizontal field of view, radians
     given: tuple[Camera, ...] = ()  # of kind "given" alone
     clock_offset_s: float = 0.0  # how far the clocks of cameras that film together are off at most, seconds
-    clearance: float = (
-        1.0  # training cameras other than the orbit's stand this many times as far away (`framing`)
-    )
+    # training cameras other than the orbit's stand this many times as far away (`framing`)
+    clearance: float = 1.0
     test_clearance: float = 1.0  # and so do test cameras, of which flat has none of its own
 
     def __post_init__(self) -> None:

@@ -20,9 +20,8 @@ class Effects:
     """
 
     shake_px: float = 0.0  # rms shift of the picture by a camera that shakes about its own centre
-    exposure_drift: float = (
-        0.0  # percent, peak to peak over the record; white balance drifts by a third of it
-    )
+    # percent, peak to peak over the record; white balance drifts by a third of it
+    exposure_drift: float = 0.0
     flicker: float = 0.0  # percent, peak to peak, of the light
     flicker_hz: float = 100.0
     codec: str = "none"  # what the pictures of each camera go through as one video

@@ -136,7 +136,6 @@ class Record:
         return np.asarray(gain * (light[:-1] / light[-1])[:, None, None])
 
     def _lamp_phase(self) -> float:
-        """One lamp for all cameras."""
         return float(np.random.default_rng([self.seed, 0xF11C]).uniform(0.0, 2 * np.pi))
 
     def _all_turns(self, camera: Camera) -> np.ndarray:

@@ -107,5 +107,4 @@ def _sea() -> tuple[Part, ...]:
 
 
 def _swell() -> np.random.Generator:
-    """The waves of the mesh are those of the picture."""
     return np.random.default_rng([2031, 0])

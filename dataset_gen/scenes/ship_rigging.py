@@ -41,7 +41,6 @@ def _mast(plan: MastPlan) -> list[m.Mesh]:
 
 
 def _platforms(plan: MastPlan) -> list[m.Mesh]:
-    """The top, the caps and the crosstrees."""
     r, size = plan.radius, plan.radius / 0.022
     top = m.revolve([(size * r, z) for r, z in _TOP], 24)
     made = [shifted(top, plan.at(plan.top, 0.8 * r))]

@@ -109,8 +109,6 @@ def _surface(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> SurfacePoints | No
 
 
 class _Bytes:
-    """A binary file read from front to back."""
-
     def __init__(self, path: Path) -> None:
         self.data, self.at = path.read_bytes(), 0
 

@@ -103,7 +103,6 @@ def _numbered(base: Path) -> dict[int, Path]:
 
 
 def _timestep_folders(root: Path, base: Path, gaps: bool) -> dict[int, Path]:
-    """By timestep, rising."""
     found = dict(sorted(_numbered(base).items()))
     if not found:
         raise CaptureError(f"{base}: holds no timestep folders 000, 001, …")

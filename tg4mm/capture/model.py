@@ -48,9 +48,8 @@ class Capture:
     points: SurfacePoints | None = None  # points on the surfaces with colours; None: the dataset has none
     scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
     kind: Kind = None  # type: ignore[assignment]  # inferred from the cameras if not given
-    clocks: str = (
-        ""  # of several fixed cameras: synchronous or independent; inferred from the times if not given
-    )
+    # of several fixed cameras: synchronous or independent; inferred from the times if not given
+    clocks: str = ""
     readout_s: float = 0.0  # from a picture's first row to its last (rolling shutter); 0: all rows at once
     # [C] float64, seconds on the clock of the image's own camera, of its middle row; NaN for a picture of the scene at
     # rest without a time. t / fps if not given.

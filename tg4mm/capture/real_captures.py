@@ -117,7 +117,6 @@ def _mask(root: Path, frame: Path) -> Path | None:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    """In order of name."""
     found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     return sorted((inside(folder, path, "picture") for path in found), key=lambda path: natural(path.name))
 

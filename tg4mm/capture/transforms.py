@@ -43,9 +43,8 @@ class View:
     file: Record
     time_s: float = math.nan  # the frame's own time; NaN where it has none
     mask: Path | None = None  # white where it counts; None: everywhere
-    lens: Lens | None = (
-        None  # how its picture becomes a pinhole's, where it is none; then intrinsics are its own
-    )
+    # how its picture becomes a pinhole's, where it is none; then intrinsics are its own
+    lens: Lens | None = None
 
 
 def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View]:

@@ -28,9 +28,8 @@ class WorkFolder:
     path: Path
     record: str
     error: type[Tg4mmError] = RunError
-    strangers: str = (
-        "*"  # a folder without a record that holds any of these (a glob pattern) is somebody else's
-    )
+    # a folder without a record that holds any of these (a glob pattern) is somebody else's
+    strangers: str = "*"
     # of values that are too long to be shown, or say nothing: what is said where they differ, by their first name
     others: Mapping[str, str] = field(default_factory=dict)
     free: tuple[str, ...] = ()  # first names of values that a later request may change

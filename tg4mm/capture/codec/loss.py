@@ -155,7 +155,6 @@ def _told(gain: float, deviation: float) -> Loss:
 
 
 def _by_pictures(made: Probe, mask: np.ndarray, unasked: str) -> Loss:
-    """Where no encoder can be asked."""
     inside = mask > 0.5
     own = made.luma[:, inside].astype(np.float32)
     equal = float((own[1:] == own[:-1]).mean())

@@ -240,7 +240,6 @@ class _Placing:
         return max(0.0, 1 - float(np.median(series.misfit[forward]) / np.median(series.misfit[intra])))
 
     def _readout(self, direction: np.ndarray) -> Readout | None:
-        """The readout that the cells' phases along the direction tell."""
         statistic = self.cells.statistic
         cells = np.flatnonzero(statistic > _READOUT_STATISTIC)
         if len(cells) <= _READOUT_CELLS or self._meets_image():

@@ -72,7 +72,6 @@ def read_recording(
 
 
 def _expected(info: VideoInfo, window: Window) -> int:
-    """Pictures, about."""
     if not info.duration_s:
         return max(info.total, 1)
     seconds = min(window.stop_s, info.duration_s) - window.start_s

@@ -205,7 +205,6 @@ class Search:
         return float(np.einsum("ix,xy,jy,ij->", common, total, common, products))
 
     def _take_off(self) -> None:
-        """All lines together off every pool."""
         parts = [self.columns(line.vibration) for line in self.lines]
         stops = np.cumsum([part.shape[1] for part in parts])[:-1]
         columns = np.concatenate(parts, 1)

@@ -33,14 +33,12 @@ class SfmConfig:
 
     kind: str | None = None  # of capture; None: told from what lies on disk
     camera_model: str = "SIMPLE_RADIAL"  # COLMAP's name of the lens model; one bend is enough for most
-    focal_px: float | None = (
-        None  # pixels, a first guess that is refined; None: EXIF, or 1.2 × the longer side
-    )
+    # pixels, a first guess that is refined; None: EXIF, or 1.2 × the longer side
+    focal_px: float | None = None
     each: bool = False  # every photograph or fixed camera has intrinsics of its own, else all share them
     matching: str = "auto"  # all pairs of few pictures, of many those alike or, of a video, neighbours
-    frames: int | None = (
-        None  # sharp ones that a moving camera's poses are first found from; None: one of a window
-    )
+    # sharp ones that a moving camera's poses are first found from; None: one of a window
+    frames: int | None = None
     fps: float | None = None  # what was filmed at, Hz; None: as the videos say
     readout_s: float | None = None  # from a picture's first row to its last; None: all rows at once
     start_s: float = 0.0  # of every recording, seconds since its first frame

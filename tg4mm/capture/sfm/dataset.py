@@ -113,7 +113,6 @@ def _rows(track: Track) -> list[int]:
 
 
 def _write_pictures(folders: list[Path], track: Track, update: Update, done: int) -> None:
-    """The track's pictures, one in each of the folders."""
     targets = {row: folder / track.file(row) for row, folder in zip(_rows(track), folders, strict=True)}
     missing = {row: target for row, target in targets.items() if not target.is_file()}
     if not missing:

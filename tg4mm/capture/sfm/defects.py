@@ -209,7 +209,6 @@ def _split(stretch: tuple[int, int], marks: list[int]) -> list[tuple[int, int]]:
 
 
 def _knocks(survey: Survey) -> list[Knock]:
-    """The knocks within each part."""
     times = _times(survey)
     found = []
     for first, stop in _parts(survey):

@@ -190,7 +190,6 @@ class NoveltyMeter:
 
     @property
     def _is_lit(self) -> bool:
-        """Whether the light changes."""
         seen = np.array(self._brightness)[self._at]
         return bool(np.ptp(np.quantile(seen, (0.05, 0.95))) > LIT)
 
@@ -252,7 +251,6 @@ def _in_blocks(grey: np.ndarray) -> np.ndarray:
 
 
 def _block_changes(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Mean absolute difference of each block."""
     return _in_blocks(np.abs(grey - other)).mean(axis=2)
 
 

@@ -202,7 +202,6 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
 
 
 def _model(job: _Job, taken: list[Shot]) -> Any:
-    """The pycolmap Reconstruction, found or read again."""
     work, config = job.work.folder, job.config
     sparse = work / "sparse" / "0"
     if sparse.is_dir():

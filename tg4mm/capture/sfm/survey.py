@@ -172,8 +172,6 @@ def _positive(rate: Fraction) -> Fraction:
 
 
 class _Look:
-    """What is gathered frame by frame."""
-
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
         self.times: list[Fraction | None] = []

@@ -103,9 +103,8 @@ class Line:
 
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line
-LEAST_CHANGE = (
-    0.1  # of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
-)
+# of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
+LEAST_CHANGE = 0.1
 _ALIKE = 6  # components up to which their correlation is taken out
 _TINY = 1e-12
 _KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere

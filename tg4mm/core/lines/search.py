@@ -162,9 +162,8 @@ class _Look:
 
 
 _SURE = 1e-3  # chance that pictures between others are called lossy though they are not
-WEAKER = (
-    1.5  # times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
-)
+# times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
+WEAKER = 1.5
 _MIRROR, _OVERLAP = 2.0, 0.7  # 1 / duration about twice a frequency, and what is too much there
 _PLACES = 3  # of pictures between two others, at most, that are told apart
 
@@ -248,7 +247,6 @@ def _gained(record: Record, x: np.ndarray, part: np.ndarray, level: np.ndarray) 
 
 
 def _explained(record: Record, x: np.ndarray, more: np.ndarray, level: np.ndarray) -> float:
-    """χ²."""
     before, after = _left(record, x), _left(record, np.column_stack([x, more]))
     return float((((before**2).sum(0) - (after**2).sum(0)) / level).sum())
 

@@ -24,7 +24,6 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def _header(path: Path) -> tuple[int, int, list[str]]:
-    """Width, height and names of channels."""
     with _opened(path, header_only=True) as file, _damage_told(path):
         header = file.header()
         first, last = (np.asarray(corner, np.int64) for corner in header["dataWindow"])

@@ -115,7 +115,6 @@ def _matrix(node: dict[str, Any]) -> np.ndarray:
 
 
 def _gaussians(document: Document, primitive: dict[str, Any], about: dict[str, Any] | None) -> SplatFile:
-    """The Gaussians of a primitive in its own axes."""
     told = primitive["extensions"][EXTENSION]
     for name in SPZ:
         if name in (packed := told.get("extensions", {})):

@@ -31,12 +31,10 @@ class SplatFile:
     n_timesteps: int = 1  # T
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
     time_origin_s: float = 0.0  # seconds at timestep 0, on the recording's clock
-    deviation: np.ndarray | None = (
-        None  # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
-    )
-    low_pass_px2: float | None = (
-        None  # of the training pictures' low-pass, what the scales hold; None: nothing said
-    )
+    # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
+    deviation: np.ndarray | None = None
+    # of the training pictures' low-pass, what the scales hold; None: nothing said
+    low_pass_px2: float | None = None
     notes: tuple[str, ...] = ()  # of a file that was read: what was left out or changed, a line each
 
     @classmethod

@@ -133,7 +133,6 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _kind(path: Path) -> str:
-    """Which reader takes the file."""
     with path.open("rb") as file:
         start = file.read(64)
     if start.startswith((spz.GZIP, spz.NGSP)):

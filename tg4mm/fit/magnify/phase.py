@@ -147,7 +147,6 @@ class PhaseMagnifier:
         turn(held.view(len(held), -1), self.response)
 
     def _add(self, band: SubBand, spectrum: Tensor, change: Tensor) -> None:
-        """Magnify one sub-band and add what changed to `change`."""
         n, (h, w) = len(spectrum), band.analysis.shape
         held = torch.empty(n, h, w, dtype=torch.complex64)
         parts = _parts(n, h * w)

@@ -20,9 +20,8 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.space.view import EPS2D
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
-_CLOCK = (
-    0.1  # of a frame: by how much the time stamps of one clock differ, from each other and from even steps
-)
+# of a frame: by how much the time stamps of one clock differ, from each other and from even steps
+_CLOCK = 0.1
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
 LEAST_PERIODS = 0.5  # of a band that a person gives: less is a slope

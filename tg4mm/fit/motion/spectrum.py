@@ -157,9 +157,8 @@ TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line wi
 _MOST = 8  # sinusoids
 _WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
 _PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak
-_EVIDENCE = (
-    10.0  # that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
-)
+# that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
+_EVIDENCE = 10.0
 _APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
 _ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
 _OVERSAMPLED = 8

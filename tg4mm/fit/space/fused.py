@@ -34,7 +34,6 @@ class FusedAdam(ParameterRows):
         self._activate()
 
     def _activate(self) -> None:
-        """What follows from `values`."""
         _, _, log_scales, logits, _ = self.values
         self.active = (np.empty_like(log_scales), np.empty_like(logits))
         activate(log_scales, logits, *self.active)

@@ -34,8 +34,6 @@ FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others 
 
 @dataclass
 class _Fit:
-    """Everything that changes from one iteration to the next."""
-
     adam: ParameterAdam | FusedAdam
     error: Tensor  # [N] shares since the last density control
     psnr: Tensor  # [] float64, running mean over training views, dB

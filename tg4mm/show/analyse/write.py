@@ -35,9 +35,8 @@ class AnalyseOptions:
     machine: str | None = None  # class I to IV
     reference: Path | None = None  # a CSV file of a second instrument
     column: str | None = None  # of it; None: the only one
-    sync: str | None = (
-        None  # column of it, of an accelerometer where the first channel is, that tells the lag
-    )
+    # column of it, of an accelerometer where the first channel is, that tells the lag
+    sync: str | None = None
     lag: float | None = None  # seconds; None: estimated
     against: Path | None = None  # an earlier record
     modes: bool = False

@@ -64,7 +64,6 @@ def _period(scene: Prepared, shape: Shape, gain: float):
 
 
 def _greyed(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
-    """Colours of some Gaussians near grey."""
     which = torch.from_numpy(rows)
     sh = gaussians.sh.clone()
     sh[which] = (1 - _GREY) * sh[which] + _GREY * sh[which].mean(2, keepdim=True)

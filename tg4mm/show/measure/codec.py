@@ -35,7 +35,6 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
 
 
 def _rings(result: SensorResult) -> bool:
-    """Whether a peak decays."""
     return any(p.line is not None and p.line.decay_per_s > 0 for p in result.spectrum.peaks)
 
 

@@ -204,7 +204,6 @@ def _series(
 def _of_clips(
     scene: Prepared, series: Sequence[Sequence[Series]], bodies: Sequence
 ) -> tuple[list[Together], ClipPhases]:
-    """Of series by clip and sensor."""
     freqs_hz, figures = scene.modal.freqs_hz, scene.fit.figures
     phases = [clock_phases(figures, c.name, freqs_hz) for c in scene.clocks]
     known = [p for p in phases if p is not None]

@@ -103,7 +103,6 @@ def _passed(
     modal: ModalFields,
     series: np.ndarray,
 ) -> tuple[dict[str, np.ndarray], Sides]:
-    """One pass through the frames."""
     frames, _, _ = corrected_poses(gaussians, observations, 0)
     n, count = len(gaussians), len(frames)
     width, height = observations.size

@@ -43,7 +43,6 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 
 
 def _saved(plt: Any, figure: Any, stem: Path) -> list[Path]:
-    """stem.svg and .png."""
     paths = []
     for ending in ("svg", "png"):
         data = io.BytesIO()

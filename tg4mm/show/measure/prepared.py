@@ -122,8 +122,6 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Fixed:
-    """Fixed cameras."""
-
     fit: MotionFit
     folder: Path | None
     capture: Capture
@@ -269,5 +267,4 @@ def seen_weights(views: Sequence[MeasuredView], n_gaussians: int) -> np.ndarray:
 
 
 def _centred(series: np.ndarray) -> np.ndarray:
-    """Changes are from the mean over time."""
     return series - series.mean(1, keepdims=True)

@@ -154,7 +154,6 @@ def checked_names(sensors: Sequence[Sensor]) -> list[Sensor]:
 
 
 def _short(value: Any) -> str:
-    """As it stands in a message of one line."""
     text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 

@@ -121,9 +121,8 @@ class View:
     why_no_truth: str = ""
     clock: str = "synchronous"  # `Observations.clock`
     n_frames: int = 0  # that the camera took; more than the video holds where the record is long
-    fixed: tuple[np.ndarray, np.ndarray] | None = (
-        None  # of a moving camera: α = 0 and α, rendered from `camera`
-    )
+    # of a moving camera: α = 0 and α, rendered from `camera`
+    fixed: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def alpha(self) -> float:

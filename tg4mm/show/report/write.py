@@ -56,9 +56,8 @@ class ReportOptions:
     orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
     # Further files or folders to list with their size.
     files: Mapping[str, Path] = field(default_factory=dict)
-    metrics: Mapping[str, Any] | None = (
-        None  # as `evaluate_run` returns them; None: RUN/metrics.json, or `evaluate`
-    )
+    # as `evaluate_run` returns them; None: RUN/metrics.json, or `evaluate`
+    metrics: Mapping[str, Any] | None = None
     evaluate: Evaluate | None = None  # scores a run whose dataset has ground truth; None: without scores
 
 

@@ -107,7 +107,6 @@ def _named(
 
 
 def _still(reading: Reading) -> Result:
-    """Of a capture of one timestep."""
     capture = reading.capture
     return Result(
         run=reading.run.path,

@@ -159,9 +159,8 @@ class Waveform:
     frequencies: np.ndarray  # [B] Hz
     amplitudes: np.ndarray  # [B] zero to peak
     peak: tuple[float, float] | None  # Hz and zero to peak; None where nothing stands out
-    floor: np.ndarray | None = (
-        None  # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
-    )
+    # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
+    floor: np.ndarray | None = None
     peak_deviation: tuple[float, float] | None = None  # standard deviations of the peak's two numbers
     of_clip: str = ""  # what the displacement is, where that is another direction: of clips
 

@@ -190,7 +190,6 @@ def _motion_json(
 
 
 def _nearest(motion: ModalMotion, hz: float) -> float:
-    """The amplitude of the mode that is nearest to a frequency."""
     return _amplitude(motion.displacement[int(np.abs(np.asarray(motion.freqs_hz) - hz).argmin())])
 
 

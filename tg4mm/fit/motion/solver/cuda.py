@@ -181,23 +181,19 @@ class DeviceOperator:
         return other
 
     def _field(self, theta: Tensor) -> Tensor:
-        """As `TwoLevelPreconditioner.field`."""
         fine = ROWS * len(self.blocks)
         x = (self.blocks @ theta[:fine].reshape(-1, ROWS, 3)).reshape(-1, 3)
         return x + self.aggregates.forward @ (self.coarse_factor @ theta[fine:])
 
     def _from_field(self, v: Tensor) -> Tensor:
-        """As `TwoLevelPreconditioner.from_field`."""
         fine = (self.blocks.mT @ v.reshape(-1, ROWS, 3)).reshape(-1, 3)
         return torch.cat([fine, self.coarse_factor.T @ (self.aggregates.back @ v)])
 
     def _motion(self, x: Tensor) -> Tensor:
-        """As `Graph.motion`."""
         f = x.reshape(-1, ROWS, 3)
         return torch.cat([f[:, 0], (f[:, 1:].reshape(-1, 1, 9) @ self.there.gradient_to_rotation)[:, 0]], 1)
 
     def _from_motion(self, v_motion: Tensor) -> Tensor:
-        """As `Graph.from_motion`."""
         gradient = (self.there.gradient_to_rotation @ v_motion[:, 3:, None]).reshape(-1, 3, 3)
         return torch.cat([v_motion[:, None, :3], gradient], 1).reshape(-1, 3)
 

@@ -35,9 +35,8 @@ class TemporalModel(ABC):
     figures: dict[str, Any]  # for the log
     notes: Sequence[str]  # what cannot be told
     fitted: np.ndarray  # [ρ'] which of the target images
-    if_halves_disagree: ClassVar[str] = (
-        "longer clips tell"  # on the motion at a frequency: what the user can do
-    )
+    # on the motion at a frequency: what the user can do
+    if_halves_disagree: ClassVar[str] = "longer clips tell"
 
     @property
     def separates(self) -> bool:

@@ -53,9 +53,8 @@ class TrackingConfig:
     levels: int = 2
     channels: int = 16
     width: int = 64  # of the two layers of the MLP
-    plane_rate: float = (
-        7e-3  # Adam, falls to a tenth; 4DGS: 1.6e-3 times the cameras' extent, 4.4 in NeRF-synthetic
-    )
+    # Adam, falls to a tenth; 4DGS: 1.6e-3 times the cameras' extent, 4.4 in NeRF-synthetic
+    plane_rate: float = 7e-3
     mlp_rate: float = 7e-4  # 4DGS: 1.6e-4 times the same
     space_smoothness: float = 2e-4
     time_smoothness: float = 1e-3

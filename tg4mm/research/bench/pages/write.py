@@ -171,7 +171,6 @@ def _block(made: Table) -> PageTable:
 
 
 def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
-    """A section of an ablation's own results.json and slices.png."""
     from tg4mm.research.bench.ablation.page import ablation_cells, not_there, picture
 
     made = ablation_cells(results)
