@@ -1,4 +1,4 @@
-# demo, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, release, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,10 +18,11 @@ WORKERS ?= 2
 AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
+.PHONY: demo release test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
 
+DEMO ?= demo
 demo: install
-	$(BIN)/tg4mm demo --out demo
+	$(BIN)/tg4mm demo --out $(DEMO)
 
 test: lint
 	$(PYTEST) -m "not slow"
@@ -76,9 +77,18 @@ extension:
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-# dist/tg4mm-sample.ply, the demo's splat file: what a release offers beside the extension's zip.
+# The demo as a splat file, a .blend and a page that plays: dist/tg4mm-sample.*
 sample: demo
-	mkdir -p dist && cp demo/splat.ply dist/tg4mm-sample.ply
+	mkdir -p dist && cp $(DEMO)/splat.ply dist/tg4mm-sample.ply
+	$(BIN)/python examples/sample_blend.py dist/tg4mm-sample.ply dist/tg4mm-sample.blend
+	$(BIN)/tg4mm export $(DEMO)/run --format html --out dist/tg4mm-sample.html
+
+# All that a release offers, in dist/: wheel, sources, extension, samples, and checksums.
+release: sample
+	$(BIN)/python -m pip install --quiet build
+	$(BIN)/python -m build
+	$(BIN)/python addon/make_extension.py
+	cd dist && sha256sum tg4mm-* >SHA256SUMS
 
 # The program of the HTML pages (tg4mm/show/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
 # changes it runs this, and a test says when it is older than its sources.
