@@ -1,7 +1,6 @@
 """Regions drawn on a picture: the file is what was written, the scale is the plane's own, bad input is one line."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ SIZE = (480, 272)
 A_BOX = {"name": "a", "box": [10, 10, 60, 50]}
 
 
-def _far(x: float, y: float, tilt: float) -> np.ndarray:
+def _far(x, y, tilt):
     """The pixel of a place (metres) on a plane turned about the picture's vertical, 2 m away."""
     depth = 2 + x * np.sin(tilt)
     return np.array([240 + 500 * x * np.cos(tilt) / depth, 136 + 500 * y / depth])
@@ -77,7 +76,7 @@ def test_a_file_read_back_is_what_was_written(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_is_one_line_with_the_files_name(tmp_path: Path, changes, said):
+def test_what_cannot_be_is_one_line_with_the_files_name(tmp_path, changes, said):
     path = tmp_path / "r.json"
     whole = {"format": "tg4mm", "kind": "regions", "version": 1, "size": list(SIZE), "regions": [A_BOX]}
     path.write_text(json.dumps(whole | changes))

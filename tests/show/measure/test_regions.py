@@ -1,7 +1,6 @@
 """Drawn regions as sensors, and a scale that is marked in the picture."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,20 +8,19 @@ import pytest
 from tests.show.measure.filmed import of_parts, run_of, sine
 from tg4mm.cli import main
 from tg4mm.core.regions import Scale
-from tg4mm.run import Run
 from tg4mm.show.measure import MeasureError, measure, parse_sensor, prepare
 
 CORNERS = ((10.0, 12.0), (38.0, 8.0), (40.0, 42.0), (9.0, 36.0))
 
 
 @pytest.fixture(scope="module")
-def flat(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def flat(tmp_path_factory):
     sway = sine(4.0, [0.02, 0.0, 0.01])
     move = of_parts(post=sway, ball=sway)
     return run_of(tmp_path_factory.mktemp("flat"), move, n_views=1, n_timesteps=40, kind="flat")
 
 
-def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat: Run) -> None:
+def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat):
     scene, sensor, scale = prepare(flat, keep=False), parse_sensor("all"), Scale((), CORNERS, (0.3, 0.2))
     plain, found = (measure(scene, [sensor], scale=s) for s in (None, scale))
     body, frames = plain["all"].body, scene.views[0].frames
@@ -35,14 +33,14 @@ def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat: Run) -> None:
     assert (found["all"].deviation > 0).all()
 
 
-def regions(path: Path, size: tuple[int, int], **more: object) -> str:
+def regions(path, size, **more):
     entries = [{"name": "part", "box": [12, 10, 36, 38]}]
     values = {"format": "tg4mm", "kind": "regions", "version": 1, "size": list(size), "regions": entries}
     path.write_text(json.dumps(values | more))
     return str(path)
 
 
-def test_a_file_of_regions_is_measured_in_millimetres(flat: Run, tmp_path: Path) -> None:
+def test_a_file_of_regions_is_measured_in_millimetres(flat, tmp_path):
     size = prepare(flat, keep=False).observations.size
     file = regions(tmp_path / "r.json", size, lengths=[{"points": [[5, 5], [35, 5]], "metres": 0.06}])
     out = tmp_path / "out"
@@ -61,7 +59,7 @@ def test_regions_of_another_picture_are_refused_and_nothing_is_written(flat, tmp
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scale_in_space_takes_its_depth_from_the_model(tmp_path: Path) -> None:
+def test_a_scale_in_space_takes_its_depth_from_the_model(tmp_path):
     run = run_of(tmp_path, of_parts(post=sine(4.0, [0.02, 0, 0])), n_views=1, n_timesteps=30, kind="tripod")
     scene = prepare(run, keep=False)
     own = scene.capture.unit_scale_m
