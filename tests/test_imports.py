@@ -22,19 +22,15 @@ def modules(root, package):
     return [name.removesuffix(".__init__") for name in names]
 
 
-def test_every_module_of_the_core_imports_without_blender(repo_root):
-    names = modules(repo_root, "tg4mm")
-    assert {"tg4mm", "tg4mm.run.folder", "tg4mm.cli.program"} <= set(names)
-    code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
-    done = run_without(["bpy", "mathutils", "bmesh"], code, repo_root)
-    assert done.returncode == 0, done.stderr
-
-
-def test_every_benchmark_imports(repo_root):
-    names = modules(repo_root, "benchmarks")
-    assert {"benchmarks.captures", "benchmarks.fox_phone_measure", "benchmarks.speckle"} <= set(names)
-    code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
-    done = run_without([], code, repo_root)
+def test_every_module_of_the_core_imports_without_blender_and_every_benchmark_with_it(repo_root):
+    core, benchmarks = modules(repo_root, "tg4mm"), modules(repo_root, "benchmarks")
+    assert {"tg4mm", "tg4mm.run.folder", "tg4mm.cli.program"} <= set(core)
+    assert {"benchmarks.captures", "benchmarks.fox_phone_measure", "benchmarks.speckle"} <= set(benchmarks)
+    blender = ["bpy", "mathutils", "bmesh"]
+    code = f"import importlib\nfor name in {core!r}: importlib.import_module(name)\n"
+    code += f"for name in {blender!r}: del sys.modules[name]\n"
+    code += f"for name in {benchmarks!r}: importlib.import_module(name)\n"
+    done = run_without(blender, code, repo_root)
     assert done.returncode == 0, done.stderr
 
 
