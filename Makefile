@@ -1,4 +1,4 @@
-# demo, release, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, examples, release, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,11 +18,16 @@ WORKERS ?= 2
 AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo release test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
+.PHONY: demo examples release test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
 
 DEMO ?= demo
 demo: install
 	$(BIN)/tg4mm demo --out $(DEMO)
+
+# The worked examples of docs/engineering.md in examples-out/, each number beside its truth.
+examples: install
+	$(BIN)/python -m benchmarks hammer examples-out/beam
+	$(BIN)/python -m benchmarks worked examples-out
 
 test: lint
 	$(PYTEST) -m "not slow"
@@ -129,7 +134,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	@touch $@
 
 clean:
-	rm -rf build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
+	rm -rf examples-out build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

@@ -21,6 +21,7 @@ _NEAR = 0.03  # of a frequency: poles nearer than that are one mode's
 _STABLE_HZ, _STABLE_DAMPING = 0.01, 0.10  # of a pole from one order to the next
 _MOST_DAMPING = 0.2
 _SURE = 0.02  # of a frequency: a mode less sure is none
+_END = 0.1  # of the frequencies, the last ones
 _DRAWS = 24
 
 
@@ -91,7 +92,10 @@ def operational(channels: Sequence[Channel], band: tuple[float, float] | None = 
 
 
 def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | None = None) -> Modes:
-    """LSCF of transfer functions to one input; deviations by draws of the functions' own."""
+    """LSCF of transfer functions to one input; deviations by draws of the functions' own.
+
+    Of a mode in the last tenth of the frequencies none is stated.
+    """
     with _library("sdypy-EMA"):
         from sdypy import EMA
     first = transfers[0]
@@ -127,6 +131,8 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
             model.select_closest_poles([f], f_window=max(1, round(0.05 * f / (hz[1] - hz[0]))))
             constants = model.get_constants()[1]
         shape = _scaled(np.asarray(constants)[:, 0])
+        if f > (1 - _END) * hz[-1]:  # what lies beyond pulls it, which no draw shows
+            spread = np.array([np.nan, np.nan])
         modes.append(
             Mode(
                 Value(f, float(np.hypot(spread[0], scatter[0]))),

@@ -1,6 +1,7 @@
 """Zones of ISO 20816-1 by class of machine: velocity rms, 10 to 1000 Hz, on parts that do not rotate.
 
-The limits are those of classes I to IV (ISO 10816-1, annex B, which ISO 20816-1 succeeds): I small machines to 15 kW;
+The limits are those of classes I to IV as public tables give them of ISO 10816-1:1995, annex B, which ISO 20816-1
+succeeds; the standard decides, and its part for a kind of machine before it. I small machines to 15 kW;
 II medium ones to 75 kW, or 300 kW on a foundation of their own; III large ones on a rigid, IV on a soft foundation.
 """
 
