@@ -1,5 +1,7 @@
 """From a farm's configuration to its datasets: folders, numbers of parts, commands. The Snakefile asks for it."""
 
+import contextlib
+import io
 import json
 import shlex
 import sys
@@ -18,6 +20,7 @@ _KEYS = {"python": str, "out": str, "parts": int, "threads": int, "mem_mb": int,
          "sets": dict}  # fmt: skip
 _SET_KEYS = ("options", "parts")
 _DEFAULTS: dict[str, Any] = {"parts": 4, "threads": 1, "mem_mb": 4000, "minutes": 240, "options": ""}
+MOST_PARTS = 100_000  # of a dataset: each is a job of a scheduler
 
 
 MODULE = "dataset_gen"
@@ -76,6 +79,11 @@ def _checked(config: Mapping[str, Any]) -> dict[str, Any]:
             raise GenerateError(f"configuration: {key!r} is none of {', '.join(_KEYS)}")
         if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
             raise GenerateError(f"configuration: {key} is {value!r}, expected {_KEYS[key].__name__}")
+    if config.get("parts", 1) > MOST_PARTS:
+        raise GenerateError(f"configuration: parts is {config['parts']}, expected at most {MOST_PARTS}")
+    for key in ("out", "python", "options"):
+        if not str(config.get(key, "")).isprintable():
+            raise GenerateError(f"configuration: {key} is {config[key]!r}, which holds a control character")
     for key in ("parts", "threads", "mem_mb", "minutes"):
         if config.get(key, 1) < 1:
             raise GenerateError(f"configuration: {key} is {config[key]}, expected at least 1")
@@ -93,11 +101,14 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
         raise GenerateError(f"{where}: {unknown[0]!r} is none of {', '.join(_SET_KEYS)}")
     parts = own.get("parts", values["parts"])
     options = own.get("options", name)
-    require(f"{where}: parts", parts, Number(1, whole=True), GenerateError)
+    require(f"{where}: parts", parts, Number(1, MOST_PARTS, whole=True), GenerateError)
     require(f"{where}: options", options, str, GenerateError)
     try:
         arguments = [*shlex.split(values["options"]), *shlex.split(options)]  # its own have the last word
-        request = request_from(parser().parse_args([*arguments, "--out", values["out"]]))
+        with contextlib.redirect_stdout(io.StringIO()):
+            request = request_from(parser().parse_args([*arguments, "--out", values["out"]]))
+    except SystemExit:  # --help
+        raise GenerateError(f"{where}: options {options!r} ask for help, and make no dataset") from None
     except (Tg4mmError, ValueError) as error:
         raise GenerateError(f"{where}: {error}") from error
     if len(request.sets) != 1:
