@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import tifffile
 import torch
 import yaml
 from PIL import Image
@@ -19,6 +20,7 @@ from dataset_gen.farm import sets
 from dataset_gen.sources import bodies_file
 from dataset_gen.tree import work_folder
 from dataset_gen.vibration import read_motion
+from tests.capture.sfm.test_recording_files import tone, write_cine, write_photron
 from tests.capture.sfm.videos import still, write_video
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
@@ -36,6 +38,7 @@ from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.staging import exif_turns
 from tg4mm.capture.sfm.survey import survey_clip
 from tg4mm.capture.video import video_frames, video_info
+from tg4mm.core.pictures.decode import decode
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 from tg4mm.core.steps import run_steps
@@ -201,6 +204,26 @@ def _read_video(root):
         pass
 
 
+def _stack(name):
+    def make(root):
+        frames = tone(3)[:, :24, :32]
+        if name == "a.cine":
+            return write_cine(root / name, frames, 240)
+        if name == "a.tif":
+            tifffile.imwrite(root / name, frames, photometric="minisblack")
+            return root / name
+        return write_photron(root / name, frames, 240, 12, xml=name == "a.cihx")
+
+    return make
+
+
+def _read_stack(root):
+    path = next(p for p in root.iterdir() if p.suffix in (".cine", ".tif", ".cih", ".cihx"))
+    video_info(path)
+    for _ in video_frames(path):
+        pass
+
+
 def _photograph(suffix):
     def make(root):
         pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
@@ -269,7 +292,13 @@ READERS: dict[str, Reader] = {
     "sfm photograph, JPEG with EXIF": Reader(_photograph(".jpg"), reading("a.*", exif_turns), of_bytes),
     "rendered picture": Reader(_photograph(".png"), reading("a.png", read_png), of_png),
     "sensors YAML": Reader(_sensors, reading("sensors.yaml", read_sensors), of_text),
+    "sfm photograph, WebP": Reader(_photograph(".webp"), reading("a.*", decode), of_bytes),
+    "sfm photograph, TIFF": Reader(_photograph(".tif"), reading("a.*", decode), of_bytes),
     "sfm video": Reader(_video, _read_video, of_bytes),
+    "TIFF of pages": Reader(_stack("a.tif"), _read_stack, of_bytes),
+    "Phantom cine": Reader(_stack("a.cine"), _read_stack, of_bytes),
+    "Photron cih": Reader(_stack("a.cih"), _read_stack, of_text),
+    "Photron cihx": Reader(_stack("a.cihx"), _read_stack, of_text),
     **CAPTURES,
     **SPLATS,
     **DATASETS,

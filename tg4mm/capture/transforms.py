@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
 from tg4mm.core.errors import CaptureError, MissingSplitError
+from tg4mm.core.files import argument
 from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.records import Record, read_record
 from tg4mm.core.values import shown
@@ -224,7 +224,7 @@ def whole_dataset(folder: Path) -> tuple[Path, str] | None:
 
 def train_command(root: Path) -> str:
     """The command line that trains a dataset."""
-    return f"tg4mm train {shlex.quote(str(root))} --out RUN"
+    return f"tg4mm train {argument(root)} --out RUN"
 
 
 def _is_timestep(folder: Path) -> bool:

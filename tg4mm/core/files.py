@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,11 @@ def link_or_copy(source: Path, target: Path) -> None:
         os.link(source.resolve(), target)
     except OSError:  # another disk, or a file system without links
         write_atomic(target, lambda temporary: shutil.copyfile(source, temporary))
+
+
+def argument(path: Path | str) -> str:
+    """The path as an argument of a command line that is shown: quoted, and no option where it begins with `-`."""
+    return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))
 
 
 def write_json(path: Path, value: object) -> None:

@@ -22,6 +22,7 @@ from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 from tg4mm.capture.video import grey_frames, video_frames, video_info
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import argument
 
 RATE = 240
 N = 48
@@ -239,3 +240,8 @@ def test_interlaced_rows_are_said(tmp_path, caplog):
         text for text in said if "is interlaced: even and odd rows are of different moments" in text
     ] == said
     assert len(said) == 1
+
+
+def test_a_command_that_is_shown_takes_no_name_for_an_option():
+    assert argument("-x y.mp4") == "'./-x y.mp4'"
+    assert argument("a.mp4") == "a.mp4"

@@ -1,6 +1,5 @@
 """Which kind of capture a folder holds, why it is taken for one, and which options such a one has no use for."""
 
-import shlex
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +11,7 @@ from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.video import turns_of
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.files import argument
 
 
 def possible_kinds(sources: Sources) -> tuple[Kind, ...]:
@@ -141,7 +141,7 @@ def check_enough(sources: Sources) -> None:
     """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
     n = len(sources.clips)
     if sources.sweep is None and 1 < n < FEWEST:
-        first = shlex.quote(str(sources.clips[0].path))
+        first = argument(sources.clips[0].path)
         raise CaptureError(
             f"{sources.path}: holds {n} recordings of fixed cameras, and nothing else: {n} views are too few "
             f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "

@@ -1,6 +1,5 @@
 """What lies on disk: photographs, one recording, or several, perhaps with a sweep; and the command that takes it."""
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from tg4mm.capture.stacks import PHOTRON_SUFFIXES
 from tg4mm.capture.transforms import natural, train_command, whole_dataset
 from tg4mm.capture.video import RECORDING_SUFFIXES, VIDEO_SUFFIXES
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import argument
 
 SWEEP = "sweep"  # name of the folder or video of pictures of the scene at rest
 FEWEST = 3  # pictures from which poses can be found
@@ -92,7 +92,7 @@ def suggested_command(path: Path | str) -> str | None:
     except (CaptureError, OSError):
         return None
     out = path.with_name(f"{path.stem}_dataset")
-    return f"tg4mm sfm {shlex.quote(str(path))} --out {shlex.quote(str(out))}"
+    return f"tg4mm sfm {argument(path)} --out {argument(out)}"
 
 
 def _check_read(path: Path) -> None:

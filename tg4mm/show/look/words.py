@@ -14,7 +14,7 @@ from tg4mm.capture.look.record import to_record
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.core.digits import aligned, value_with_deviation
-from tg4mm.core.files import write_json
+from tg4mm.core.files import argument, write_json
 from tg4mm.core.regions import Region, Regions
 
 HEADER = ("frequency, Hz", "amplitude, px", "direction", "around pixel", "change", "remark")
@@ -158,7 +158,7 @@ class Words:
         asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
         asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
         asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
-        asked += f" --regions {shlex.quote(str(self.drawn_file))}" if self.drawn_file is not None else ""
+        asked += f" --regions {argument(self.drawn_file)}" if self.drawn_file is not None else ""
         if not self.found.vibrations:
             return [
                 (
@@ -168,7 +168,7 @@ class Words:
             ]
         return [
             (
-                f"tg4mm process {shlex.quote(str(self.source))} --kind flat{asked} --out {name}-out",
+                f"tg4mm process {argument(self.source)} --kind flat{asked} --out {name}-out",
                 "numbers of each part, a magnified video, pages",
             )
         ]

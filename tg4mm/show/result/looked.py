@@ -8,6 +8,7 @@ from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.scene import video_file
+from tg4mm.core.files import argument
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
 from tg4mm.show.result.advice import suggested_bands
@@ -105,7 +106,7 @@ def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibrati
     if vibrations and reading.capture is not None and video_file(reading.capture.root) is not None:
         out.append(
             "what the video's compression took of small amplitudes, which the ± does not hold: "
-            f"tg4mm measure {shlex.quote(str(reading.run.path))} --out FOLDER tests it"
+            f"tg4mm measure {argument(reading.run.path)} --out FOLDER tests it"
         )
     if reading.capture is None:
         out.append(f"pixels and the scale: the dataset {reading.run.dataset} is not there")

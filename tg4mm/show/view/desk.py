@@ -18,6 +18,7 @@ from tg4mm.capture.look import look
 from tg4mm.capture.transforms import natural
 from tg4mm.capture.video import RECORDING_SUFFIXES, video_frames
 from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.files import argument
 from tg4mm.core.pages.svg import number
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.regions import Regions, write_regions
@@ -241,7 +242,7 @@ class Desk:
         except (Tg4mmError, OSError) as error:
             self._saved.content = block(f"Not written: {error}")
             return
-        source, file = shlex.quote(str(self._source)), shlex.quote(str(self._file))
+        source, file = argument(self._source), argument(self._file)
         out = shlex.quote(self._source.resolve().stem)
         commands = [
             f"tg4mm look {source} --regions {file}",
