@@ -111,7 +111,7 @@ def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) ->
     if capture.n_timesteps > 1:
         found = look_at_capture(run, capture, images)
         masks = [
-            None if found is None else found.mask(),
+            None if found is None or capture.kind.sees_depth else found.mask(),
             *(None if m is None else ~m for m in (counts, moves)),
         ]
         given = [mask for mask in masks if mask is not None]

@@ -1,4 +1,4 @@
-"""A flat capture looked at region by region before its motion is fitted; what was found is in the run's log."""
+"""What one fixed camera filmed, looked at region by region before its motion is fitted; what was found is in the log."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,8 +22,8 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
-    """What its one camera shows, looked at once; None of other kinds of captures, or too few pictures."""
-    if capture.kind.sees_depth or capture.n_timesteps < FEWEST:
+    """What its one fixed camera shows, looked at once; None where there are several, or too few pictures."""
+    if len(fixed_cameras(capture)) != 1 or capture.n_timesteps < FEWEST:
         return None
     if (kept := look_of(run)) is None:
         kept = look_at_pictures(_pictures(capture, images), str(capture.root))
