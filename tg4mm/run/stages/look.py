@@ -1,4 +1,4 @@
-"""What one fixed camera filmed, looked at region by region before its motion is fitted; what was found is in the log."""
+"""What one fixed camera filmed, looked at region by region before its motion is fitted; kept in the run's log."""
 
 from collections.abc import Iterator
 from dataclasses import replace
