@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from tg4mm.cli import main
 from tg4mm.core.regions import Region, RegionError, Regions, Scale, read_regions, write_regions
 
 SIZE = (480, 272)
@@ -85,3 +86,19 @@ def test_what_cannot_be_is_one_line_with_the_files_name(tmp_path, changes, said)
     assert said in str(raised.value)
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["--only", "a"], "give --regions FILE"),
+        (["--only", "b", "--regions", "r.json"], "no region 'b'; there are: a"),
+        (["--regions", "gone.json"], "gone.json: cannot be read"),
+    ],
+)
+def test_process_refuses_regions_that_are_not_there(tmp_path, monkeypatch, capsys, asked, said):
+    monkeypatch.chdir(tmp_path)
+    write_regions(tmp_path / "r.json", Regions(SIZE, (Region("a", "box", (10, 20, 60, 50)),)))
+    assert main(["process", "film.mp4", "--out", "out", *asked]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
