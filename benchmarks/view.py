@@ -109,8 +109,7 @@ def steps(shown: RunScene, size: int, repeats: int) -> None:
     report("  pose of every Gaussian", times_of(lambda: pose(next(moments), 20.0, None), repeats))
     still = pose(0.3, 20.0, None)
     report(
-        "  rasterised",
-        times_of(lambda: render_image(still, camera.viewmat, camera.K, size, size), repeats),
+        "  rasterised", times_of(lambda: render_image(still, camera.viewmat, camera.K, size, size), repeats)
     )
     report("  JPEG, to the queue", times_of(lambda: send(picture, 80), repeats))
     report("the other way: pose and splats, to the queue", times_of(splats, repeats))

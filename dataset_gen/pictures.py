@@ -218,11 +218,7 @@ class PictureFormat:
             )
 
     def pixels(
-        self,
-        linear: np.ndarray,
-        sensor: Sensor | None = None,
-        key: Key = (),
-        gain: np.ndarray | None = None,
+        self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = (), gain: np.ndarray | None = None
     ) -> np.ndarray:
         """The numbers that the file will hold, [H, W, C]: uint8 or uint16 for PNG, float32 for EXR.
 
@@ -250,11 +246,7 @@ class PictureFormat:
         return rgb if alpha is None else np.concatenate([rgb, to_integers(alpha, self.bits)[..., None]], -1)
 
     def encode(
-        self,
-        linear: np.ndarray,
-        sensor: Sensor | None = None,
-        key: Key = (),
-        gain: np.ndarray | None = None,
+        self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = (), gain: np.ndarray | None = None
     ) -> bytes:
         """The file of one picture; parameters as for `pixels`."""
         numbers = self.pixels(linear, sensor, key, gain)

@@ -37,10 +37,7 @@ _MOTION = (
     (names.LOW, 0.0, 0.0, 1e6, "Lowest frequency that is magnified, Hz"),
     (names.HIGH, 1e6, 0.0, 1e6, "Highest frequency that is magnified, Hz"),
 )
-_TIME = (
-    (names.FIRST, 1.0, -1e6, 1e6, "Frame that shows timestep 0"),
-    (names.SPEED, 1.0, -1e3, 1e3, ""),
-)
+_TIME = ((names.FIRST, 1.0, -1e6, 1e6, "Frame that shows timestep 0"), (names.SPEED, 1.0, -1e3, 1e3, ""))
 _SPEEDS = ("Files per frame", "1: as fast as it was recorded; 0.1: ten times slower, for slow motion")
 _LOOK = (
     (names.SIZE, 1.0, 0.0, 10.0, "Factor on the size of every Gaussian"),

@@ -127,10 +127,7 @@ def _sensors(scene: Prepared, exact: np.ndarray, seed: int) -> Iterator[Sensor]:
     size = np.sqrt((np.abs(exact) ** 2).sum((0, 2)))
     seen = scene.seen * (scene.gaussians.opacities.numpy() > 0.3)
     rng, top = np.random.default_rng(seed), float(np.quantile(size[seen > 0], 0.99))
-    for name, count, chosen in (
-        ("moves", _PLACES, size > _MOVES * top),
-        ("still", 1, size < _STILL * top),
-    ):
+    for name, count, chosen in (("moves", _PLACES, size > _MOVES * top), ("still", 1, size < _STILL * top)):
         chance = seen * chosen
         if not chance.any():
             continue

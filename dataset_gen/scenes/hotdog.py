@@ -203,10 +203,7 @@ def _on_the_plate() -> tuple[Part, ...]:
         m.revolve([(0.0, -0.004), (1.0, -0.003), (1.04, 0.1), (0.9, 0.33), (0.5, 0.48), (0.0, 0.52)], 28, 180.0),
         points[110:122], up[:12], rng, (0.018, 0.042),
     )  # fmt: skip
-    return (
-        part("crumbs", crumbs, paint.crumb()),
-        part("drops", drops, paint.ketchup()),
-    )
+    return (part("crumbs", crumbs, paint.crumb()), part("drops", drops, paint.ketchup()))
 
 
 def _crumb() -> m.Mesh:

@@ -123,10 +123,7 @@ def lamella(front: np.ndarray, back: np.ndarray, y0: float, y1: float, bevel: fl
     n = len(front)
     walls = [strip(b, a) for a, b in pairwise(rings)]
     first, last = rings[0], rings[-1]
-    caps = [
-        strip(first[:n], first[n:][::-1], closed=False),
-        strip(last[n:][::-1], last[:n], closed=False),
-    ]
+    caps = [strip(first[:n], first[n:][::-1], closed=False), strip(last[n:][::-1], last[:n], closed=False)]
     whole = join([*walls, *caps])
     return whole if volume(whole) > 0.0 else turned(whole)
 

@@ -53,11 +53,7 @@ class Motion:
     """
 
     def __init__(
-        self,
-        shapes: Sequence[np.ndarray],
-        laws: Sequence[TimeLaw],
-        magnified: Sequence[bool],
-        fps: float,
+        self, shapes: Sequence[np.ndarray], laws: Sequence[TimeLaw], magnified: Sequence[bool], fps: float
     ) -> None:
         """`shapes`: per body complex [K, V, 3], scene units. Raises ValueError if the numbers K differ."""
         counts = {len(laws), len(magnified), *(len(s) for s in shapes)}
@@ -136,11 +132,7 @@ def reach(shape: np.ndarray) -> np.ndarray:
 
 
 def pixel_displacement(
-    positions: np.ndarray,
-    shape: np.ndarray,
-    camera_to_world: np.ndarray,
-    fl_x: float,
-    fl_y: float,
+    positions: np.ndarray, shape: np.ndarray, camera_to_world: np.ndarray, fl_x: float, fl_y: float
 ) -> float:
     """Largest displacement in pixels, over points and over the cycle, of a complex shape seen by a camera.
 
@@ -164,11 +156,7 @@ _MANY = 8  # names in a message
 
 
 def solve(
-    description: MotionDescription,
-    bodies: Sequence[Body],
-    fps: float,
-    reference: Reference | None,
-    seed: int,
+    description: MotionDescription, bodies: Sequence[Body], fps: float, reference: Reference | None, seed: int
 ) -> Motion:
     """The motion of the bodies.
 
@@ -215,11 +203,7 @@ def _raw(mode: Mode, body: Body, seed: int) -> np.ndarray:
 
 
 def _pixel_scale(
-    mode: Mode,
-    moving: Sequence[Body],
-    raw: dict[str, np.ndarray],
-    reference: Reference | None,
-    peak: float,
+    mode: Mode, moving: Sequence[Body], raw: dict[str, np.ndarray], reference: Reference | None, peak: float
 ) -> float:
     if reference is None or mode.amplitude_px is None:
         raise ValueError(f"amplitude_px {mode.amplitude_px:g} needs a reference camera, there is none")

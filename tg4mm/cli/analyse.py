@@ -25,8 +25,7 @@ def analyse(
     band: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="LO HI",
-            help="Hz, of levels and modes. [default: from two cycles in the record on]",
+            metavar="LO HI", help="Hz, of levels and modes. [default: from two cycles in the record on]"
         ),
     ] = None,
     window: Annotated[str, typer.Option(help="Of averaged spectra, as scipy calls it.")] = "hann",

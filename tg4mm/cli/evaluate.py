@@ -62,12 +62,7 @@ def evaluate(
     target_file(opened, out)  # raises where it cannot be written
     warn_too_far(opened, plan)
     metrics = evaluate_run(
-        opened,
-        wanted,
-        out,
-        plan,
-        lpips_weights=lpips_weights or None,
-        device=device.value,
+        opened, wanted, out, plan, lpips_weights=lpips_weights or None, device=device.value
     )
     typer.echo(format_table(metrics), nl=False)
 

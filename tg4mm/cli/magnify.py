@@ -70,14 +70,14 @@ MethodOption = Annotated[
     typer.Option(
         help="modal: multiplies modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
         "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
-        "paper-tuned linear]",
+        "paper-tuned linear]"
     ),
 ]
 FilterOption = Annotated[
     Filter | None,
     typer.Option(
         help="Temporal filter of linear and phase. published: as in the TG4MM paper, even length, half a sample early. "
-        "[default: zero-phase]",
+        "[default: zero-phase]"
     ),
 ]
 

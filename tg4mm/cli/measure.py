@@ -29,8 +29,7 @@ def measure(
     ] = None,
     regions: RegionsOption = None,
     reference: Annotated[
-        str | None,
-        typer.Option(help="The sensor that phases and coherence refer to. [default: the first]"),
+        str | None, typer.Option(help="The sensor that phases and coherence refer to. [default: the first]")
     ] = None,
     band: Annotated[
         list[str] | None,

@@ -46,8 +46,7 @@ KindOption = Annotated[
     ),
 ]
 FpsOption = Annotated[
-    float | None,
-    typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]"),
+    float | None, typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]")
 ]
 ReadoutOption = Annotated[
     float | None,
@@ -61,15 +60,13 @@ FromOption = Annotated[
     float, typer.Option("--from", metavar="SECONDS", help="Where to begin in every recording.")
 ]
 UntilOption = Annotated[
-    float | None,
-    typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]"),
+    float | None, typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]")
 ]
 ScaleOption = Annotated[float | None, typer.Option(help="Scale: metres per scene unit.")]
 BaselineOption = Annotated[
     tuple[str, str, float] | None,
     typer.Option(
-        metavar="A B METRES",
-        help="Scale: names of two cameras or photographs, and their distance.",
+        metavar="A B METRES", help="Scale: names of two cameras or photographs, and their distance."
     ),
 ]
 LengthOption = Annotated[

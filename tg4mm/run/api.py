@@ -22,10 +22,7 @@ Images = ImageStack | FilePictures
 
 
 def fit_space(
-    capture: Capture,
-    config: SpaceConfig | None = None,
-    device: str = "cpu",
-    images: Images | None = None,
+    capture: Capture, config: SpaceConfig | None = None, device: str = "cpu", images: Images | None = None
 ) -> Gaussians:
     """Fit the static Gaussians of a capture: the scene at rest ([3DGS]; [TG4MM] Eq. (16)).
 

@@ -13,11 +13,7 @@ _DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, w
 
 
 def with_losses(
-    found: Found,
-    video: Path,
-    fps: float,
-    start_s: float = 0.0,
-    repeats: Sequence[int] = (),
+    found: Found, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
 ) -> tuple[LookLine, ...]:
     """The lines, those without a mark with what compression let through of them (`codec_losses` says how)."""
     lines = found.vibrations
@@ -28,9 +24,7 @@ def with_losses(
     masks = [found.pixels(region) for region in regions]
     tones = [[_tone(line) for line in some] for some in own]
     told = codec_losses(
-        *(video, masks, tones, fps, start_s, repeats),
-        quick=True,
-        without_between=found.without_between,
+        *(video, masks, tones, fps, start_s, repeats), quick=True, without_between=found.without_between
     )
     known = {
         id(line): loss

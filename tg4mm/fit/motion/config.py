@@ -32,8 +32,7 @@ class MotionConfig:
     )
     tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
     split_half: bool = setting(
-        True,
-        "fit each half of the data by itself and keep what they agree on; needed for the uncertainty",
+        True, "fit each half of the data by itself and keep what they agree on; needed for the uncertainty"
     )
     gauss_newton: int = setting(
         4,

@@ -50,10 +50,7 @@ class Knot:
 
 
 def knots_of(
-    gaussians: Gaussians,
-    views: Sequence[ViewJacobian],
-    fields: np.ndarray,
-    observed: StateObservations,
+    gaussians: Gaussians, views: Sequence[ViewJacobian], fields: np.ndarray, observed: StateObservations
 ) -> list[Knot]:
     """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
     states, motions = observed.states, observed.moved(fields).motions

@@ -13,12 +13,7 @@ from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.few_view_posterior import coarser
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton
-from tg4mm.fit.motion.hyperparameters import (
-    Hyperparameters,
-    pixel_weights,
-    select_noise,
-    select_smoothness,
-)
+from tg4mm.fit.motion.hyperparameters import Hyperparameters, pixel_weights, select_noise, select_smoothness
 from tg4mm.fit.motion.linear_fit import LinearFit
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit

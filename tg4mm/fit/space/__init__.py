@@ -13,11 +13,4 @@ if TYPE_CHECKING:
 
 __all__ = ["RestViews", "SpaceConfig", "rest_views"]
 
-__getattr__ = lazily(
-    __name__,
-    {
-        "RestViews": "targets",
-        "SpaceConfig": "config",
-        "rest_views": "targets",
-    },
-)
+__getattr__ = lazily(__name__, {"RestViews": "targets", "SpaceConfig": "config", "rest_views": "targets"})

@@ -55,12 +55,7 @@ def picture_folder(place: Path, row: str) -> Path:
 
 
 def run_job(
-    method: Method,
-    data: BenchSet,
-    out: Path,
-    plan: Plan,
-    vqa: Sequence[Checkout] = (),
-    collect: bool = False,
+    method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = (), collect: bool = False
 ) -> tuple[dict[str, Any], list[Line]]:
     """(what `fit` returned, the method's rows), done or read from an earlier call.
 

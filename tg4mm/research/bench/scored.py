@@ -128,10 +128,7 @@ def _digest(*arrays: np.ndarray) -> bytes:
 def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric | None) -> dict[str, float]:
     similar = ssim_map(made, truth)
     b = SSIM_BORDER
-    scores = {
-        "ssim": float(similar[b:-b, b:-b].mean()),
-        "psnr_db": psnr(made, truth),
-    }
+    scores = {"ssim": float(similar[b:-b, b:-b].mean()), "psnr_db": psnr(made, truth)}
     if has_flip():
         scores["flip"] = flip(made, truth)
     if lpips is not None:

@@ -10,10 +10,7 @@ STATIC_BELOW = 0.01  # of the largest true motion: below it a Gaussian counts as
 
 
 def displacement_figures(
-    estimated: ModalMotion,
-    true: ModalMotion,
-    weights: np.ndarray,
-    unit_scale_m: float | None = None,
+    estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, unit_scale_m: float | None = None
 ) -> dict[str, Any]:
     """Figures of an estimated motion against the true one of the same Gaussians, weighted by `weights` [N].
 

@@ -49,11 +49,7 @@ class Subject:
 
 
 def subject_of(
-    run: Run,
-    capture: Capture,
-    magnified: Magnification,
-    absent: dict[str, str],
-    device: str,
+    run: Run, capture: Capture, magnified: Magnification, absent: dict[str, str], device: str
 ) -> Subject:
     gaussians = run.load_space()
     estimated = run.load_motion()
@@ -63,10 +59,7 @@ def subject_of(
         )
     else:
         check_times(
-            run.path,
-            run.dataset,
-            (estimated.fps, estimated.n_timesteps),
-            (capture.fps, capture.n_timesteps),
+            run.path, run.dataset, (estimated.fps, estimated.n_timesteps), (capture.fps, capture.n_timesteps)
         )
     exact = None
     if (run.dataset / TRUTH_FILE).is_file() and capture.n_timesteps > 1:

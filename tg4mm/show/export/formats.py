@@ -59,11 +59,7 @@ def export_spz(run: Run, out: Path, low_pass: bool = True) -> Path:
 
 
 def export_spz_sequence(
-    run: Run,
-    out: Path,
-    request: RenderRequest,
-    timesteps: Sequence[int] | None = None,
-    low_pass: bool = True,
+    run: Run, out: Path, request: RenderRequest, timesteps: Sequence[int] | None = None, low_pass: bool = True
 ) -> int:
     """Write OUT/frame_0000.spz …, a file for every timestep asked for, else for one period of the motion; their number.
 
@@ -94,11 +90,7 @@ def one_period(run: Run) -> range:
 
 
 def export_usd(
-    run: Run,
-    out: Path,
-    request: RenderRequest,
-    timesteps: Sequence[int] | None = None,
-    low_pass: bool = True,
+    run: Run, out: Path, request: RenderRequest, timesteps: Sequence[int] | None = None, low_pass: bool = True
 ) -> Path:
     """Write one USD stage with a sample at every timestep (default: all).
 

@@ -175,11 +175,7 @@ def _begins(path: Path, magic: bytes) -> bool:
 
 
 def export_ply_sequence(
-    run: Run,
-    out: Path,
-    request: RenderRequest,
-    timesteps: Sequence[int] | None = None,
-    low_pass: bool = True,
+    run: Run, out: Path, request: RenderRequest, timesteps: Sequence[int] | None = None, low_pass: bool = True
 ) -> Path:
     """Write OUT/frame_0000.ply …, a static splat file for every timestep asked for (default: all).
 

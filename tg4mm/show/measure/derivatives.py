@@ -38,11 +38,7 @@ def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak
 
 
 def deviations_of(
-    found: Derivatives,
-    times_s: np.ndarray,
-    noise: np.ndarray,
-    share: np.ndarray,
-    peaks: Sequence[Peak],
+    found: Derivatives, times_s: np.ndarray, noise: np.ndarray, share: np.ndarray, peaks: Sequence[Peak]
 ) -> Derivatives:
     """Standard deviations of `found`, of samples with noise [T, A] and errors that are a `share` [A] of the motion."""
     step = float(np.median(np.diff(times_s)))

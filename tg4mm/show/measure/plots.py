@@ -110,10 +110,7 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     told = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
     for k in told:
         axes.semilogy(
-            found.freqs_hz,
-            np.maximum(found.amplitude[:, k] * unit.factor, 1e-12),
-            color=COLOURS[k],
-            lw=1.1,
+            found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1
         )
         axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
     lowest = min((float(found.typical_floor[k]) for k in told), default=1e-9) * unit.factor

@@ -109,10 +109,7 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
 
 
 def measured(
-    run: Run,
-    sensors: Sequence[Sensor],
-    band: tuple[float, float] | None = None,
-    scale: Scale | None = None,
+    run: Run, sensors: Sequence[Sensor], band: tuple[float, float] | None = None, scale: Scale | None = None
 ) -> tuple[Measurement | None, str]:
     """What sensors measure on the run, or why nothing was. Sensors that were asked for must be measured: Tg4mmError."""
     try:

@@ -155,10 +155,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
     if v.begins_s is not None:
         damping += f"; begins {v.begins_s:.3g} s into the record"
     return [
-        _row(
-            f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",
-            f"{', '.join(lengths)} near {near}",
-        ),
+        _row(f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz", f"{', '.join(lengths)} near {near}"),
         _row("", f"damping {damping}"),
         *([_row("", f"in doubt: {v.doubt}")] if v.doubt else []),
     ]

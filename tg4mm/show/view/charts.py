@@ -92,10 +92,7 @@ def spectrum_chart(
 
 
 def waveform_chart(
-    times: np.ndarray,
-    values: np.ndarray,
-    unit: str,
-    deviation: np.ndarray | None = None,
+    times: np.ndarray, values: np.ndarray, unit: str, deviation: np.ndarray | None = None
 ) -> Markup:
     """A curve of values [F] over times [F] in seconds, and a band of one standard deviation [F] on either side."""
     spread = np.zeros_like(values) if deviation is None else deviation

@@ -12,12 +12,7 @@ from numba import float32, int64, prange, uint32
 from tg4mm.fit.rasterize.buffers import Buffers, take
 from tg4mm.fit.rasterize.kernels.block_culling import prefetch_gaussians
 from tg4mm.fit.rasterize.kernels.compiled import kernel
-from tg4mm.fit.rasterize.kernels.layout import (
-    DEPTH,
-    POWER,
-    SPLAT_WIDTH,
-    TILE,
-)
+from tg4mm.fit.rasterize.kernels.layout import DEPTH, POWER, SPLAT_WIDTH, TILE
 from tg4mm.fit.rasterize.kernels.tile_extents import extents_room, tile_extents, tile_rows, tiles_of_row
 from tg4mm.fit.rasterize.simd.memory import address, keep, load, prefetch_row, store
 from tg4mm.fit.rasterize.simd.vector import LANES, broadcast

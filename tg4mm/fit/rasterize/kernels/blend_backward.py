@@ -17,15 +17,7 @@ from numba import float32, int64, prange, uint32, uint64
 
 from tg4mm.fit.rasterize.kernels.block_culling import fill_batch, log2_alpha, room
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.fit.rasterize.kernels.layout import (
-    ALPHA_MIN,
-    FEAT,
-    FEATURES,
-    MX,
-    MY,
-    SPLAT_WIDTH,
-    TILE,
-)
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, MX, MY, SPLAT_WIDTH, TILE
 from tg4mm.fit.rasterize.kernels.tiles import (
     BLOCKS,
     CENTRE_X,

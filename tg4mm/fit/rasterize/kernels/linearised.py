@@ -165,14 +165,7 @@ def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images,
                     sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
                     h0, h1, h2 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2)
                 sums = lane_sums_of_eight(
-                    fma(sx, a, sy * b),
-                    fma(sx, b, sy * c),
-                    sxx * -half,
-                    -sxy,
-                    syy * -half,
-                    h0,
-                    h1,
-                    h2,
+                    fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, -sxy, syy * -half, h0, h1, h2
                 )
                 store_eight(v_pairs, (int64(pair) * n_changes + change) * _WIDTH, sums)
             if live == 0:

@@ -16,14 +16,7 @@ from numba import float32, int64, njit, prange
 
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.fit.rasterize.kernels.layout import (
-    ALPHA_MIN,
-    FEAT,
-    FEATURES,
-    POWER,
-    SPLAT_WIDTH,
-    SQUARES,
-)
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, POWER, SPLAT_WIDTH, SQUARES
 from tg4mm.fit.rasterize.kernels.sh import colour
 from tg4mm.fit.rasterize.simd import functions  # noqa: F401, roots and logarithms of vectors
 from tg4mm.fit.rasterize.simd.memory import address, keep, load, number, put_number

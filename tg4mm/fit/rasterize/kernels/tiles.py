@@ -20,13 +20,7 @@ import numpy as np
 from numba import float32, get_num_threads, int64, uint32
 
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.fit.rasterize.kernels.layout import (
-    ALPHA_MAX,
-    FEATURES,
-    SPLAT_WIDTH,
-    T_MIN,
-    TILE,
-)
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, FEATURES, SPLAT_WIDTH, T_MIN, TILE
 from tg4mm.fit.rasterize.simd.functions import EXP2, EXP2_STEPS, exp2
 from tg4mm.fit.rasterize.simd.memory import integer, load_pixels, prefetch_far
 from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS, broadcast_pixels, select
