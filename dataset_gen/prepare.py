@@ -1,7 +1,5 @@
 """From settings to a job that can be rendered: geometry, motion, the list of pictures; claims the folder."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -9,7 +7,6 @@ import sys
 import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,10 +22,8 @@ from .plan import Shot, shots
 from .scene import Scene
 from .scenes import SCENES
 from .settings import Quality, Settings, Source
+from .sources.bodies_file import Found
 from .vibration import Body, Motion, pixel_displacement, reach, solve
-
-if TYPE_CHECKING:
-    from .sources.bodies_file import Found
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,13 @@
 """What a measurement cannot tell, a line each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.show.measure.linearity import lacking
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.scene import Prepared
-
-if TYPE_CHECKING:
-    from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.sensor_result import SensorResult
 
 _HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
 _OTHER = 0.5  # of the largest changes: what is no motion of the region, from here on its numbers are none

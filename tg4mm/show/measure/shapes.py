@@ -1,17 +1,12 @@
 """Operating deflection shapes: how every Gaussian moves at the frequencies that stand out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tg4mm.show.measure.scene import Prepared
-
-if TYPE_CHECKING:
-    from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.sensor_result import SensorResult
 
 _SAME = 0.75  # of 1 / duration: nearer than this two frequencies are one
 _TOLD = 2.0  # deviations that a Gaussian's motion must stand out of
