@@ -15,6 +15,7 @@ from tg4mm.run import Run
 from tg4mm.show.report import videos as video
 from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.report.videos import clip
+from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import reading_of
 
 
@@ -28,7 +29,7 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     bare = replace(
         reading, run=Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
     )
-    alpha, why = choose_alpha(bare, bare.result().noise_px, AS_CAPTURED)
+    alpha, why = choose_alpha(bare, result_from(bare).noise_px, AS_CAPTURED)
     reach = reading.reach(reading.motion.is_magnified().astype(float))
     assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
     assert reach.too_far * (1 + alpha) <= 1
