@@ -76,7 +76,7 @@ def test_one_that_will_not_do_is_refused_in_one_line(kind, monkeypatch):
 
 def test_none_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with pytest.raises(Tg4mmError, match=r'\A[^\n]*device cuda needs gsplat: pip install "\.\[cuda\]"'):
+    with pytest.raises(Tg4mmError, match=r'\A[^\n]*device cuda needs gsplat: pip install "tg4mm\[cuda\]"'):
         require_gsplat()
 
 
