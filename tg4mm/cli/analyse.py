@@ -57,6 +57,24 @@ def analyse(
         float | None,
         typer.Option(metavar="SECONDS", help="The film's clock less the instrument's. [default: estimated]"),
     ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RPM|auto",
+            help="Turns a minute: amplitudes of orders of it. auto: the strongest line of the first channel.",
+        ),
+    ] = None,
+    tacho: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="In place of --speed, a CSV file by the film's clock: pulse_s, a time for each turn, or time_s and "
+            "speed_rpm.",
+        ),
+    ] = None,
+    order: Annotated[
+        list[float] | None, typer.Option(help="An order of the speed; may be repeated. [default: 1 to 6]")
+    ] = None,
     against: Annotated[
         Path | None,
         typer.Option(metavar="MEASURED", help="An earlier record of the same sensors: what changed."),
@@ -76,6 +94,10 @@ def analyse(
         raise Tg4mmError("--band is given once, as two frequencies")
     if with_ is None and (input_, sync, lag) != (None, None, None):
         raise Tg4mmError("--input, --sync and --lag belong to --with FILE")
+    if speed is not None and tacho is not None:
+        raise Tg4mmError("--speed and --tacho exclude each other")
+    if order and speed is None and tacho is None:
+        raise Tg4mmError("--order belongs to --speed or --tacho")
     averaging = Averaging(window, segment, overlap)
     options = AnalyseOptions(
         channel or (),
@@ -88,6 +110,9 @@ def analyse(
         lag,
         against,
         modes,
+        speed,
+        tacho,
+        order or (),
     )
     folder = work_folder(out)
     folder.check()

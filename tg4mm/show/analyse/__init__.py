@@ -11,6 +11,7 @@ docs/engineering.md says what each is.
 from tg4mm.show.analyse.channel import AnalyseError, Channel, read_channels
 from tg4mm.show.analyse.compare import compared, lines_of
 from tg4mm.show.analyse.modal import from_transfers, mac, operational
+from tg4mm.show.analyse.orders import OrderTrack, orders_of, speed_of
 from tg4mm.show.analyse.quantities import Levels, Value, converted, levels_of
 from tg4mm.show.analyse.spectra import Averaging, Density, density_of, waterfall_of
 from tg4mm.show.analyse.transfer import Transfer, lag_of, phases_of, transfer_of
@@ -22,6 +23,7 @@ __all__ = [
     "Channel",
     "Density",
     "Levels",
+    "OrderTrack",
     "Transfer",
     "Value",
     "compared",
@@ -33,8 +35,10 @@ __all__ = [
     "lines_of",
     "mac",
     "operational",
+    "orders_of",
     "phases_of",
     "read_channels",
+    "speed_of",
     "transfer_of",
     "waterfall_of",
     "zone_of",

@@ -150,7 +150,10 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
     return out
 
 
-def _of_csv(path: Path) -> list[Channel]:
+def read_table(path: Path) -> tuple[list[str], np.ndarray]:
+    """Head and numbers [rows, columns] of a CSV file. Raises AnalyseError for anything else."""
+    if not path.is_file():
+        raise AnalyseError(f"{path} does not exist")
     if path.stat().st_size > _MOST_BYTES:
         raise AnalyseError(f"{path} is larger than {_MOST_BYTES >> 30} GiB")
     try:
@@ -160,10 +163,7 @@ def _of_csv(path: Path) -> list[Channel]:
     rows = [row for row in rows if row]
     if len(rows) < 2:
         raise AnalyseError(f"{path} holds no rows below a head")
-    head = [_column(text) for text in rows[0]]
-    at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
-    if not at:
-        raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(rows[0])}")
+    head = rows[0]
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(head):
             raise AnalyseError(f"{path}, row {number}: {len(row)} values, expected {len(head)}")
@@ -175,6 +175,15 @@ def _of_csv(path: Path) -> list[Channel]:
         raise AnalyseError(
             f"{path}, row {2 + int(np.argwhere(~np.isfinite(table))[0, 0])}: not a finite number"
         )
+    return head, table
+
+
+def _of_csv(path: Path) -> list[Channel]:
+    names, table = read_table(path)
+    head = [_column(text) for text in names]
+    at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
+    if not at:
+        raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(names)}")
     times = _even(table[:, at[0]] * (1e-3 if head[at[0]][1] == "ms" else 1.0), str(path))
     noise = {
         name.removesuffix(" deviation"): k for k, (name, _) in enumerate(head) if name.endswith(" deviation")

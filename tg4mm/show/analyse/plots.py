@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
 from tg4mm.show.analyse.channel import Channel
+from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import converted
 from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
 from tg4mm.show.analyse.write import Analysis
@@ -45,6 +46,8 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
     for a, b in pairwise(found.channels):
         if a.name.rpartition("/")[0] and a.name.rpartition("/")[0] == b.name.rpartition("/")[0]:
             yield f"orbit {a.name.rpartition('/')[0]} {a.name[-5:]} {b.name[-5:]}", _orbit(plt, a, b)
+    for name in dict.fromkeys(o.channel for o in found.orders):
+        yield f"orders {name}", _orders(plt, [o for o in found.orders if o.channel == name])
     for t in found.transfers:
         figure, (size, phase, coherence) = plt.subplots(
             3, 1, figsize=(9, 7), sharex=True, layout="constrained"
@@ -74,6 +77,22 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
         axes.set_title(f"stabilisation, {m.method}", loc="left")
         axes.legend()
         yield f"stabilisation {m.method}", figure
+
+
+def _orders(plt: Any, tracks: Sequence[OrderTrack]) -> Any:
+    """Amplitudes over the speed where it changes, else over time."""
+    figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+    is_steady = np.ptp(tracks[0].speed_rpm) < 0.01 * tracks[0].speed_rpm.mean()
+    for k, track in enumerate(tracks):
+        x = track.times_s if is_steady else track.speed_rpm
+        axes.errorbar(
+            x, track.amplitudes, track.deviations, marker=".", lw=0.8, color=COLOURS[k % len(COLOURS)],
+            label=f"order {track.order:g}",
+        )  # fmt: skip
+    axes.set(xlabel="time, s" if is_steady else "turns a minute", ylabel=tracks[0].unit)
+    axes.set_title(tracks[0].channel, loc="left")
+    axes.legend()
+    return figure
 
 
 def _spectrum(plt: Any, channel: Channel, own: Density, averaging: Averaging) -> Any:

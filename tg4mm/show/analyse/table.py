@@ -3,6 +3,7 @@
 import numpy as np
 
 from tg4mm.core.digits import aligned, value_with_deviation
+from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import Value
 from tg4mm.show.analyse.write import Analysis
 
@@ -51,6 +52,15 @@ def format_analysis(found: Analysis) -> str:
             ],
         ),
         _table(
+            ("channel", "order", "rpm", "amplitude", "phase, deg", "largest in a segment", "at rpm"),
+            [
+                (o.channel, f"{o.order:g}", _range(o.speed_rpm), f"{_both(o.amplitude)} {o.unit}",
+                 f"{np.degrees(o.phase.value):+.1f} ± {np.degrees(o.phase.deviation):.1f}",
+                 *(_largest(o) if np.isfinite(o.amplitudes).any() else ("–", "–")))
+                for o in found.orders
+            ],
+        ),
+        _table(
             ("changed", "", "before", "after", "difference / ±", ""),
             [
                 (c.where, c.figure, _both(c.before), f"{_both(c.after)} {c.unit if c.unit != '1' else ''}".rstrip(),
@@ -61,6 +71,17 @@ def format_analysis(found: Analysis) -> str:
         "".join(f"note: {note}\n" for note in found.notes),
     ]  # fmt: skip
     return "\n".join(part for part in parts if part)
+
+
+def _range(values: np.ndarray) -> str:
+    low, high = f"{values.min():.5g}", f"{values.max():.5g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _largest(track: OrderTrack) -> tuple[str, str]:
+    k = int(np.nanargmax(track.amplitudes))
+    largest = Value(float(track.amplitudes[k]), float(track.deviations[k]))
+    return f"{_both(largest)} {track.unit}", f"{track.speed_rpm[k]:.5g}"
 
 
 def _both(value: Value) -> str:

@@ -17,6 +17,7 @@ from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, read_channels
 from tg4mm.show.analyse.compare import Change, compared, lines_of
 from tg4mm.show.analyse.modal import Modes, from_transfers, operational
+from tg4mm.show.analyse.orders import OrderTrack, Speed, orders_of, speed_of
 from tg4mm.show.analyse.quantities import Levels, Value, levels_of
 from tg4mm.show.analyse.spectra import Averaging, Density, density_of
 from tg4mm.show.analyse.transfer import Phase, Transfer, lag_of, phases_of, transfer_of
@@ -40,6 +41,9 @@ class AnalyseOptions:
     lag: float | None = None  # seconds; None: estimated
     against: Path | None = None  # an earlier record
     modes: bool = False
+    speed: str | None = None  # turns a minute, or "auto": orders of it
+    tacho: Path | None = None  # a CSV file of a tachometer, in its place
+    orders: Sequence[float] = ()  # (): 1 to 6
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,7 @@ class Analysis:
     modes: tuple[Modes, ...] = ()
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
+    orders: tuple[OrderTrack, ...] = ()
 
 
 def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
@@ -88,12 +93,28 @@ def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
         transfers = [transfer_of(channel, reference, o.averaging, lag) for channel in moving]
     modes = [operational(moving, o.band)] if o.modes else []
     modes += [from_transfers(transfers, o.band)] if o.modes and transfers else []
+    orders: list[OrderTrack] = []
+    if o.speed is not None or o.tacho is not None:
+        speed = speed_of(channels[0], o.speed, o.tacho)
+        orders = [
+            track
+            for c in moving
+            for track in orders_of(c, _for(speed, channels[0], c), o.orders, o.averaging)
+        ]
     changes, notes = ([], []) if before is None else compared(before, lines_of(path))
     notes += [note for zone in zones for note in zone.notes]
     return Analysis(
         tuple(channels), tuple(levels), tuple(densities), tuple(phases), tuple(zones), tuple(transfers),
-        tuple(modes), tuple(changes), tuple(dict.fromkeys(notes)),
+        tuple(modes), tuple(changes), tuple(dict.fromkeys(notes)), tuple(orders),
     )  # fmt: skip
+
+
+def _for(speed: Speed, of: Channel, channel: Channel) -> Speed:
+    """The speed at another channel's times."""
+    if len(of.times_s) == len(channel.times_s) and np.allclose(of.times_s, channel.times_s):
+        return speed
+    angle, turns = (np.interp(channel.times_s, of.times_s, own) for own in (speed.angle, speed.turns_hz))
+    return Speed(speed.source, angle, turns)
 
 
 def _names(channels: list[Channel]) -> str:
@@ -138,10 +159,14 @@ def write_analysis(found: Analysis, out: Path, averaging: Averaging) -> None:
             "response", "input", "unit", "frequency_hz", "h1", "h1_deviation", "h1_phase_rad", "phase_deviation_rad",
             "h2", "h2_phase_rad", "coherence",
         ),
+        "orders.csv": (
+            "channel", "unit", "order", "time_s", "speed_rpm", "amplitude", "deviation",
+        ),
         "stabilisation.csv": ("method", "order", "frequency_hz", "stable"),
     }  # fmt: skip
     for name, rows in (
         ("levels.csv", _level_rows(found)), ("psd.csv", _psd_rows(found)), ("transfer.csv", _transfer_rows(found)),
+        ("orders.csv", _order_rows(found)),
         ("stabilisation.csv", ((m.method, *map(_text, row)) for m in found.modes for row in m.diagram)),
     ):  # fmt: skip
         _write_csv(out / name, heads[name], rows)
@@ -189,6 +214,12 @@ def _transfer_rows(found: Analysis) -> Iterable[Sequence[Any]]:
         )  # fmt: skip
         for values in zip(*columns, strict=True):
             yield t.response, t.reference, t.unit, *map(_text, values)
+
+
+def _order_rows(found: Analysis) -> Iterable[Sequence[Any]]:
+    for o in found.orders:
+        for values in zip(o.times_s, o.speed_rpm, o.amplitudes, o.deviations, strict=True):
+            yield o.channel, o.unit, _text(o.order), *map(_text, values)
 
 
 def _write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
