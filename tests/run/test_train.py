@@ -1,5 +1,6 @@
 """Training from a dataset to a run: settings, stages in order, nothing done twice, kills that are real."""
 
+import json
 import re
 import shutil
 
@@ -176,3 +177,17 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(data, trained, tmp_path, 
         "tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded")
     )
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
+
+
+def test_cameras_at_one_place_are_refused(data, tmp_path):
+    """They turn about their common centre: nothing tells how far things are."""
+    turned = shutil.copytree(data, tmp_path / "turned")
+    for path in turned.glob("*/transforms_train.json"):
+        content = json.loads(path.read_text())
+        for frame in content["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] = 0.25
+        path.write_text(json.dumps(content))
+    with one_line("all 3 cameras stand at one place"):
+        train(turned, tmp_path / "run", settings=SETTINGS)
+    assert not (tmp_path / "run").exists()

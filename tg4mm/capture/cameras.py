@@ -1,16 +1,20 @@
 """Cameras: poses and intrinsics from the conventions on disk to those in memory (docs/conventions.md)."""
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, as_number
 
+if TYPE_CHECKING:
+    from tg4mm.capture.model import Capture
+
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
 FARTHEST = 1e9  # scene units; poses in JSON, float64, tell a ten-millionth of one there
+ONE_PLACE = 1e-6  # scene units, or of the distance to the origin if that is larger
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Fields of transforms files that say that a pixel does not look where a pinhole camera's does, unless they are 0, false
 # or empty.
@@ -138,6 +142,22 @@ def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[inverse.reshape(-1)]
+
+
+def check_depth_told(capture: "Capture") -> None:
+    """Raise CaptureError where several cameras all stand at one place: they do not show how far things are."""
+    poses = capture.viewmats[np.unique(capture.camera_ids, return_index=True)[1]]
+    centres = -np.einsum("cji,cj->ci", poses[:, :3, :3], poses[:, :3, 3])
+    spread = float(np.ptp(centres, axis=0).max())
+    if (
+        len(poses) > 1
+        and capture.kind.sees_depth
+        and spread <= ONE_PLACE * max(1.0, float(np.abs(centres).max()))
+    ):
+        raise CaptureError(
+            f"{capture.root}: all {len(poses)} cameras stand at one place, which does not show how far things are: "
+            "film from several places, or keep the pictures of one camera alone"
+        )
 
 
 def _shape(rows: Any) -> str:
