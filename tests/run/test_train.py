@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
@@ -190,4 +191,14 @@ def test_cameras_at_one_place_are_refused(data, tmp_path):
         path.write_text(json.dumps(content))
     with one_line("all 3 cameras stand at one place"):
         train(turned, tmp_path / "run", settings=SETTINGS)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 1), (1, 64)])
+def test_pictures_of_a_row_a_column_or_a_pixel_are_refused(data, tmp_path, size):
+    thin = shutil.copytree(data, tmp_path / "thin")
+    for path in thin.glob("*/train/*.png"):
+        Image.open(path).resize(size).save(path)
+    with one_line(f"pictures are {size[0]}×{size[1]} pixels, expected 8 or more"):
+        train(thin, tmp_path / "run", settings=SETTINGS)
     assert not (tmp_path / "run").exists()

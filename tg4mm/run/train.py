@@ -20,6 +20,7 @@ from tg4mm.run.config import work_folder
 from tg4mm.run.preset import asked_masks, preset_named
 
 _LOG = logging.getLogger("tg4mm")
+_SMALLEST = 8  # pixels along a side: fewer hold no texture that motion is told by
 _BOOLEANS = {"true": True, "false": False}
 
 
@@ -93,6 +94,11 @@ def _capture(dataset: Path) -> Capture:
             raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")
     capture = load_capture(dataset, split="train")
     check_depth_told(capture)
+    if min(capture.width, capture.height) < _SMALLEST:
+        raise CaptureError(
+            f"{dataset}: pictures are {capture.width}×{capture.height} pixels, expected {_SMALLEST} or more along each "
+            "side"
+        )
     return capture
 
 

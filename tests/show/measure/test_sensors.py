@@ -30,6 +30,7 @@ def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text, sensor):
         ("tip=sphere:1,2,x,3", "'x' is not a number"),
         ("tip=sphere:1,2,3", "expected sphere:X,Y,Z,RADIUS"),
         ("tip=sphere:1,2,3,-1", "radius -1 must be above 0"),
+        ("tip=sphere:1,2,3,1e300", "1e+300 is beyond 1e+09"),
         ("tip=sphere:1,2,nan,1", "expected sphere"),
         ("tip=box:1,0,0,0,1,1", "first corner must be the lower one"),
         ("../tip=all", "sensor name '../tip'"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tg4mm.capture.cameras import FARTHEST
 from tg4mm.core.regions import Regions
 from tg4mm.core.untrusted import read_yaml
 from tg4mm.show.measure.errors import MeasureError
@@ -63,6 +64,8 @@ class Sensor:
             raise MeasureError(f"sensor {self.name}: box {list(v)}: its first corner must be the lower one")
         if self.region in ("sphere", "pixel") and v[-1] <= 0:
             raise MeasureError(f"sensor {self.name}: radius {v[-1]:g} must be above 0")
+        if max(map(abs, v), default=0) > FARTHEST:
+            raise MeasureError(f"sensor {self.name}: {max(map(abs, v)):g} is beyond {FARTHEST:g}")
         if self.region in OF_PICTURE and not self.camera:
             raise MeasureError(f"sensor {self.name}: expected {_FORMS[self.region]}, a camera is missing")
         if self.region == "cluster" and (v[0] < 0 or v[0] != int(v[0])):
