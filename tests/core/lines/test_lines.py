@@ -117,8 +117,9 @@ def test_pictures_that_lose_small_motion_do_not_count():
     kept = np.where(between, 1 - 0.5 * np.exp(-np.exp(-1.14 * t) * 4) - 0.08 * (np.arange(300) % 4 == 2), 1)
     values = true * kept + 0.003 * rng.normal(size=300)
     fooled = find_lines(values, t).lines
-    assert fooled[0].damping - 0.02 > 3 * fooled[0].damping_deviation
+    assert 0.002 < fooled[0].damping - 0.02 < 3 * fooled[0].damping_deviation  # wrong, and its ± knows
     (line,) = find_lines(values, t, between=between).lines
+    assert line.damping_deviation < 0.7 * fooled[0].damping_deviation
     assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.003
     assert abs(line.hz - 9.1) < 3 * line.hz_deviation
 
