@@ -144,7 +144,7 @@ def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
     return rank[inverse.reshape(-1)]
 
 
-def check_depth_told(capture: "Capture") -> None:
+def check_depth_observable(capture: "Capture") -> None:
     """Raise CaptureError where several cameras all stand at one place: they do not show how far things are."""
     poses = capture.viewmats[np.unique(capture.camera_ids, return_index=True)[1]]
     centres = -np.einsum("cji,cj->ci", poses[:, :3, :3], poses[:, :3, 3])

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture import Capture, load_capture, nerf_synthetic
-from tg4mm.capture.cameras import check_depth_told
+from tg4mm.capture.cameras import check_depth_observable
 from tg4mm.capture.readers import READERS
 from tg4mm.capture.transforms import train_command, whole_dataset
 from tg4mm.core.errors import CaptureError, Tg4mmError
@@ -93,7 +93,7 @@ def _capture(dataset: Path) -> Capture:
         if (command := suggested_command(dataset)) is not None:
             raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")
     capture = load_capture(dataset, split="train")
-    check_depth_told(capture)
+    check_depth_observable(capture)
     if min(capture.width, capture.height) < _SMALLEST:
         raise CaptureError(
             f"{dataset}: pictures are {capture.width}×{capture.height} pixels, expected {_SMALLEST} or more along each "

@@ -13,7 +13,7 @@ _CYCLES, _FEWEST = 2, 12  # of a time constant, at least; samples in it
 _RANGE = 0.25, 4.0  # times the decay
 
 
-def decay_doubt(shape: Shape, t: np.ndarray, own: np.ndarray, variance: float) -> float:
+def early_decay_variance(shape: Shape, t: np.ndarray, own: np.ndarray, variance: float) -> float:
     """Variance to be added to `variance` of a decay per second: 0 where both parts agree, or one tells nothing.
 
     own [T, D]: the line itself and what is left beside all lines.

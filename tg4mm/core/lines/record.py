@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.core.lines.early import decay_doubt
+from tg4mm.core.lines.early import early_decay_variance
 from tg4mm.core.lines.model import (
     Shape,
     around,
@@ -192,7 +192,7 @@ class Record:
         free = _free_decays(self, shapes, levels)
         for s, p, c in zip(shapes, phasors, own, strict=True):
             line = (s.wave(self.t)[:, None] * p).real
-            c[1, 1] += decay_doubt(s, self.t, line + residual, float(c[1, 1]))
+            c[1, 1] += early_decay_variance(s, self.t, line + residual, float(c[1, 1]))
         lines = tuple(self._line(s, p, c, d) for s, p, c, d in zip(shapes, phasors, own, free, strict=True))
         n = samples(self.t)
         hz = np.arange(1, len(levels) + 1) / (n * float(np.median(np.diff(self.t))))
