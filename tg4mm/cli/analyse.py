@@ -61,7 +61,7 @@ def analyse(
         str | None,
         typer.Option(
             metavar="RPM|auto",
-            help="Turns a minute: amplitudes of orders of it. auto: the strongest line of the first channel.",
+            help="Revolutions per minute: amplitudes of orders of it. auto: the strongest line of the first channel.",
         ),
     ] = None,
     tacho: Annotated[

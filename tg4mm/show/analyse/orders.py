@@ -21,7 +21,7 @@ _HIGHEST = 0.45  # of the frame rate: orders beyond it are left out
 _TURNS = 3.0  # that a segment holds at least
 _USUAL = 6  # orders, where none are named
 _PULSES = 4  # at least
-_ABSURD = 1e7  # turns a minute
+_ABSURD = 1e7  # revolutions per minute
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class OrderTrack:
 
 
 def speed_of(channel: Channel, text: str | None, tacho: Path | None) -> Speed:
-    """From turns a minute, from `auto`, the channel's strongest line, or from a CSV file of a tachometer.
+    """From revolutions per minute, from `auto`, the channel's strongest line, or from a CSV file of a tachometer.
 
     The file's times are the film's. Raises AnalyseError for what gives no speed over the whole record.
     """
@@ -58,15 +58,17 @@ def speed_of(channel: Channel, text: str | None, tacho: Path | None) -> Speed:
         return _of_tacho(tacho, times)
     if text == "auto":
         if not channel.lines:
-            raise AnalyseError(f"--speed auto: no line stands out of {channel.name}; give turns a minute")
+            raise AnalyseError(
+                f"--speed auto: no line stands out of {channel.name}; give revolutions per minute"
+            )
         hz, source = channel.lines[0].hz, f"the strongest line of {channel.name}"
     else:
         try:
             rpm = float(text or "")
         except ValueError:
-            raise AnalyseError(f"--speed {text!r}, expected turns a minute, or auto") from None
+            raise AnalyseError(f"--speed {text!r}, expected revolutions per minute, or auto") from None
         if not 0 < rpm < _ABSURD:
-            raise AnalyseError(f"--speed {text}, expected turns a minute above 0")
+            raise AnalyseError(f"--speed {text}, expected revolutions per minute above 0")
         hz, source = rpm / 60, "--speed"
     return Speed(source, 2 * np.pi * hz * (times - times[0]), np.full(len(times), hz))
 
@@ -89,7 +91,9 @@ def _of_tacho(path: Path, times: np.ndarray) -> Speed:
         return Speed(f"{path}, a pulse a turn", angle(times), angle(times, 1) / (2 * np.pi))
     rpm = np.interp(times, own, table[:, 1])
     if not (rpm > 0).all() or rpm.max() > _ABSURD:
-        raise AnalyseError(f"{path}: turns a minute are {rpm.min():g} to {rpm.max():g}, expected above 0")
+        raise AnalyseError(
+            f"{path}: revolutions per minute are {rpm.min():g} to {rpm.max():g}, expected above 0"
+        )
     return Speed(str(path), 2 * np.pi * cumulative_trapezoid(rpm / 60, times, initial=0), rpm / 60)
 
 

@@ -89,7 +89,7 @@ def _orders(plt: Any, tracks: Sequence[OrderTrack]) -> Any:
             x, track.amplitudes, track.deviations, marker=".", lw=0.8, color=COLOURS[k % len(COLOURS)],
             label=f"order {track.order:g}",
         )  # fmt: skip
-    axes.set(xlabel="time, s" if is_steady else "turns a minute", ylabel=tracks[0].unit)
+    axes.set(xlabel="time, s" if is_steady else "speed, rpm", ylabel=tracks[0].unit)
     axes.set_title(tracks[0].channel, loc="left")
     axes.legend()
     return figure

@@ -41,7 +41,7 @@ class AnalyseOptions:
     lag: float | None = None  # seconds; None: estimated
     against: Path | None = None  # an earlier record
     modes: bool = False
-    speed: str | None = None  # turns a minute, or "auto": orders of it
+    speed: str | None = None  # revolutions per minute, or "auto": orders of it
     tacho: Path | None = None  # a CSV file of a tachometer, in its place
     orders: Sequence[float] = ()  # (): 1 to 6
 
