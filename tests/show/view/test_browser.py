@@ -157,6 +157,7 @@ def test_the_scene_as_captured_is_shown_beside_the_magnified_one(opened):
 def test_buttons_write_files(opened):
     opened.page.get_by_role("button", name="Numbers").click()
     until(lambda: (opened.folder / "waveform_0001.csv").is_file(), "a waveform")
+    until(lambda: (opened.folder / "spectrum_0001.csv").is_file(), "a spectrum")
     assert (opened.folder / "spectrum_0001.csv").read_text().startswith("frequency_hz,along_mm")
     assert read_channels(opened.folder / "waveform_0001.csv")[0].unit == "mm"
     opened.page.get_by_role("button", name="Snapshot").click()
