@@ -19,3 +19,7 @@ class SplatFileError(Tg4mmError):
 
 class RunError(Tg4mmError):
     """A run folder or checkpoint that is missing, truncated, foreign, or does not fit the request."""
+
+
+class RegionError(Tg4mmError):
+    """A file of regions, a region or a scale that cannot be."""

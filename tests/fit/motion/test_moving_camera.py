@@ -8,7 +8,8 @@ import torch
 
 from tests.fit.motion.filmed import error_of, scene, walk
 from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.nuisance.camera_path import CameraPath, corrected_poses
+from tg4mm.fit.motion.nuisance.camera_path import CameraPath
+from tg4mm.fit.motion.nuisance.poses import corrected_poses
 from tg4mm.fit.motion.pipeline import fit_motion
 
 FREQUENCY = 3.4  # Hz

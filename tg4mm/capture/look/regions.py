@@ -12,8 +12,9 @@ from tg4mm.capture.look.place import SYSTEMATIC
 from tg4mm.capture.look.reading import MEAN_OF
 from tg4mm.capture.look.scene import LEAST_INFORMATION, Scene
 from tg4mm.capture.look.spectra import without
+from tg4mm.core.errors import RegionError
 from tg4mm.core.lines import Line, find_lines
-from tg4mm.core.regions import Region, RegionError
+from tg4mm.core.regions import Region
 
 _WHOLE, _HALF = 0.95, 0.5  # of a cell that a region covers
 _EDGE = 10.0  # times as uncertain as the best direction: beyond it a direction is not told

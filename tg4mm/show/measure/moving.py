@@ -18,7 +18,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.camera_path import corrected_poses, left_of, pictures_of
+from tg4mm.fit.motion.nuisance.poses import corrected_poses, left_of, pictures_of
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.show.measure.kept import KeptPass, Wanted

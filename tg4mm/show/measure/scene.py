@@ -9,7 +9,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.core.memory import mapped_zeros
-from tg4mm.core.regions import Scale
+from tg4mm.core.scale import Scale
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.observations import Observations

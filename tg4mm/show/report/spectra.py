@@ -8,7 +8,7 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
-from tg4mm.core.regions import Scale
+from tg4mm.core.scale import Scale
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform

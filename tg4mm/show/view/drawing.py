@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
-from tg4mm.core.regions import POINT_RADIUS, Pixel, Region, RegionError, Regions, Scale
+from tg4mm.core.errors import RegionError
+from tg4mm.core.regions import POINT_RADIUS, Region, Regions
+from tg4mm.core.scale import Pixel, Scale
 
 BOX, POLYGON, POINT, LENGTH, RECTANGLE = "box", "polygon", "point", "length", "rectangle"
 TOOLS = {

@@ -19,22 +19,15 @@ import numpy as np
 from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
-from tg4mm.fit.motion.nuisance.camera_path import (
-    ALTERNATIONS,
-    CameraPath,
-    Reading,
-    corrected_poses,
-    left_of,
-    pictures_of,
-)
+from tg4mm.fit.motion.nuisance.camera_path import CameraPath, Reading
+from tg4mm.fit.motion.nuisance.poses import left_of, pictures_of, refine_scene_and_poses
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.fit.motion.observation_model import ObservationModel
-from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.refine import refine_at_rest
+from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import polynomials, sinusoids
@@ -50,7 +43,6 @@ from tg4mm.fit.motion.temporal.steady import (
     no_targets,
 )
 
-_STILL_PX = 0.05  # rms correction of the poses below which another brings nothing
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
 # Of the first fit, times the iterations of fixed cameras: with the camera's pose projected out, what moves against the
@@ -83,7 +75,7 @@ class MovingCamera(Steady):
         checkpoint: Checkpoint,
     ) -> "MovingCamera":
         """The scene and poses refined on all frames, the residuals of these, and frequencies in them."""
-        gaussians, frames, refined = _refine_scene_and_poses(
+        gaussians, frames, refined = refine_scene_and_poses(
             gaussians, observations, config, device, checkpoint
         )
         observations = replace(observations, frames=frames)
@@ -279,34 +271,3 @@ def _series(
         return moving_camera_series(models, (np.array(own[0]) for own in residuals), labels).arrays()
 
     return RegionSeries.restored(times, checkpoint("regions", compute))
-
-
-def _refine_scene_and_poses(
-    gaussians: Gaussians,
-    observations: Observations,
-    config: MotionConfig,
-    device: str,
-    checkpoint: Checkpoint,
-) -> tuple[Gaussians, list[PosedFrames], dict[str, Any]]:
-    """Gaussians and poses refined in turn on all frames, and how far poses went (pixels)."""
-    frames, moved = observations.frames, []
-    for k in range(ALTERNATIONS):
-
-        def compute(
-            frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
-        ) -> Arrays:
-            width, height = observations.size
-            pictures = mapped_zeros((len(frames), height, width, 3))
-            new, _, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k, pictures)
-            iterations = int(np.clip(4 * len(frames), 300, 1500))
-            shown = refine_at_rest(gaussians, new, pictures, iterations, config.seed + k, device)
-            poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
-            return arrays_of(shown) | poses
-
-        kept = checkpoint(f"scene_{k}", compute)
-        gaussians = gaussians_of(kept)
-        frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
-        moved.append(round(float(kept["pixels"]), 4))
-        if moved[-1] < _STILL_PX:
-            break
-    return gaussians, frames, {"pose_corrections_px": moved}
