@@ -12,6 +12,7 @@ import pytest
 pytestmark = pytest.mark.slow
 PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
+RESOLVED = ["3.11", "3.13", "3.14"]  # the oldest, Blender's and the newest
 
 LOOK = """
 import sys, tg4mm, tg4mm.cli
@@ -28,6 +29,18 @@ def run(*command, cwd):
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, cwd=cwd, env=environment)
     assert done.returncode == 0, f"{command}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
     return done.stdout
+
+
+def environment(folder, python=sys.executable):
+    """The folder of programs of a new environment in `folder`, without pip."""
+    run(python, "-m", "venv", "--without-pip", folder, cwd=folder.parent)
+    return folder / "bin"
+
+
+def install(folder, *arguments):
+    """Into the environment of those programs, by this environment's pip: what pip says."""
+    pip = (sys.executable, "-m", "pip", "--python", folder / "python")
+    return run(*pip, "install", "--no-compile", *arguments, cwd=folder)
 
 
 def interpreter(version):
@@ -50,10 +63,9 @@ def built(repo_root, tmp_path_factory):
         if (repo_root / name).is_file():
             (work / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
             (work / "copy" / name).write_bytes((repo_root / name).read_bytes())
-    run(sys.executable, "-m", "venv", work / "env", cwd=work)
-    python = work / "env" / "bin" / "python"
-    run(python, "-m", "pip", "install", "--quiet", "build", cwd=work)
-    run(python, "-m", "build", "--outdir", work / "dist", work / "copy", cwd=work)  # the wheel from the sdist
+    folder = environment(work / "env")
+    install(folder, "build")
+    run(folder / "python", "-m", "build", "--outdir", work / "dist", work / "copy", cwd=work)
     (source,), (wheel,) = (list((work / "dist").glob(p)) for p in ("*.tar.gz", "*.whl"))
     return source, wheel
 
@@ -88,9 +100,8 @@ def test_both_hold_every_module_and_file_of_the_packages(repo_root, built):
 def installed(request, built, tmp_path_factory):
     """A version of Python, and the programs of an environment of it that has the wheel without any extra."""
     work = tmp_path_factory.mktemp(f"python{request.param}")
-    run(interpreter(request.param), "-m", "venv", work / "env", cwd=work)
-    folder = work / "env" / "bin"
-    run(folder / "python", "-m", "pip", "install", "--quiet", built[1], cwd=work)
+    folder = environment(work / "env", interpreter(request.param))
+    install(folder, built[1])
     return request.param, folder
 
 
@@ -113,12 +124,11 @@ def test_the_wheel_alone_reads_and_says_what_it_lacks(installed, data, tmp_path)
         assert done.stderr.count("\n") == 1
 
 
-def test_what_the_core_needs_is_to_be_had(installed, built, tmp_path):
+@pytest.mark.parametrize("version", RESOLVED)
+def test_what_the_core_needs_is_to_be_had(version, built, tmp_path):
     """Resolved, not downloaded: torch for one of them may be gigabytes."""
-    pip = (installed[1] / "python", "-m", "pip")
-    found = run(
-        *pip, "install", "--dry-run", "--only-binary", "torch", f"{built[1]}[core]", cwd=tmp_path
-    ).lower()
+    folder = environment(tmp_path / "env", interpreter(version))
+    found = install(folder, "--dry-run", "--only-binary", "torch", f"{built[1]}[core]").lower()
     for name in ("torch", "numba", "llvmlite", "imageio-ffmpeg", "markupsafe"):
         assert f" {name}-" in found
 
@@ -128,18 +138,8 @@ def test_the_core_trains_in_a_clean_environment(built, data, tmp_path):
     torch = pytest.importorskip("torch").__version__
     if "+cpu" not in torch:
         pytest.skip(f"torch {torch} would bring CUDA along")
-    run(sys.executable, "-m", "venv", tmp_path / "env", cwd=tmp_path)
-    folder = tmp_path / "env" / "bin"
-    run(
-        folder / "python",
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        f"torch=={torch}",
-        f"{built[1]}[core]",
-        cwd=tmp_path,
-    )
+    folder = environment(tmp_path / "env")
+    install(folder, f"torch=={torch}", f"{built[1]}[core]")
     sets = ("--set", "space.iterations=60", "--set", "motion.appearance=false")
     listed = run(folder / "tg4mm", "train", "--list-settings", cwd=tmp_path)
     assert [line for line in listed.splitlines() if line.startswith("--preset")] == [
