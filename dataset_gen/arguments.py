@@ -10,7 +10,7 @@ from .errors import GenerateError
 from .pictures import BACKGROUNDS, IMAGES
 from .pictures import PRESETS as SENSORS
 from .scenes import NAMES
-from .settings import DEVICES, ENGINES, TRUTH
+from .settings import DEVICES, ENGINES, NOISE, TRUTH
 
 ALL = "all"
 ALPHAS = (5, 10, 20, 50, 100)
@@ -19,9 +19,9 @@ CLIPS = 7  # places that one camera films from, where --views does not say it
 DEFAULTS: dict[str, Any] = {
     "size": 128, "timesteps": 30, "fps": 30.0, "cameras": "orbit", "views": 30, "test_views": 5,
     "clock_offsets": 0.0, "shake": 0.0, "exposure_drift": 0.0, "flicker": 0.0, "flicker_hz": 100.0,
-    "codec": "none", "crf": 20, "readout": 0.0, "samples": 96, "seed": 0, "points": 20000,
-    "alphas": ALPHAS, "truth": "test", "engine": "cycles", "device": "cpu", "images": "png8",
-    "background": "transparent",
+    "codec": "none", "crf": 20, "readout": 0.0, "shutter": 0.0,
+    "samples": 96, "seed": 0, "noise": "state", "points": 20000, "alphas": ALPHAS, "truth": "test",
+    "engine": "cycles", "device": "cpu", "images": "png8", "background": "transparent",
 }  # fmt: skip
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
@@ -114,6 +114,9 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
                 "seed": "seed of the renderer, the sensor noise, the points and the shake",
                 "points": "points in points3d.ply, 0 for none",
             }),
+            "--noise": _choice("noise", NOISE, (
+                "pictures of one state share one render and its noise, or each is a render with noise of its own"
+            )),
             "--engine": _choice("engine", ENGINES, "Blender's renderer"),
             "--device": _choice("device", DEVICES, "where Cycles runs"),
             "--images": _choice("images", IMAGES, "8 or 16 bits, or linear EXR"),
@@ -140,6 +143,7 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
                 "flicker": "flicker of the light, percent peak to peak",
                 "flicker_hz": "with --flicker: its frequency, Hz",
                 "readout": "rolling shutter of fixed cameras: milliseconds from the first row to the last",
+                "shutter": "motion blur of fixed cameras: exposure of each picture, milliseconds",
             }),
             "--codec": _choice("codec", CODECS, "each camera's pictures go through a video"),
             **_numbers({"crf": "with --codec: rate factor, 0 … 51; larger is worse"}),

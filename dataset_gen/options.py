@@ -104,12 +104,13 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
             crf=values["crf"],
             keep_video=options.keep_video,
             readout_ms=values["readout"],
+            shutter_ms=values["shutter"],
         ),
         **{key: values[key] for key in _AS_THEY_ARE},
     )
 
 
-_AS_THEY_ARE = ("size", "alphas", "samples", "seed", "truth", "points", "engine", "device")
+_AS_THEY_ARE = ("size", "alphas", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
 def _sensor(options: argparse.Namespace) -> Sensor | None:
@@ -124,7 +125,7 @@ def _sensor(options: argparse.Namespace) -> Sensor | None:
 # What an animation, which is not rendered, has no use for.
 _OF_PICTURES = (
     "samples", "points", "engine", "device", "images", "background", "sensor", "jpeg", "alphas", "truth",
-    "shake", "exposure_drift", "flicker", "flicker_hz", "readout", "codec", "crf", "keep_video",
+    "shake", "exposure_drift", "flicker", "flicker_hz", "readout", "shutter", "noise", "codec", "crf", "keep_video",
 )  # fmt: skip
 _OF_WORK = ("out", "prepare", "part", "finish", "parts", "processes")
 

@@ -6,7 +6,8 @@ seed, so timesteps of equal state are equal byte for byte. Every distinct (state
 its file is hard-linked (copied where the file system has no links) to all the places that show it. A sine of
 5 Hz at 30 frames per second has three states, 0 and ±sin 60°; the state 0 serves every α. 30 × 30 training
 images then cost 90 renders. What a camera does to its pictures (shake, gain, noise, codec) makes files differ, and
-costs encodings, not renders.
+costs encodings, not renders; with `--noise picture` every picture is a
+render.
 
 Linked files share their bytes: replace a file, do not write into it.
 """
@@ -19,7 +20,8 @@ from pathlib import PurePosixPath
 
 from .cameras import Camera, CameraSetup, cameras_at, films, scene_time
 from .effects import Record
-from .effects.rows import bands
+from .effects.rows import bands, moments
+from .pictures import generator
 from .settings import Settings
 from .vibration import Motion, State
 
@@ -29,7 +31,8 @@ _OTHER_SEED = 1_000_003  # added to the seed there
 UNCODED = ".uncoded"  # working folder: pictures before they go through a video
 _PAINTERS = 60  # views that colour the points, at most about so many
 
-_Key = tuple[State, str, Camera, tuple[State, ...]]  # state, split, camera, `Shot.rows`
+_Seen = tuple[State, str, Camera, tuple[State, ...], tuple[State, ...]]  # and `Shot.rows`, `Shot.blur`
+_Key = tuple[_Seen, int]  # and `Shot.seed_offset`
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ class Shot:
     paints: bool = False  # its colours go to points3d.ply
     seed_offset: int = 0
     rows: tuple[State, ...] = ()  # of the bands of `effects.rows`, read in turn; empty: all rows show `state`
+    blur: tuple[State, ...] = ()  # at the moments of `effects.rows`, whose mean is shown; empty: `state` is
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -77,33 +81,43 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
     """
     record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
     pictures: dict[_Key, list[Picture]] = defaultdict(list)
-    truth: dict[_Key, list[str]] = defaultdict(list)
+    truth: dict[_Seen, list[str]] = defaultdict(list)
     for t in range(settings.timesteps):
         for split, cameras in cameras_at(settings.cameras, t).items():
             for alpha in (0, *(settings.alphas if split == "test" else ())):
                 for camera in cameras:
                     state = _state(settings.cameras, motion, split, camera, t, alpha)
                     where = _folder(settings, split, camera, alpha) + picture_path(settings, t, camera, split)
-                    rows = _rows(settings, motion, split, camera, t, state)
-                    pictures[state, split, camera, rows].append(Picture(where, t, alpha))
+                    rows, blur = _times(settings, motion, split, camera, t, state)
+                    seen = state, split, camera, rows, blur
+                    pictures[seen, _own_seed(settings, where)].append(Picture(where, t, alpha))
                     if not alpha and settings.truth in (split, "all"):
-                        seen = state, split, record.true_camera(split, camera, t), rows
+                        seen = state, split, record.true_camera(split, camera, t), rows, ()
                         truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
-    ordered = sorted({**pictures, **truth}, key=_order)
+    ordered = sorted({*pictures, *((seen, 0) for seen in truth)}, key=_order)
     painters = _painters(sorted(pictures, key=_order)) if settings.points else set()
     every = [
         Shot(
-            split=key[1],
-            camera=key[2],
-            state=key[0],
+            split=key[0][1],
+            camera=key[0][2],
+            state=key[0][0],
             pictures=tuple(pictures.get(key, ())),
-            truth=tuple(truth.get(key, ())),
+            truth=() if key[1] else tuple(truth.get(key[0], ())),
             paints=key in painters,
-            rows=key[3],
+            seed_offset=key[1],
+            rows=key[0][3],
+            blur=key[0][4],
         )
         for key in ordered
     ]
     return every + _reseeded(motion, every)
+
+
+def _own_seed(settings: Settings, path: str) -> int:
+    """Added to the seed of a picture's render, 0 where pictures share one; whatever the order of rendering."""
+    if settings.noise == "state":
+        return 0
+    return int(generator((settings.seed, path)).integers(1, 2**31))
 
 
 def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str:
@@ -124,20 +138,25 @@ def _state(
     return motion.rest if time_s is None else motion.state(time_s * setup.fps, alpha)
 
 
-def _rows(
+def _times(
     settings: Settings, motion: Motion, split: str, camera: Camera, timestep: int, middle: State
-) -> tuple[State, ...]:
-    """What bands of rows that are read in turn see; empty where all see the same."""
-    readout_s, setup = settings.effects.readout_ms / 1e3, settings.cameras
-    if not readout_s or split == "test" or (time_s := scene_time(setup, camera, timestep)) is None:
-        return ()
-    states = tuple(motion.state((time_s + delay) * setup.fps) for _, delay in bands(settings.size, readout_s))
-    return () if set(states) == {middle} else states
+) -> tuple[tuple[State, ...], tuple[State, ...]]:
+    """What bands of rows that are read in turn see, and an exposure gathers; empty where that is `middle` alone."""
+    effects, setup = settings.effects, settings.cameras
+    times = (
+        [delay for _, delay in bands(settings.size, effects.readout_ms / 1e3)] if effects.readout_ms else [],
+        [delay for _, delay in moments(effects.shutter_ms / 1e3)] if effects.shutter_ms else [],
+    )
+    if split == "test" or not any(times) or (time_s := scene_time(setup, camera, timestep)) is None:
+        return (), ()
+    rows, blur = (tuple(motion.state((time_s + delay) * setup.fps) for delay in delays) for delays in times)
+    return () if set(rows) == {middle} else rows, () if set(blur) == {middle} else blur
 
 
-def _order(key: _Key) -> tuple[bool, tuple[float, ...], bool, int, tuple[tuple[float, ...], ...]]:
-    state, split, camera, rows = key
-    return not state.at_rest, state.gains, split != "train", camera.index, tuple(r.gains for r in rows)
+def _order(key: _Key) -> tuple[bool, tuple[float, ...], bool, int, tuple[tuple[float, ...], ...], int]:
+    (state, split, camera, rows, blur), seed = key
+    times = tuple(r.gains for r in (*rows, *blur))
+    return not state.at_rest, state.gains, split != "train", camera.index, times, seed
 
 
 def _painters(keys: Sequence[_Key]) -> set[_Key]:
@@ -147,8 +166,8 @@ def _painters(keys: Sequence[_Key]) -> set[_Key]:
     """
     nearest: dict[Camera, _Key] = {}
     for key in keys:
-        state, split, camera, _ = key
-        if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0])):
+        state, split, camera, *_ = key[0]
+        if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0][0])):
             nearest[camera] = key
     found = list(nearest.values())
     step = -(-len(found) // _PAINTERS)

@@ -13,6 +13,7 @@ from .pictures import PictureFormat, Sensor
 from .vibration import MotionDescription
 
 TRUTH = ("none", "test", "all")
+NOISE = ("state", "picture")
 KINDS = ("builtin", "blend", "mesh")
 ENGINES = ("cycles", "eevee")
 DEVICES = ("cpu", "gpu", "auto")
@@ -41,6 +42,7 @@ class Settings:
     alphas: tuple[float, ...] = (5, 10, 20, 50, 100)  # magnification factors of the ground truth
     samples: int = 96  # light paths per pixel
     seed: int = 0  # of the renderer, the sensor and whatever else is random
+    noise: str = "state"  # pictures of one state share the renderer's, or each picture has its own
     truth: str = "test"  # splits with per-pixel truth
     points: int = 20000  # of points3d.ply
     engine: str = "cycles"
@@ -62,11 +64,14 @@ class Settings:
         if len(set(self.alphas)) != len(self.alphas):
             raise GenerateError(f"--alphas {','.join(f'{a:g}' for a in self.alphas)} names a factor twice")
         check_choice("--truth", self.truth, TRUTH)
+        check_choice("--noise", self.noise, NOISE)
         check_choice("--engine", self.engine, ENGINES)
         check_choice("--device", self.device, DEVICES)
         self.pictures.check_sensor(self.sensor)
         self.effects.check(self.pictures, self.size, self.timesteps)
-        self.effects.check_rows(self.fps, self.cameras.kind == "handheld")
+        self.effects.check_times(self.fps, self.cameras.kind == "handheld")
+        if self.noise == "picture" and self.engine == "eevee":
+            raise GenerateError("--noise picture needs --engine cycles: eevee has no seed")
         passing = next((mode for mode in self.motion.modes if not mode.steady), None)
         if self.cameras.kind == "clips" and passing is not None:
             raise GenerateError(
@@ -113,7 +118,7 @@ class Settings:
         )
 
 
-_PLAIN = ("scene", "size", "samples", "seed", "truth", "points", "engine", "device")
+_PLAIN = ("scene", "size", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
 def motion_file(scene: str) -> Path:

@@ -80,6 +80,7 @@ def describe(
         "format_version": FORMAT_VERSION, "scene": settings.scene, "kind": settings.cameras.capture_kind,
         **({"clocks": "independent"} if any(clock_offsets(settings.cameras)) else {}), "fps": settings.fps,
         **({"readout_s": settings.effects.readout_ms / 1e3} if settings.effects.readout_ms else {}),
+        **({"noise": settings.noise} if settings.noise != "state" else {}),
         "n_timesteps": settings.timesteps, "frequency_hz": main.frequency_hz, "amplitude": amplitude,
         "unit_scale_m": unit_scale_m, "modes": settings.motion.to_json()["modes"], "seed": settings.seed,
         "engine": engine, "alphas": list(settings.alphas), "background": settings.pictures.background,

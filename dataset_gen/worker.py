@@ -3,7 +3,8 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -11,79 +12,20 @@ from typing import Any, TextIO
 
 import bpy
 import numpy as np
-from mathutils import Vector
-from mathutils.bvhtree import BVHTree
 
-from . import build, points, render, tree, truth
+from . import build, render, tree, truth
 from .cameras import cameras_at
 from .compat import use_device
 from .effects import Record, record
-from .effects.rows import bands
+from .effects.rows import bands, moments
 from .errors import GenerateError
-from .pictures import straight, to_display
+from .painter import Painter
 from .plan import Picture, Shot, shots
 from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .settings import Quality, Settings, Source
 from .sources.assemble import Loaded
 from .vibration import Body, State
-
-
-class Painter:
-    """Writes, per painting shot, which candidates its camera sees with nothing in between, and their colours.
-
-    The points are those of the rest scene, the picture may show a state near it: the difference is below a
-    pixel.
-    """
-
-    def __init__(self, bodies: Sequence[Body], settings: Settings, root: Path) -> None:
-        self._bodies, self._settings, self._root = bodies, settings, root
-        self._candidates: points.Candidates | None = None
-        self._tree: BVHTree | None = None
-
-    def wants(self, shot: Shot) -> bool:
-        """Whether the shot has colours to give that are not there yet."""
-        if not shot.paints or not points.wanted(self._root, self._settings):
-            return False
-        return not points.view_file(self._root, shot).exists()
-
-    def paint(self, shot: Shot, linear: np.ndarray) -> None:
-        """Takes the colours from the picture [H, W, 4], scene-linear, alpha premultiplied."""
-        if self._candidates is None:
-            self._candidates = points.sample_surfaces(
-                self._bodies, self._settings.points, self._settings.seed
-            )
-        size = self._settings.size
-        positions, normals = self._candidates.positions, self._candidates.normals
-        to_eye = shot.camera.camera_to_world[:3, 3] - positions
-        distance = np.linalg.norm(to_eye, axis=1)
-        facing = np.abs((to_eye * normals).sum(1)) / distance
-        pixel, depth = shot.camera.project(positions, size, size)
-        inside = ((pixel >= 0) & (pixel < size)).all(1)
-        index = np.flatnonzero((facing > 0.2) & inside & (depth > 0))
-        column, row = np.floor(np.where(inside[:, None], pixel, 0)).astype(int).T
-        index = index[linear[row[index], column[index], 3] > 0.5]
-        directions = to_eye[index] / distance[index, None]
-        index = index[self._unhidden(positions[index], directions, distance[index])]
-        colours = to_display(straight(linear)[0][row[index], column[index]])
-        with tree.whole(points.view_file(self._root, shot)) as temporary:
-            np.savez(temporary, index=index, colour=colours, weight=facing[index] ** 2)
-
-    def _unhidden(self, positions: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        if self._tree is None:
-            starts = np.cumsum([0] + [len(body.vertices) for body in self._bodies[:-1]])
-            vertices = np.concatenate([body.vertices for body in self._bodies])
-            faces = np.concatenate([b.triangles + s for b, s in zip(self._bodies, starts, strict=True)])
-            self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
-        cast = self._tree.ray_cast
-        lifted = positions + 1e-3 * directions
-        return np.array(
-            [
-                cast(Vector(p), Vector(d), r)[0] is None
-                for p, d, r in zip(lifted.tolist(), directions.tolist(), distance.tolist(), strict=True)
-            ],
-            bool,
-        )
 
 
 def work(job_path: Path) -> int:
@@ -164,7 +106,7 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
 
     photographer = _Photographer(stage, settings, quality, root, Painter(bodies, settings, root), move)
     todo = [every[i] for i in job["shots"]]
-    for (state, _), group in groupby(todo, key=lambda shot: (shot.state, shot.seed_offset)):
+    for state, group in groupby(todo, key=lambda shot: shot.state):
         batch = list(group)
         move(state)
         for take in (photographer.picture, photographer.truth):
@@ -177,6 +119,7 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
 # Linear light [H, W, 4] of one of a shot's pictures; of None, as the camera stands.
 Take = Callable[[Picture | None], np.ndarray]
 _Rasters = dict[str, np.ndarray]  # [H, W, ...]
+_NEXT_SEED = 7_368_787  # between the moments of an exposure, so that their noise is not the same
 
 
 class _Photographer:
@@ -231,9 +174,24 @@ class _Photographer:
 
     def _steady(self, shot: Shot) -> Take:
         build.set_view(self._stage, shot.camera)
-        render.use_picture(self._stage, self._quality, shot.seed_offset)
-        linear = self._seen(shot, lambda: {"": render.linear_picture(self._stage)})[""]
+        if shot.blur:
+            linear = self._blurred(shot)
+        else:
+            render.use_picture(self._stage, self._quality, shot.seed_offset)
+            linear = self._seen(shot, lambda: {"": render.linear_picture(self._stage)})[""]
         return lambda picture: linear
+
+    def _blurred(self, shot: Shot) -> np.ndarray:
+        """The mean over the exposure, each moment with a part of the light paths; the shot's state is left behind."""
+        shares = [share for share, _ in moments(self._settings.effects.shutter_ms / 1e3)]
+        quality = replace(self._quality, samples=-(-self._quality.samples // len(shares)))
+        total = np.zeros((quality.height, quality.width, 4))
+        for i, (share, state) in enumerate(zip(shares, shot.blur, strict=True)):
+            self._move(state)
+            render.use_picture(self._stage, quality, shot.seed_offset + i * _NEXT_SEED)
+            total += share * render.linear_picture(self._stage)
+        self._move(shot.state)
+        return np.asarray(total, np.float32)
 
     def _seen(self, shot: Shot, render_once: Callable[[], _Rasters]) -> _Rasters:
         """What the shot's rows see, each in the state of its own time; the stage is in the shot's state again then."""

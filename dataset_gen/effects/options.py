@@ -28,6 +28,7 @@ class Effects:
     crf: int = 20  # x264's constant rate factor: 0 keeps everything, 51 almost nothing
     keep_video: bool = False
     readout_ms: float = 0.0  # rolling shutter of fixed cameras: from a picture's first row to its last
+    shutter_ms: float = 0.0  # exposure of fixed cameras, whose pictures show the mean over it: motion blur
 
     def __post_init__(self) -> None:
         check_within("--shake", self.shake_px, 0, _MOST_SHAKE, "pixels")
@@ -37,6 +38,7 @@ class Effects:
         check_choice("--codec", self.codec, CODECS)
         check_whole("--crf", self.crf, 0, 51)
         check_within("--readout", self.readout_ms, 0, 1e3, "milliseconds")
+        check_within("--shutter", self.shutter_ms, 0, 1e3, "milliseconds")
 
     @property
     def gain(self) -> bool:
@@ -50,18 +52,22 @@ class Effects:
 
     @property
     def any(self) -> bool:
-        return self.gain or self.coded or self.shake_px > 0 or self.readout_ms > 0
+        return self.gain or self.coded or max(self.shake_px, self.readout_ms, self.shutter_ms) > 0
 
-    def check_rows(self, fps: float, is_moving: bool) -> None:
-        """Raises GenerateError where rows cannot be read at times of their own."""
-        if self.readout_ms > 1e3 / fps:
+    def check_times(self, fps: float, is_moving: bool) -> None:
+        """Raises GenerateError where rows cannot be read, or light be gathered, at times of their own."""
+        given = {"--readout": self.readout_ms, "--shutter": self.shutter_ms}
+        for option, ms in given.items():
+            if ms > 1e3 / fps:
+                raise GenerateError(
+                    f"{option} {ms:g} is more than the {1e3 / fps:.4g} ms of a frame at --fps {fps:g}"
+                )
+            if ms and (is_moving or self.shake_px):
+                other = "--cameras handheld" if is_moving else f"--shake {self.shake_px:g}"
+                raise GenerateError(f"{option} {ms:g} is for cameras that stand still, not with {other}")
+        if all(given.values()):
             raise GenerateError(
-                f"--readout {self.readout_ms:g} is more than the {1e3 / fps:.4g} ms of a frame at --fps {fps:g}"
-            )
-        if self.readout_ms and (is_moving or self.shake_px):
-            other = "--cameras handheld" if is_moving else f"--shake {self.shake_px:g}"
-            raise GenerateError(
-                f"--readout {self.readout_ms:g} is for cameras that stand still, not with {other}"
+                f"--shutter {self.shutter_ms:g} blurs whole pictures: not with --readout {self.readout_ms:g}"
             )
 
     def check(self, pictures: PictureFormat, size: int, timesteps: int) -> None:
@@ -72,7 +78,7 @@ class Effects:
         )
         if self.any and timesteps < 2:
             raise GenerateError(
-                "--timesteps 1: shake, drift, flicker, readout and a codec need at least 2 timesteps"
+                "--timesteps 1: shake, drift, flicker, readout, shutter and a codec need at least 2 timesteps"
             )
         if self.gain and not white:
             raise GenerateError(f"{option} acts on the whole picture: use --background white")
@@ -83,6 +89,7 @@ class Effects:
 
     def to_json(self) -> dict[str, Any]:
         data = asdict(self)
-        if not self.readout_ms:  # as in sets that were made before there was one
-            del data["readout_ms"]
+        for name in ("readout_ms", "shutter_ms"):  # as in sets that were made before there was one
+            if not data[name]:
+                del data[name]
         return data

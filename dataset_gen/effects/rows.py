@@ -1,6 +1,8 @@
-"""Rows that are read one after another, as a few bands of them, each at the time of its middle.
+"""The times that one picture shows: of rows read one after another, or of an exposure.
 
-`time` of a picture is that of its middle row. Sixteen bands are off by a fiftieth of a readout, rms.
+Rows are a few bands of them, each at the time of its middle; `time` of a picture is that of its middle row. Sixteen
+bands are off by a fiftieth of a readout, rms. An exposure is the weighted mean of a few moments of it, around `time`
+(Gauss–Legendre: exact to 1e-6 for an exposure of half a period).
 """
 
 from itertools import pairwise
@@ -8,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 BANDS = 16
+MOMENTS = 5
 
 
 def bands(size: int, readout_s: float) -> list[tuple[slice, float]]:
@@ -19,3 +22,9 @@ def bands(size: int, readout_s: float) -> list[tuple[slice, float]]:
 def row_delays(size: int, readout_s: float) -> np.ndarray:
     """[size] seconds after the middle row."""
     return np.asarray(readout_s * ((np.arange(size) + 0.5) / size - 0.5))
+
+
+def moments(shutter_s: float) -> list[tuple[float, float]]:
+    """(share of the light, seconds after the middle) of the moments of an exposure; the shares sum to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(MOMENTS)
+    return [(0.5 * w, 0.5 * shutter_s * x) for w, x in zip(weights.tolist(), nodes.tolist(), strict=True)]

@@ -101,9 +101,12 @@ def test_bad_input_is_one_line_and_exit_2(arguments, message, tmp_path, capsys):
         ("--keep-video", r"--keep-video goes with --codec"),
         (
             "--shake 1 --timesteps 1",
-            r"--timesteps 1: shake, drift, flicker, readout and a codec need at least 2 timesteps",
+            r"--timesteps 1: shake, drift, flicker, readout, shutter and a codec need at least 2 timesteps",
         ),
         ("--readout 40", r"--readout 40 is more than the 33.33 ms of a frame at --fps 30"),
+        ("--shutter 40", r"--shutter 40 is more than the 33.33 ms of a frame at --fps 30"),
+        ("--shutter 9 --readout 12", r"--shutter 9 blurs whole pictures: not with --readout 12"),
+        ("--noise picture --engine eevee", r"--noise picture needs --engine cycles: eevee has no seed"),
         ("--readout -1", r"--readout -1.0 is not in 0 … 1000 milliseconds"),
         ("--readout 12 --shake 1", r"--readout 12 is for cameras that stand still, not with --shake 1"),
         (

@@ -1,5 +1,9 @@
 """Every file of the set comes from exactly one shot, and equal states are rendered once."""
 
+import numpy as np
+import pytest
+
+from dataset_gen.effects.rows import moments
 from dataset_gen.options import parser, request_from
 from dataset_gen.plan import RESEEDED, shots
 from dataset_gen.prepare import builtin_bodies, motion_of
@@ -24,3 +28,25 @@ def test_the_noise_is_measured_where_the_motion_is_largest():
     assert {picture.alpha for shot in again for picture in shot.pictures} == {-1, 0, 5, 10, 20, 50, 100}
     assert all(picture.path.startswith(RESEEDED) for shot in again for picture in shot.pictures)
     assert [shot.state.at_rest for shot in again].count(True) == 1  # what "nothing moves" is scored by
+
+
+def test_with_noise_of_its_own_every_picture_is_a_render_and_truth_is_not_rendered_twice():
+    settings, shared, _ = plan("--noise picture")
+    every = [s for s in shots(settings, motion_of(settings, builtin_bodies("mic"))) if s.pictures or s.truth]
+    own = [s for s in every if s.pictures and not s.pictures[0].path.startswith(RESEEDED)]
+    assert len({s.seed_offset for s in own}) == len(own) == 30 * 30 + 30 * 5 * 6
+    assert not any(s.seed_offset == 0 for s in own)
+    assert sorted(name for s in shared for name in s.truth) == sorted(n for s in plan()[1] for n in s.truth)
+    assert all(not s.pictures for s in shared)
+    assert len(shared) == 15  # three states, five test cameras
+
+
+def test_an_exposure_shows_the_motion_times_the_sinc_of_it():
+    _, every, _ = plan("--shutter 33.3 --points 0")
+    blurred = [s for s in every if s.blur]
+    assert {s.split for s in blurred} == {"train"}
+    shares = [share for share, _ in moments(0.0333)]
+    assert sum(shares) == pytest.approx(1)
+    shown = [np.dot(shares, [state.gains[0] for state in s.blur]) for s in blurred]
+    true = [s.state.gains[0] * np.sinc(5 * 0.0333) for s in blurred]
+    np.testing.assert_allclose(shown, true, rtol=1e-6, atol=1e-9)

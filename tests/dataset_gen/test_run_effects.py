@@ -225,3 +225,23 @@ def test_videos_of_a_tripod_lie_as_structure_from_motion_takes_them(tmp_path):
     assert names == ["r_000.mp4", *(f"sweep/r_{i:03d}.png" for i in (1, 2, 3))]
     assert (root / "video/sweep/r_002.png").read_bytes() == (root / "000/train/r_002.png").read_bytes()
     assert sources.SWEEP == "sweep"
+
+
+@pytest.mark.slow
+def test_noise_of_its_own_and_an_exposure_change_training_pictures_as_they_say(plain, tmp_path):
+    """A motion of 5 Hz at 30 Hz is in the same state at timesteps 0 and 3; an exposure shows less motion."""
+    options = "--views 1 --background white --samples 16"
+    own = made(tmp_path / "own", options, "--noise picture")
+
+    def at(root, timestep):
+        return pixels(root / f"{timestep:03d}/train/r_000.png")
+
+    assert (at(plain, 0) == at(plain, 3)).all()
+    assert 0 < np.abs(at(own, 0) - at(own, 3)).mean() < 5
+    assert json.loads((own / "scene.json").read_text())["noise"] == "picture"
+    fast = f"{options} --samples 64 --frequency 12 --amplitude 0.12"
+    smeared, sharp = (
+        at(root, 1) - at(root, 4)
+        for root in (made(tmp_path / "smeared", fast, "--shutter 33"), made(tmp_path / "sharp", fast))
+    )
+    assert 0.5 < (sharp * smeared).sum() / (sharp**2).sum() < 0.85  # .76, less by noise and by what is hidden

@@ -49,7 +49,7 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
             panel.set_ylabel(f"{METRICS[key][0]} (cut to {_LEAST:g} … {_MOST:g})")
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def size_and_speed(results: Mapping[str, Any], group: str) -> str | None:
@@ -80,7 +80,7 @@ def size_and_speed(results: Mapping[str, Any], group: str) -> str | None:
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.25)
     figure.legend(loc="outside right upper", frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def curves(
@@ -113,7 +113,7 @@ def curves(
         axes.set_xlabel(x)
         axes.set_ylabel(y)
         figure.legend(loc="outside right upper", frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _style(row: str, rows: list[str]) -> dict[str, Any]:
@@ -128,7 +128,8 @@ def _style(row: str, rows: list[str]) -> dict[str, Any]:
     }
 
 
-def _svg(figure: Any) -> str:
+def svg(figure: Any) -> str:
+    """The drawing, the same bytes each time."""
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": "tg4mm", "svg.fonttype": "none", "font.size": 10}):
