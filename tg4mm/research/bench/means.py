@@ -1,10 +1,14 @@
 """Means over scenes, for sets of one size, amplitude and kind of capture, or of one kind of capture alone."""
 
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
+from tg4mm.research.bench.intervals import half_width
 from tg4mm.research.bench.measure import stage_costs
 from tg4mm.research.evaluate.run import CEILING
+
+JUDGED = "modal"  # the row that goals are for, and that others are compared with
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -59,16 +63,27 @@ def gap(row: Mapping[str, Mapping[str, Any]], way: str) -> float | None:
     return None if ours is None or best is None else best - ours
 
 
-def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
-    """[{group, row, preset, n_sets, sets, scalars: {…}, gaps: {α: {way: SSIM}}}].
+def half_of(values: Iterable[tuple[str, float | None]], scene_of: Mapping[str, str]) -> float | None:
+    """Half of the 95 % interval of the mean over (set, value); None where `mean_of_all` is, and of one set."""
+    sets, known = zip(*values, strict=True) if (values := list(values)) else ((), ())
+    return None if None in known else half_width(known, [scene_of.get(label, label) for label in sets])
 
-    `group_of` a set's label. An α counts where every set of the group that has this row has ground truth for it: means
-    of different scenes must not stand in one line. For the same reason a scalar that a set has for no row is the mean
-    of the other sets in every row, and one that only this row lacks somewhere is None.
+
+def group_means(
+    runs: Iterable[Mapping[str, Any]],
+    group_of: Mapping[str, str],
+    scene_of: Mapping[str, str] = MappingProxyType({}),
+) -> list[dict[str, Any]]:
+    """[{group, row, preset, n_sets, sets, scalars: {…}, half: {scalar: …}, gaps: {α: {way: SSIM}}}].
+
+    `group_of`, `scene_of` a set's label; half: of the 95 % interval of each scalar's mean. An α counts where every set
+    of the group that has this row has ground truth for it: means of different scenes must not stand in one line. For
+    the same reason a scalar that a set has for no row is the mean of the other sets in every row, and one that only
+    this row lacks somewhere is None.
     """
     runs = list(runs)
     measured = {(run["set"], k) for run in runs for k, value in scalars(run).items() if value is not None}
-    return [_group_mean(group, row, some, measured) for (group, row), some in _grouped(runs, group_of)]
+    return [_group_mean(g, row, some, measured, scene_of) for (g, row), some in _grouped(runs, group_of)]
 
 
 def _grouped(
@@ -81,28 +96,36 @@ def _grouped(
 
 
 def _group_mean(
-    group: str, row: str, runs: list[Mapping[str, Any]], measured: set[tuple[str, str]]
+    group: str,
+    row: str,
+    runs: list[Mapping[str, Any]],
+    measured: set[tuple[str, str]],
+    scene_of: Mapping[str, str],
 ) -> dict[str, Any]:
     """measured: (set, scalar) that some row has."""
     common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
-    values = [(run["set"], scalars(run)) for run in runs]
+    each = [(run["set"], scalars(run)) for run in runs]
+    values = {k: [(name, v[k]) for name, v in each if (name, k) in measured] for k in each[0][1]}
     return {
         "group": group,
         "row": row,
         "preset": runs[0]["preset"],
         "n_sets": len(runs),
         "sets": [run["set"] for run in runs],
-        "scalars": {
-            k: mean_of_all(v[k] for name, v in values if (name, k) in measured) for k in values[0][1]
-        },
+        "scalars": {k: mean_of_all(v for _, v in some) for k, some in values.items()},
+        "half": {k: half_of(some, scene_of) for k, some in values.items()},
         "gaps": {
             a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
         },
     }
 
 
-def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
-    """[{group, row, n_sets, sets, alphas: {α: {metric}}, frames_per_s}] of the picture scores, by group and row.
+def line_means(
+    lines: Iterable[Mapping[str, Any]],
+    group_of: Mapping[str, str],
+    scene_of: Mapping[str, str] = MappingProxyType({}),
+) -> list[dict[str, Any]]:
+    """[{group, row, n_sets, sets, alphas, half: {α: {metric}}, frames_per_s}] of the scores, by group and row.
 
     As in `group_means` an α counts where every set that has the row has it. A metric that a set has for no row (nothing
     moves there, say) is the mean of the other sets in every row; one that only this row lacks somewhere is None.
@@ -115,26 +138,56 @@ def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) 
         for metric, value in scores.items()
         if value is not None
     }
-    return [_line_mean(group, row, some, scored) for (group, row), some in _grouped(lines, group_of)]
+    return [_line_mean(g, row, some, scored, scene_of) for (g, row), some in _grouped(lines, group_of)]
 
 
 def _line_mean(
-    group: str, row: str, lines: list[Mapping[str, Any]], scored: set[tuple[str, str, str]]
+    group: str,
+    row: str,
+    lines: list[Mapping[str, Any]],
+    scored: set[tuple[str, str, str]],
+    scene_of: Mapping[str, str],
 ) -> dict[str, Any]:
     """scored: (set, α, metric) that some row has."""
     common = [a for a in lines[0]["alphas"] if all(a in line["alphas"] for line in lines)]
     metrics = dict.fromkeys(k for line in lines for scores in line["alphas"].values() for k in scores)
+    values = {
+        a: {
+            k: [(x["set"], x["alphas"][a].get(k)) for x in lines if (x["set"], a, k) in scored]
+            for k in metrics
+        }
+        for a in common
+    }
     return {
         "group": group,
         "row": row,
         "n_sets": len(lines),
         "sets": [line["set"] for line in lines],
         "alphas": {
-            a: {
-                k: mean_of_all(x["alphas"][a].get(k) for x in lines if (x["set"], a, k) in scored)
-                for k in metrics
-            }
-            for a in common
+            a: {k: mean_of_all(v for _, v in some) for k, some in of.items()} for a, of in values.items()
         },
+        "half": {a: {k: half_of(some, scene_of) for k, some in of.items()} for a, of in values.items()},
         "frames_per_s": mean(line["frames_per_s"] for line in lines),
     }
+
+
+def less(lines: Iterable[Mapping[str, Any]], base: str) -> list[dict[str, Any]]:
+    """The lines with every score less that of the row `base` on the same set at the same α; without those of `base`."""
+    lines = list(lines)
+    of_base = {line["set"]: line["alphas"] for line in lines if line["row"] == base}
+    found = []
+    for line in lines:
+        if line["row"] == base or line["set"] not in of_base:
+            continue
+        beside = of_base[line["set"]]
+        alphas = {
+            a: {k: _less(v, beside[a].get(k)) for k, v in scores.items()}
+            for a, scores in line["alphas"].items()
+            if a in beside
+        }
+        found.append({**line, "alphas": alphas})
+    return found
+
+
+def _less(value: float | None, other: float | None) -> float | None:
+    return None if value is None or other is None else value - other

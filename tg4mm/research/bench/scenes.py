@@ -12,7 +12,7 @@ from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.page import read_ablation
 from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
 from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
-from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.means import JUDGED, group_means, less, line_means
 from tg4mm.research.bench.measure import alphas_of, check_plan, is_measured, warm_up
 from tg4mm.research.bench.methods import Method, Trained
 from tg4mm.research.bench.methods.known import DEFAULT, External, methods_of
@@ -222,10 +222,13 @@ class _Bench:
             "lines": self.lines,
             "failed": self.failed,
         }
-        found["means"] = group_means(self.runs, titles)
-        found["line_means"] = line_means(self.lines, titles)
-        found["kind_means"] = group_means(self.runs, kinds)
-        found["kind_line_means"] = line_means(self.lines, kinds)
+        scenes = {s.label: s.scene for s in self.sets}
+        found["means"] = group_means(self.runs, titles, scenes)
+        found["line_means"] = line_means(self.lines, titles, scenes)
+        found["kind_means"] = group_means(self.runs, kinds, scenes)
+        found["kind_line_means"] = line_means(self.lines, kinds, scenes)
+        found["against"] = JUDGED if JUDGED in {line["row"] for line in self.lines} else None
+        found["differences"] = line_means(less(self.lines, found["against"] or ""), titles, scenes)
         return found
 
 

@@ -38,6 +38,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "gain": ("gain", "{:.2f}"),
     "residual": ("residual", "{:.2f}"),
     "closure": ("closure", "{:.2f}"),
+    "ssim_gap": ("SSIM below the ceiling", "{:.4f}"),
     "md_vqa": ("MD-VQA", "{:.2f}"),
     "fast_vqa": ("FAST-VQA", "{:.4f}"),
 }
@@ -147,11 +148,14 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 
 
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
-    """Add `closure` to every row's scores of one set and α: SSIM between the rows `still` (0) and `ceiling` (1)."""
+    """Add to every row's scores of one set and α `closure`, SSIM between the rows `still` (0) and `ceiling` (1), and
+    `ssim_gap`, how far SSIM lies below that of `ceiling`."""
     ends = [rows.get(name, {}).get("ssim") for name in (still, ceiling)]
     for scores in rows.values():
-        known = [scores.get("ssim"), *ends]
-        scores["closure"] = None if None in known else closure(*known)  # type: ignore[arg-type]
+        ours, (rest, best) = scores.get("ssim"), ends
+        known = ours is not None and rest is not None and best is not None
+        scores["closure"] = closure(ours, rest, best) if known else None
+        scores["ssim_gap"] = best - ours if known else None
 
 
 def cameras_of(capture: Capture) -> list[np.ndarray]:

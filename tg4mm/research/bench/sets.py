@@ -44,6 +44,7 @@ class BenchSet:
     cameras: str  # how it was filmed, as the generator calls it, else one of tg4mm.capture's KINDS
     digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
     torn: Mapping[int, str] = field(default_factory=dict)  # α whose ground truth is not whole: why
+    scene: str = ""  # sets of one scene, of other seeds or motions say, are alike
 
     @property
     def group(self) -> str:
@@ -189,6 +190,7 @@ def open_set(root: Path, label: str) -> BenchSet:
         cameras=_filmed(root, capture.kind),
         digest=digest,
         torn=torn,
+        scene=_scene(root) or label,
     )
 
 
@@ -247,14 +249,24 @@ def alpha_to_show(alphas: Iterable[int]) -> int:
     return min(alphas, key=lambda a: abs(math.log(a / _SHOWN_ALPHA)), default=0)
 
 
+def _described(root: Path, key: str) -> Any:
+    """An entry of scene.json, None where there is none."""
+    try:
+        return read_json(root / "scene.json").get(key)
+    except RunError:  # it is none of the generator's
+        return None
+
+
+def _scene(root: Path) -> str:
+    named = _described(root, "scene")
+    return named if isinstance(named, str) else ""
+
+
 def _filmed(root: Path, kind: str) -> str:
     """The generator tells an orbit from a rig; to a reader both are a rig."""
     from dataset_gen.cameras import KINDS
 
-    try:
-        cameras = read_json(root / "scene.json").get("cameras")
-    except RunError:  # it is none of the generator's
-        return kind
+    cameras = _described(root, "cameras")
     named = cameras.get("kind") if isinstance(cameras, dict) else None
     return named if isinstance(named, str) and named in KINDS and named != "given" else kind
 

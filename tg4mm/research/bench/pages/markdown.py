@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tg4mm.research.bench.means import JUDGED
 from tg4mm.research.bench.methods.known import ABOUT
 from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
 from tg4mm.research.bench.sets import goal_amplitude
@@ -63,6 +64,10 @@ _FRAMING = (
     "“Nothing moves” is the Gaussians of the first of modal, paper and paper-tuned that is run, at rest; the ceiling "
     "the exact motion applied to them. "
 )
+_INTERVALS = (
+    "After ± stands half of the 95 % interval of a mean, by bootstrap over scenes and the sets (seeds, motions) of "
+    "each, with Student's t for the number of scenes. "
+)
 _OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D method sees, and have no other views. "
 
 
@@ -78,6 +83,7 @@ def how(results: Mapping[str, Any]) -> str:
         "α is the magnification factor: a displacement δ is shown as (1 + α) δ. "
         + band
         + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). "
+        + (_INTERVALS if any(m["n_sets"] > 1 for m in results["line_means"]) else "")
         + (_FRAMING if any(line["row"] == STATIC for line in results["lines"]) else "")
         + (_OF_2D if any(name.endswith("-2d") for name in own) else "")
         + (_time_rule(results) if any(name.startswith("paper") for name in own) else "")
@@ -161,7 +167,6 @@ def remarks(results: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
         yield "Notes", [f"{', '.join(labels)}: {note}" for note, labels in notes.items()]
 
 
-JUDGED = "modal"  # the preset that the goals are for
 RIVAL = "paper-tuned"
 _GAPS = ((20.0, 0.002), (50.0, 0.005))  # α up to which, SSIM below the ceiling at most
 _ERRORS = {0.2: 0.05, 0.02: 0.10}  # displacement error at an amplitude in pixels

@@ -11,12 +11,13 @@ from tg4mm.research.text import NOTHING, Table, shown
 Results = Mapping[str, Any]
 # Picture metrics that have a table of their own, methods down and α across.
 PIVOTS = (
-    "ssim", "closure", "gain", "residual", "ssim_moving", "psnr_moving_db", "flip", "lpips", "md_vqa",
+    "ssim", "closure", "gain", "residual", "ssim_moving", "ssim_gap", "psnr_moving_db", "flip", "lpips", "md_vqa",
     "fast_vqa",
 )  # fmt: skip
 _SAYS = {
     "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, so that a "
     "still picture scores high.",
+    "ssim_gap": "How far SSIM lies below that of the exact motion of the same Gaussians: what the motion alone costs.",
     "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1). Outside of "
     "0 to 1: worse than a still picture, or sharper than the Gaussians. Where the two ends are near each other it says "
     "little.",
@@ -72,6 +73,7 @@ def tables_of(results: Results, group: str) -> list[Table]:
     """What is printed for one group: the means by α, the motion, its modes, what it costs. No table is empty."""
     found = [
         *pivots(results["line_means"], group),
+        *differences_tables(results, group),
         motion_table(results, group),
         own_ceiling_table(results, group),
     ]
@@ -88,12 +90,42 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
         title, form = METRICS[key]
         known = [a for a in alphas if any(m["alphas"].get(a, {}).get(key) is not None for m in mine)]
         rows = [
-            [row_name(m, every), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
+            [row_name(m, every), *(_cell(m, a, key, form) for a in known)]
             for m in mine
             if any(key in m["alphas"].get(a, {}) for a in known)
         ]
         if rows:
             yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
+
+
+def _cell(means: Mapping[str, Any], alpha: str, key: str, form: str) -> str:
+    values, halves = (means[part].get(alpha, {}).get(key) for part in ("alphas", "half"))
+    return with_half(values, halves, form)
+
+
+def with_half(value: float | None, half: float | None, form: str) -> str:
+    """`0.9671 ± 0.0123`; a mean without an interval alone."""
+    return (
+        shown(value, form)
+        if value is None or half is None
+        else f"{form.format(value)} ± {form.replace('+', '').format(half)}"
+    )
+
+
+_COMPARED = ("ssim", "ssim_moving")
+
+
+def differences_tables(results: Results, group: str) -> Iterator[Table]:
+    """How far each method is from one of them on the same sets, whose scatter from scene to scene so drops out."""
+    mine = [m for m in results["differences"] if m["group"] == group and m["row"] not in {STATIC, CEILING}]
+    alphas = sorted({a for m in mine for a in m["alphas"] if float(a) > 0}, key=float)
+    every = sets_in(mine)
+    for key in _COMPARED:
+        rows = [[row_name(m, every), *(_cell(m, a, key, "{:+.4f}") for a in alphas)] for m in mine]
+        title = f"{METRICS[key][0]}, less that of {results['against']}"
+        note = "Mean of the differences on each set; below 0 where the method scores lower."
+        if alphas and any(NOTHING not in cell for row in rows for cell in row[1:]):
+            yield Table(f"less_{key}", title, note, ["method", *(f"α = {a}" for a in alphas)], rows)
 
 
 def sets_in(means: Iterable[Mapping[str, Any]]) -> set[str]:
@@ -253,7 +285,8 @@ def _scalar_rows(results: Results, group: str, columns: Sequence[tuple[str, str,
         rows.append([run["set"], run["row"], *(shown(values[k], form) for k, _, form in columns)])
     for means in results["means"]:
         if means["group"] == group and means["n_sets"] > 1:
-            values = means["scalars"]
+            values, half = means["scalars"], means["half"]
             name = f"mean of {means['n_sets']}"
-            rows.append([name, means["row"], *(shown(values[k], form) for k, _, form in columns)])
+            cells = (with_half(values[k], half[k], form) for k, _, form in columns)
+            rows.append([name, means["row"], *cells])
     return rows
