@@ -1,9 +1,9 @@
 """How far a mean over scenes and seeds is sure: 95 % intervals by bootstrap.
 
 Scenes are drawn with replacement, then of each drawn scene its sets (seeds, motions) with replacement: sets of one
-scene are alike, so that many seeds of few scenes do not count as many scenes. The standard deviation of the resampled means
-times √(n / (n − 1)) t, with t Student's quantile for the n scenes, is half the interval: with the bare quantiles of so
-few scenes it would be too short (Hesterberg, The American Statistician 69, 2015).
+scene are alike, so that many seeds of few scenes do not count as many scenes. Half the interval is the standard
+deviation of the resampled means times √(n / (n − 1)) t, with t Student's quantile for the n scenes: with the bare
+quantiles of so few it would be too short (Hesterberg, The American Statistician 69, 2015).
 """
 
 import math

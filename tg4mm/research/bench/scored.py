@@ -150,12 +150,13 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
     """Add to every row's scores of one set and α `closure`, SSIM between the rows `still` (0) and `ceiling` (1), and
     `ssim_gap`, how far SSIM lies below that of `ceiling`."""
-    ends = [rows.get(name, {}).get("ssim") for name in (still, ceiling)]
+    rest, best = (rows.get(name, {}).get("ssim") for name in (still, ceiling))
     for scores in rows.values():
-        ours, (rest, best) = scores.get("ssim"), ends
-        known = ours is not None and rest is not None and best is not None
-        scores["closure"] = closure(ours, rest, best) if known else None
-        scores["ssim_gap"] = best - ours if known else None
+        ours = scores.get("ssim")
+        if ours is None or rest is None or best is None:
+            scores["closure"] = scores["ssim_gap"] = None
+        else:
+            scores["closure"], scores["ssim_gap"] = closure(ours, rest, best), best - ours
 
 
 def cameras_of(capture: Capture) -> list[np.ndarray]:
