@@ -28,6 +28,12 @@ def report(
         ),
     ] = None,
     allow_empty_band: EmptyBandOption = False,
+    pdf: Annotated[
+        bool,
+        typer.Option(
+            "--pdf", help="Also as PDF, beside the page; by Chromium, Chrome or Edge, or the extra pdf."
+        ),
+    ] = False,
 ) -> None:
     """Write a report of a run: one HTML file.
 
@@ -47,8 +53,10 @@ def report(
     from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names
     from tg4mm.show.report import ReportOptions, write_report
+    from tg4mm.show.report.pdf import print_pdf, printer
     from tg4mm.show.result.requested import refuse_empty
 
+    browser = printer() if pdf else None
     sensors = checked_names([parse_sensor(text) for text in sensor or []])
     opened = Run.open(run)
     if sensors:
@@ -60,4 +68,6 @@ def report(
         alpha=alpha, band=bands[0] if bands else None, sensors=sensors, evaluate=evaluate_run
     )
     path = write_report(opened, out or run / "report.html", options)
-    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+    written = [path, *([] if browser is None else [print_pdf(path, browser)])]
+    for file in written:
+        typer.echo(f"{file}: {file.stat().st_size / 1e6:.1f} MB")

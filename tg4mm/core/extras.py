@@ -15,6 +15,7 @@ EXTRA_OF = {
     "pycolmap": "sfm",
     "viser": "view",
     "pxr": "usd",
+    "playwright": "pdf",
     "pyoma2": "modal",
     "sdypy": "modal",
 }

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from tg4mm.core.pages.curves import curves
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
 
 # Colours that nothing else is drawn in, and the variables that take their places.
@@ -40,10 +41,12 @@ _CONTEXT: dict[Any, Any] = {
 }
 
 
-def chart(draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3)) -> Markup:
+def chart(
+    draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3), zooms: bool = False
+) -> Markup:
     """An inline SVG of what `draw` puts on a matplotlib axes, `size` in inches.
 
-    `label` says what it shows to those who do not see it.
+    `label` says what it shows to those who do not see it; `zooms`: with its numbers, which a page's script draws anew.
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -60,7 +63,8 @@ def chart(draw: Callable[[Any], None], label: str, size: tuple[float, float] = (
                 legend.set_bbox_to_anchor((1.0, 1.06), transform=one.transAxes)
         data = io.StringIO()
         figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
-    return _inline(data.getvalue(), label)
+    numbers = curves(figure.axes[0], _VARIABLES) if zooms else Markup("")
+    return _inline(data.getvalue(), label) + numbers
 
 
 def _inline(text: str, label: str) -> Markup:

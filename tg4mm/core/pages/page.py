@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
+from tg4mm.core.pages.curves import zoom_script, zoom_style
 from tg4mm.core.pictures.frames import png_bytes, to_bytes
 
 _HERE = Path(__file__).parent
@@ -181,4 +182,14 @@ def render_page(page: Page, more_style: str = "", more_script: str = "") -> str:
     # Our own files, not data: they go in as they are.
     style, script = (Markup((_HERE / name).read_text(encoding="utf-8")) for name in ("style.css", "sync.js"))
     style, script = style + Markup(more_style), script + Markup(more_script)
-    return environment.get_template("template.html").render(page=page, style=style, script=script)
+    template = environment.get_template("template.html")
+    zooms = any('class="curves"' in panel.drawing for panel in _panels(page))
+    if zooms:
+        style, script = style + Markup(zoom_style()), script + Markup(zoom_script())
+    return template.render(page=page, style=style, script=script)
+
+
+def _panels(page: Page) -> Iterator[Panel]:
+    for block in (*page.lead, *(block for section in page.sections for block in section.blocks)):
+        if isinstance(block, Figure):
+            yield from block.panels

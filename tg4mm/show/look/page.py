@@ -39,7 +39,11 @@ def write_page(words: Words, path: Path) -> None:
         "strongest. Striped: what moves by itself and is masked. White frames: that, and where something passes.",
     )
     spectrum = Figure(
-        [drawing(chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0)))],
+        [
+            drawing(
+                chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0), True)
+            )
+        ],
         "Composite spectrum: power over noise, mean over all cells; 1 where nothing vibrates. Dashed: what noise alone "
         "exceeds anywhere in one recording of a hundred. Dotted: lines of the light.",
         width="narrow",

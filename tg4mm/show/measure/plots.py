@@ -110,9 +110,13 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     told = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
     for k in told:
         axes.semilogy(
-            found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1
+            found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1,
+            label=result.labels[k],
+        )  # fmt: skip
+        floor = found.floor[:, k] * unit.factor
+        axes.semilogy(
+            found.freqs_hz, floor, color=COLOURS[k], lw=1, ls=(0, (4, 3)), label=f"{result.labels[k]}, floor"
         )
-        axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
     lowest = min((float(found.typical_floor[k]) for k in told), default=1e-9) * unit.factor
     top = max((float(found.amplitude[:, k].max()) for k in told), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4

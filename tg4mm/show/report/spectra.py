@@ -1,6 +1,6 @@
 """Charts of the motion: the model's spectrum, and every sensor's waveform and spectrum with its noise floor."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.core.scale import Scale
 from tg4mm.run import Run
+from tg4mm.show.analyse.channel import DISPLACEMENT, Channel
+from tg4mm.show.analyse.spectra import Averaging, waterfall_of
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.show.measure.plots import spectrum, waveform
 from tg4mm.show.measure.table import table_of
@@ -17,6 +19,8 @@ from tg4mm.show.measure.units import unit_of as unit_of_sensor
 from tg4mm.show.report.summary import Material
 from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import amplitude_spectrum
+
+_EVEN, _FEWEST = 0.05, 64  # of a step; pictures of a waterfall
 
 
 def model_spectrum(m: Material) -> Block:
@@ -51,7 +55,9 @@ def model_spectrum(m: Material) -> Block:
     if noise is not None:
         caption += " Dashed: the noise floor of a Gaussian, median of what is seen."
     return Figure(
-        [drawing(chart(draw, "amplitude of the model over frequency", (6.6, 3.0)))], caption, width="narrow"
+        [drawing(chart(draw, "amplitude of the model over frequency", (6.6, 3.0), zooms=True))],
+        caption,
+        width="narrow",
     )
 
 
@@ -87,14 +93,16 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
     count = int((result.body.weights > 0).sum())
     name = result.name
     panels = [
-        drawing(chart(lambda axes: waveform(axes, result, unit), f"{name}: displacement over time")),
-        drawing(
-            chart(
-                lambda axes: spectrum(axes, result, unit),
-                f"{name}: amplitude over frequency with noise floor",
-            )
-        ),
+        drawing(chart(draw, f"{name}: {label}", zooms=True))
+        for draw, label in (
+            (lambda axes: waveform(axes, result, unit), "displacement over time"),
+            (lambda axes: spectrum(axes, result, unit), "amplitude over frequency with noise floor"),
+        )
     ]
+    if fall := _waterfall(result):
+        along, draw = fall
+        label = f"{name}: amplitude along {along} over time and frequency"
+        panels.append(drawing(chart(draw, label, (11.2, 3.3), True)))
     clips = (
         f" The waveform is that of the first of {len(result.clips)} clips, the spectrum of all of them together."
         if result.clips
@@ -105,7 +113,40 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
         f"{result.body.radius:.3g} scene units: displacement with a band of one standard deviation, and its spectrum "
         f"with the noise floor, which noise alone passes in one record of a hundred.{clips}"
     )
-    return Figure(panels, caption)
+    if fall:
+        caption += (
+            f" Below: waterfall along {fall[0]}, yellow the largest amplitude, darkest {_DEEP:g} dB below it; each "
+            f"segment shares {FALL.overlap:.0%} with the next."
+        )
+    return Figure(panels, caption, 2)
+
+
+FALL = Averaging(overlap=0.75)
+_DEEP = 60.0  # decibels below the largest amplitude
+
+
+def _waterfall(result: SensorResult) -> tuple[str, Callable[[Any], None]] | None:
+    """The direction of the largest motion, and what draws its amplitudes in short segments, decibels below the largest.
+
+    None where times are not even, or too few.
+    """
+    series, told = result.series, result.series.is_resolved
+    steps = np.diff(series.times_s)
+    if not told.any() or np.ptp(steps) > _EVEN * np.median(steps) or len(steps) < _FEWEST:
+        return None
+    k = int(np.argmax(np.where(told, series.displacement.std(0), -1)))
+    own = Channel(result.name, DISPLACEMENT, "units", series.times_s, series.displacement[:, k])
+    freqs, times, amplitude = waterfall_of(own, FALL)
+    if len(times) < 2 or not amplitude.max() > 0:
+        return None
+    decibels = 20 * np.log10(np.maximum(amplitude / amplitude.max(), 10 ** (-_DEEP / 20)))
+
+    def draw(axes: Any) -> None:
+        mesh = axes.pcolormesh(times, freqs, decibels, cmap="viridis", vmin=-_DEEP, vmax=0, rasterized=True)
+        axes.figure.colorbar(mesh, ax=axes, label="dB below the largest")
+        axes.set(xlabel="time, s", ylabel="frequency, Hz")
+
+    return series.labels[k], draw
 
 
 def measured(

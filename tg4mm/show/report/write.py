@@ -172,7 +172,11 @@ def regions_section(m: Material) -> list[Section]:
         "explains moves by itself and is left out of the fit."
     )
     spectrum = Figure(
-        [drawing(chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0)))],
+        [
+            drawing(
+                chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0), True)
+            )
+        ],
         "Composite spectrum: power over noise, mean over all cells; 1 where nothing vibrates. Dashed: what noise alone "
         "exceeds anywhere in one recording of a hundred. Dotted: lines of the light.",
         width="narrow",
