@@ -10,7 +10,7 @@ from .errors import GenerateError
 from .pictures import BACKGROUNDS, IMAGES
 from .pictures import PRESETS as SENSORS
 from .scenes import NAMES
-from .settings import DEVICES, ENGINES, NOISE, TRUTH
+from .settings import DEVICES, ENGINES, NOISE, SECOND, TRUTH
 
 ALL = "all"
 ALPHAS = (5, 10, 20, 50, 100)
@@ -86,7 +86,9 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
             "--name": {"metavar": "NAME", "help": "first part of the folder's name (default: the file's)"},
         },
         "motion": {
-            "--motion": _file("YAML or JSON description (default: the scene's own)"),
+            "--motion": _file(
+                f"YAML or JSON description (default: the scene's own); {SECOND}: a built-in scene's other one"
+            ),
             "--frequency": _real(
                 "frequency of the first mode and of those that share it, Hz; below half of --fps"
             ),

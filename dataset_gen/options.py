@@ -78,7 +78,7 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
 def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, source: Source) -> Settings:
     if source.kind != "builtin" and options.motion is None:
         raise GenerateError(f"--{source.kind} needs --motion FILE, a description of how it moves")
-    motion = read_motion(options.motion or motion_file(name))
+    motion = read_motion(motion_file(name, options.motion) if source.kind == "builtin" else options.motion)
     motion = motion.with_main(options.frequency, options.amplitude, options.amplitude_px)
     return Settings(
         scene=name,

@@ -14,6 +14,7 @@ from .vibration import MotionDescription
 
 TRUTH = ("none", "test", "all")
 NOISE = ("state", "picture")
+SECOND = "second"  # a built-in scene's other motion, of which development knows nothing
 KINDS = ("builtin", "blend", "mesh")
 ENGINES = ("cycles", "eevee")
 DEVICES = ("cpu", "gpu", "auto")
@@ -121,9 +122,11 @@ class Settings:
 _PLAIN = ("scene", "size", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
-def motion_file(scene: str) -> Path:
-    """The description of a built-in scene's motion."""
-    return Path(__file__).parent / "scenes" / f"{scene}.yaml"
+def motion_file(scene: str, asked: Path | None = None) -> Path:
+    """A description of motion: the file `asked` for, else a built-in scene's own, for the word `second` its other."""
+    if asked is not None and (asked != Path(SECOND) or asked.exists()):
+        return asked
+    return Path(__file__).parent / "scenes" / f"{scene}{'' if asked is None else f'_{SECOND}'}.yaml"
 
 
 def _plain(value: float) -> str:

@@ -47,7 +47,8 @@ def whole(
     preset: Annotated[
         str | None,
         typer.Option(
-            help="The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), paper "
+            help="The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), dev "
+            "and test (the same with two motions each and three seeds; test with other motions, cameras and seeds), paper "
             "(512×512), mic-512 (one scene at 512×512)."
         ),
     ] = None,

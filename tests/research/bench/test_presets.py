@@ -17,7 +17,15 @@ from tests.helpers.snakemake_program import snakemake
 from tg4mm.cli import main
 from tg4mm.cli.program import app
 from tg4mm.research.bench import BenchError, presets
-from tg4mm.research.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
+from tg4mm.research.bench.presets import (
+    PRESETS,
+    Choices,
+    Step,
+    choices_from,
+    preset_from,
+    run_preset,
+    steps_of,
+)
 
 ROOT = Path(__file__).parents[3]
 SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
@@ -44,7 +52,8 @@ def test_a_dry_run_prints_commands_that_the_program_accepts(name, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(steps_of(name, "out"))
     assert not Path("out").exists()
-    folders = [str(accepted(line)["out"]) for line in lines]
+    some = (*lines[:: 1 + len(lines) // 40], lines[-1])  # of hundreds that are alike
+    folders = [str(accepted(line)["out"]) for line in some]
     assert {folder.partition("/")[0] for folder in folders} == {"out"}
 
 
@@ -72,10 +81,60 @@ def test_a_configuration_file_has_the_same_choices():
         choices_from({"alphas": [5]})
 
 
+def test_the_test_split_shares_no_motion_camera_or_seed_with_the_dev_split():
+    def sets(name):
+        steps = [step for step in steps_of(name, "out") if step.name.startswith("data/")]
+        return [request_from(parser().parse_args([*step.command[4:]])).sets[0] for step in steps]
+
+    dev, test = sets("dev"), sets("test")
+    assert len(dev) == len(test) == 8 * 2 * 3
+    motions = [{str(s.motion.to_json()["modes"]) for s in split} for split in (dev, test)]
+    assert motions[0].isdisjoint(motions[1])
+    assert {s.seed for s in dev}.isdisjoint({s.seed for s in test})
+    assert ({s.cameras.kind for s in dev}, {s.cameras.kind for s in test}) == ({"orbit"}, {"rig"})
+    assert {s.noise for s in (*dev, *test)} == {"picture"}
+    assert {s.motion.main.frequency_hz for s in dev} == {
+        3,
+        4.3,
+        5,
+    }  # thirty pictures at 30 Hz have bins of 1 Hz
+    assert all(len({m["frequency"] for m in s.motion.to_json()["modes"]}) == 2 for s in test)
+
+
+def test_a_configuration_file_can_name_scenes_seeds_and_methods():
+    config = {
+        "preset": "small", "scenes": ["mic", "mic --frequency 4.3"], "seeds": [0, 1], "methods": ["modal"],
+        "options": "--size 32", "ablations": [],
+    }  # fmt: skip
+    steps = {step.name: step for step in steps_of(preset_from(config), "out")}
+    assert list(steps)[:2] == ["data/seed0/mic_5Hz_0_005", "data/seed0/mic_4_3Hz_0_005"]
+    assert "job/mic_4_3Hz_0_005_s1/modal" in steps
+    assert steps["job/mic_5Hz_0_005_s1/modal"].needs == ("data/seed1/mic_5Hz_0_005",)
+    assert "mic_5Hz_0_005_s1=out/data/seed1/mic_5Hz_0_005" in steps["page"].command
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"seeds": ["a"]}, r"seeds is \['a'\], expected a list of whole numbers"),
+        ({"scenes": "mic"}, "scenes is 'mic', expected a list of texts"),
+        ({"options": ["--size"]}, "options is .*, expected a text"),
+        ({"methods": []}, "scenes and methods need one or more"),
+        (
+            {"scenes": ["mic", "mic --samples 3"]},
+            "'mic --samples 3' and another have the same folder mic_5Hz",
+        ),
+    ],
+)
+def test_a_configuration_that_will_not_do(own, message):
+    with pytest.raises(BenchError, match=message):
+        steps_of(preset_from({"preset": "small", **own}), "out")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--preset", "large", "--out", "x"], "'large', expected smoke, small, paper"),
+        (["--preset", "large", "--out", "x"], "'large', expected smoke, small, dev, test, paper"),
         (["--preset", "smoke"], "--out are needed"),
         (["--preset", "smoke", "--out", "x", "--alphas", "5,many"], "'many'"),
         (["--preset", "smoke", "--out", "x", "--fast-vqa", "/nowhere"], "holds no vqa.py"),

@@ -1,9 +1,10 @@
 """The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again."""
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +30,25 @@ _ABLATIONS = (
 class BenchPreset:
     """What a benchmark consists of."""
 
-    scenes: tuple[str, ...]  # built-in scenes of the generator
+    scenes: tuple[str, ...]  # each a built-in scene, or --blend FILE --motion FILE, and options of its own
     options: tuple[str, ...]  # of `tg4mm generate`, for all of them
     methods: tuple[str, ...] = DEFAULT
     settings: tuple[str, ...] = ()  # KEY=VALUE, as `--set`
     ablations: tuple[str, ...] = ()  # on the first scene
+    seeds: tuple[int, ...] = ()  # of the generator: every scene once with each; (): once, with its default
 
 
+_SPLIT = ("--samples", "32", "--noise", "picture")
+_OFF_BIN = "--frequency 4.3", "--frequency 4.6"  # Hz, of a second of pictures: between its bins
 PRESETS = {
     "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
     "small": BenchPreset(SCENES, ("--samples", "32"), ablations=_ABLATIONS),
+    "dev": BenchPreset((*SCENES, *(f"{scene} {_OFF_BIN[0]}" for scene in SCENES)), _SPLIT, seeds=(0, 1, 2)),
+    "test": BenchPreset(
+        tuple(f"{scene} --motion second{more}" for more in ("", f" {_OFF_BIN[1]}") for scene in SCENES),
+        (*_SPLIT, "--cameras", "rig"),
+        seeds=(100, 101, 102),
+    ),
     "paper": BenchPreset(SCENES, ("--preset", "paper"), methods=(*DEFAULT, "paper")),
     "mic-512": BenchPreset(
         ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
@@ -81,57 +91,80 @@ class Choices:
         return found
 
 
-def steps_of(name: str, out: str, python: str = sys.executable, choices: Choices = Choices()) -> list[Step]:
+@dataclass(frozen=True)
+class _Data:
+    label: str  # in the tables
+    step: str  # its name
+    given: str  # the folder as DATASET or NAME=DATASET
+    options: tuple[str, ...]  # of `tg4mm generate`, --out apart
+    parent: str  # --out
+
+
+def steps_of(
+    name: str | BenchPreset, out: str, python: str = sys.executable, choices: Choices = Choices()
+) -> list[Step]:
     """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, ablations, page.
 
-    Raises BenchError for an unknown preset.
+    Raises BenchError for an unknown preset and two datasets of one folder.
     """
-    if name not in PRESETS:
+    if isinstance(name, str) and name not in PRESETS:
         raise BenchError(f"--preset {name!r}, expected {', '.join(PRESETS)}")
-    chosen = PRESETS[name]
+    chosen = PRESETS[name] if isinstance(name, str) else name
     program = (python, "-m", "tg4mm")
-    found: list[Step] = []
-    roots: dict[str, str] = {}
-    for scene in chosen.scenes:
-        folder = _folder(scene, chosen.options)
-        roots[folder] = f"{out}/data/{folder}"
-        rendered = (*chosen.options, *choices.options("alphas"))
-        command = (*program, "generate", scene, "--out", f"{out}/data", *rendered)
-        found.append(Step(f"data/{folder}", command))
-    data = [step.name for step in found]
+    datasets = _datasets(chosen, out)
+    rendered = choices.options("alphas")
+    found = [
+        Step(
+            data.step,
+            (*program, "generate", data.options[0], "--out", data.parent, *data.options[1:], *rendered),
+        )
+        for data in datasets
+    ]
     options = ["--out", f"{out}/bench", "--methods", ",".join(chosen.methods)]
     options += [part for text in chosen.settings for part in ("--set", text)]
     options += choices.options()
     outside = [text.partition("=")[0] for text in choices.external]
-    for folder, root in roots.items():
+    for data in datasets:
         for method in (*chosen.methods, *outside):
-            command = (*program, "bench", "job", root, method, *options)
-            found.append(Step(f"job/{folder}/{method}", command, (f"data/{folder}",)))
-    first = next(iter(roots))
+            command = (*program, "bench", "job", data.given, method, *options)
+            found.append(Step(f"job/{data.label}/{method}", command, (data.step,)))
     for ablation in chosen.ablations:
         # amplitude chooses α itself
         names = ("device",) if ablation == "amplitude" else ("device", "alphas")
-        command = (
-            *program,
-            "bench",
-            "ablation",
-            ablation,
-            roots[first],
-            "--out",
-            f"{out}/ablations/{ablation}",
-        )
-        command += tuple(choices.options(*names))
-        found.append(Step(f"ablation/{ablation}", command, (f"data/{first}",)))
-    page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never", "--collect")
+        place = f"{out}/ablations/{ablation}"
+        command = (*program, "bench", "ablation", ablation, datasets[0].given, "--out", place)
+        found.append(Step(f"ablation/{ablation}", (*command, *choices.options(*names)), (datasets[0].step,)))
+    given = (data.given for data in datasets)
+    page = (*program, "bench", "scenes", *given, *options, "--same-time", "never", "--collect")
     page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
-    return [*found, Step("page", page, (*data, *(s.name for s in found if not s.name.startswith("data/"))))]
+    return [*found, Step("page", page, tuple(step.name for step in found))]
 
 
-def _folder(scene: str, options: Sequence[str]) -> str:
+def _datasets(chosen: BenchPreset, out: str) -> list[_Data]:
+    found: dict[str, _Data] = {}
+    for seed in chosen.seeds or (None,):
+        for scene in chosen.scenes:
+            options = (*shlex.split(scene), *chosen.options)
+            parent = f"{out}/data"
+            if seed is not None:
+                options, parent = (*options, "--seed", str(seed)), f"{parent}/seed{seed}"
+            folder = _folder(options)
+            label = folder if seed is None else f"{folder}_s{seed}"
+            if label in found:
+                raise BenchError(
+                    f"scenes {scene!r} and another have the same folder {folder}: rename one by --name"
+                )
+            given = f"{parent}/{folder}" if seed is None else f"{label}={parent}/{folder}"
+            step = f"data/{folder}" if seed is None else f"data/seed{seed}/{folder}"
+            found[label] = _Data(label, step, given, options, parent)
+    return list(found.values())
+
+
+def _folder(options: Sequence[str]) -> str:
     """The name of the dataset's folder, which the generator chooses."""
     from dataset_gen.options import parser, request_from
 
-    (settings,) = request_from(parser().parse_args([scene, "--out", "data", *options])).sets
+    (settings,) = request_from(parser().parse_args([*options, "--out", "data"])).sets
     return settings.folder
 
 
@@ -171,10 +204,31 @@ def choices_from(config: Mapping[str, Any]) -> Choices:
     return Choices(**found)
 
 
-def main() -> int:
-    """Reads {preset, out, python, and what `Choices` has} as JSON; prints {step: {command, needs}} as JSON."""
-    import shlex
+def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
+    """The preset that a configuration names, with what it gives itself. Raises BenchError for another type of value."""
+    name = config.get("preset")
+    if not isinstance(name, str) or name not in PRESETS:
+        raise BenchError(f"configuration: preset is {name!r}, expected {', '.join(PRESETS)}")
+    kinds = {"scenes": str, "methods": str, "settings": str, "ablations": str, "seeds": int, "options": str}
+    own: dict[str, Any] = {}
+    for key, kind in kinds.items():
+        value = config.get(key)
+        if key == "options" and isinstance(value, str):
+            own[key] = tuple(shlex.split(value))
+        elif isinstance(value, list) and key != "options" and all(type(one) is kind for one in value):
+            own[key] = tuple(value)
+        elif value is not None:
+            wanted = (
+                "a text" if key == "options" else f"a list of {'whole numbers' if kind is int else 'texts'}"
+            )
+            raise BenchError(f"configuration: {key} is {value!r}, expected {wanted}")
+    if own.get("scenes") == () or own.get("methods") == ():
+        raise BenchError("configuration: scenes and methods need one or more")
+    return replace(PRESETS[name], **own) if own else name
 
+
+def main() -> int:
+    """Reads {preset, out, python, what `Choices` and `BenchPreset` have} as JSON; prints {step: {command, needs}}."""
     from tg4mm.core.untrusted import parse_json
 
     try:
@@ -185,9 +239,8 @@ def main() -> int:
                 raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
         choices = choices_from(config)
         choices.check()
-        steps = steps_of(
-            config["preset"], config["out"].rstrip("/"), config.get("python", sys.executable), choices
-        )
+        python = config.get("python", sys.executable)
+        steps = steps_of(preset_from(config), config["out"].rstrip("/"), python, choices)
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
