@@ -48,8 +48,8 @@ def whole(
         str | None,
         typer.Option(
             help="The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), dev "
-            "and test (the same with two motions each and three seeds; test with other motions, cameras and seeds), paper "
-            "(512×512), mic-512 (one scene at 512×512)."
+            "and test (the same with two motions each and three seeds; test with other motions, cameras and seeds), "
+            "paper (512×512), mic-512 (one scene at 512×512)."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="With --preset: folder for data, runs and pages.")] = None,

@@ -119,7 +119,8 @@ def test_a_configuration_file_can_name_scenes_seeds_and_methods():
         ({"seeds": ["a"]}, r"seeds is \['a'\], expected a list of whole numbers"),
         ({"scenes": "mic"}, "scenes is 'mic', expected a list of texts"),
         ({"options": ["--size"]}, "options is .*, expected a text"),
-        ({"methods": []}, "scenes and methods need one or more"),
+        ({"scenes": []}, "scenes is .*, expected one or more"),
+        ({"methods": ["modal", "best"]}, "holds 'best', expected some of modal, "),
         (
             {"scenes": ["mic", "mic --samples 3"]},
             "'mic --samples 3' and another have the same folder mic_5Hz",

@@ -10,7 +10,7 @@ from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.methods.known import DEFAULT, methods_of, parse_external
+from tg4mm.research.bench.methods.known import DEFAULT, checked_names, methods_of, parse_external
 from tg4mm.research.generator import run_child
 
 Printer = Callable[[str], None]
@@ -222,8 +222,9 @@ def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
                 "a text" if key == "options" else f"a list of {'whole numbers' if kind is int else 'texts'}"
             )
             raise BenchError(f"configuration: {key} is {value!r}, expected {wanted}")
-    if own.get("scenes") == () or own.get("methods") == ():
-        raise BenchError("configuration: scenes and methods need one or more")
+    if own.get("scenes") == ():
+        raise BenchError("configuration: scenes is [], expected one or more")
+    checked_names(own.get("methods", DEFAULT))
     return replace(PRESETS[name], **own) if own else name
 
 
