@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import factorial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 FINE = 3  # fine pixels a pixel
 ORDER = 6
+_TICK = Fraction(1, 90_000)  # seconds, of time stamps
+_HLG = (9, 18, 9, 1)  # primaries of BT.2020, curve, matrix, limited range, as FFmpeg numbers them
 _MARGIN = 8  # pixels beside a mask that a layer reaches into
 Motion = Callable[[float], float]  # of time in seconds
 Region = tuple[int, int, int, int]  # left, upper, right, lower edge, pixels
@@ -109,6 +112,7 @@ class Coding:
     codec: str  # libx264, libx265
     bits_per_second: int
     keys_every: int | None = None  # pictures
+    turn: int = 0  # degrees by which players turn it, anticlockwise
 
 
 Painter = Callable[[np.ndarray, float, int], np.ndarray]  # picture, time, number → picture
@@ -126,14 +130,16 @@ class Film:
     sway: Callable[[float], np.ndarray] = lambda t: np.zeros(2)
     painters: Sequence[Painter] = ()
     seed: int = 0
+    times_s: Sequence[float] | None = None  # of the frames, where they are not k / fps
+    is_hlg: bool = False  # of 10 bits, with the curve of HLG (ITU-R BT.2100)
 
     def pictures(self) -> np.ndarray:
-        """[F, H, W] uint8."""
+        """[F, H, W] uint8; uint16, 64 to 940, of 10 bits."""
         rng = np.random.default_rng(self.seed)
         shape = self.layers[0].rest.shape[1:]
-        out = np.empty((self.frames, *shape), np.uint8)
+        out = np.empty((self.frames, *shape), np.uint16 if self.is_hlg else np.uint8)
         for k in range(self.frames):
-            t = k / self.fps
+            t = k / self.fps if self.times_s is None else self.times_s[k]
             picture, sway = np.zeros(shape, np.float32), self.sway(t)
             for layer in self.layers:
                 light, opacity = layer.drawn(t, sway)
@@ -141,12 +147,16 @@ class Film:
             for paint in self.painters:
                 picture = paint(picture, t, k)
             picture = picture * self.light(t)
-            shown = 255 * _display(picture)
+            shown = 255 * (_hlg if self.is_hlg else _display)(picture)
             # photons: their noise after the display curve depends little on the light
             noise = self.noise * (0.7 + 0.6 * np.sqrt(np.clip(picture, 0, 1)))
             shown = shown + noise * rng.standard_normal(shape, np.float32)
-            out[k] = np.clip(np.round(shown), 0, 255)
+            out[k] = np.clip(np.round(64 + 876 / 255 * shown if self.is_hlg else shown), 0, self._most)
         return out
+
+    @property
+    def _most(self) -> int:
+        return 1023 if self.is_hlg else 255
 
 
 def _display(light: np.ndarray) -> np.ndarray:
@@ -155,8 +165,20 @@ def _display(light: np.ndarray) -> np.ndarray:
     return np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def write_video(path: Path, pictures: np.ndarray, fps: int, coding: Coding) -> None:
-    """Code grey pictures [F, H, W] uint8; what is there under another name until the file is whole."""
+def _hlg(light: np.ndarray) -> np.ndarray:
+    """HLG's curve (ITU-R BT.2100, table 5)."""
+    x = np.clip(light, 0, 1)
+    upper = 0.17883277 * np.log(np.maximum(12 * x - 0.28466892, 1e-9)) + 0.55991073
+    return np.where(x < 1 / 12, np.sqrt(3 * x), upper)
+
+
+def write_video(
+    path: Path, pictures: np.ndarray, fps: int, coding: Coding, times_s: Sequence[float] | None = None
+) -> None:
+    """Code pictures: grey [F, H, W] uint8, sRGB [F, H, W, 3], or HLG uint16 of 10 bits with the primaries of BT.2020.
+
+    times_s: of the frames, in place of k / fps. What is there has another name until the file is whole.
+    """
     import av
 
     unfinished = path.with_suffix(".part.mp4")
@@ -173,8 +195,28 @@ def write_video(path: Path, pictures: np.ndarray, fps: int, coding: Coding) -> N
         stream = container.add_stream(coding.codec, rate=Fraction(fps), options=options)
         stream.width, stream.height, stream.pix_fmt = pictures.shape[2], pictures.shape[1], "yuv420p"
         stream.bit_rate = coding.bits_per_second
-        for picture in pictures:
-            frame = av.VideoFrame.from_ndarray(picture, format="gray")
+        if pictures.dtype == np.uint16:
+            stream.pix_fmt, context = "yuv420p10le", stream.codec_context
+            context.color_primaries, context.color_trc, context.colorspace, context.color_range = _HLG
+        if coding.turn:
+            stream.set_display_rotation(coding.turn)
+        if times_s is not None:
+            stream.time_base = stream.codec_context.time_base = _TICK
+        for k, picture in enumerate(pictures):
+            frame = _frame(picture)
+            if times_s is not None:
+                frame.pts, frame.time_base = round((times_s[k] - times_s[0]) / _TICK), _TICK
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     unfinished.replace(path)
+
+
+def _frame(picture: np.ndarray) -> Any:
+    import av
+
+    if picture.dtype != np.uint16:
+        return av.VideoFrame.from_ndarray(picture, format="rgb24" if picture.ndim == 3 else "gray")
+    grey = np.full((len(picture) // 2, picture.shape[1]), 512, np.uint16)
+    frame = av.VideoFrame.from_ndarray(np.concatenate([picture, grey]), format="yuv420p10le")
+    frame.color_primaries, frame.color_trc, frame.colorspace, frame.color_range = _HLG
+    return frame

@@ -42,6 +42,7 @@ class Score:
     )  # rms of each vibrating region's series, right, down; pixels
     false: list[str] = field(default_factory=list)
     marked: int = 0  # false lines that were marked
+    ratios: list[float] = field(default_factory=list)  # amplitudes, found over true
     bounds: list[float] = field(default_factory=list)  # like amplitudes, of those marked as too small
     found: list[tuple[float, bool]] = field(
         default_factory=list
@@ -92,8 +93,9 @@ def _compare(out: Score, true: TrueVibration, named: Named) -> None:
             of_rate = size * rate * abs(true.start_s - named.start_s) * (named.damping_deviation or 0)
             size, deviation = size * grown, float(np.hypot(deviation, of_rate)) * grown
         if (true.damping is None) == (named.damping is None):
-            errors = out.bounds if named.lower_bound else out.amplitudes
-            errors.append((size - true.size_px * true.at(y)) / deviation)
+            errors, at = out.bounds if named.lower_bound else out.amplitudes, true.size_px * true.at(y)
+            errors.append((size - at) / deviation)
+            out.ratios.append(size / at)
     if true.damping is not None and named.damping is not None and named.damping_deviation:
         out.dampings.append((named.damping - true.damping) / named.damping_deviation)
 

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.calibration.draw import TrueVibration, Truth
 from benchmarks.calibration.film import Region
 from benchmarks.calibration.score import Named, Score, score
-from tg4mm.capture.look import look
+from tg4mm.capture.look import Found, look
 from tg4mm.core.lines import Line, find_lines
 
 _INSIDE = 0.45  # of a region's shorter side: the radius of a sensor in it
@@ -24,8 +24,12 @@ def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
     """One pass over the video."""
     began = time.process_time()
     found = look(video)
-    seconds = time.process_time() - began
-    named = [
+    return {"look": score(truth, named_by_look(found), time.process_time() - began)}
+
+
+def named_by_look(found: Found) -> list[Named]:
+    """Its lines."""
+    return [
         Named(
             *(line.hz, line.hz_deviation, line.amplitude_px, line.amplitude_deviation_px),
             *(line.damping, line.damping_deviation, line.from_s, line.centre_px, bool(line.mark)),
@@ -33,7 +37,6 @@ def look_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
         )
         for line in found.lines
     ]
-    return {"look": score(truth, named, seconds)}
 
 
 def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:

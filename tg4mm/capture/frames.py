@@ -17,7 +17,8 @@ from threading import Lock
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, colours, opened, upright
+from tg4mm.capture.planes import colours, upright
+from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
 

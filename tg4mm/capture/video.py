@@ -1,6 +1,5 @@
 """Recordings in one file: what it says of itself, and the frames one by one with their exact times; videos by PyAV."""
 
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.planes import LUMA, TURNS, colours, luma, say_what_it_is, upright
 from tg4mm.capture.stacks import STACK_SUFFIXES, TIFF_SUFFIXES, is_stack, stack_info, stack_pictures
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.extras import install
@@ -27,13 +27,8 @@ VIDEO_SUFFIXES = (
 RECORDING_SUFFIXES = (*VIDEO_SUFFIXES, *STACK_SUFFIXES)
 # FFmpeg's names of their formats: what a file holds is never a list of other files, or of addresses.
 _FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,mpegts,mpeg,cine,h264,hevc"
-_LOG = logging.getLogger("tg4mm")
-_SAID: set[Path] = set()  # interlaced ones
 _SQUARE = 0.005  # by which a pixel's sides may differ
 _NOMINAL = 25  # pictures a second of what does not say
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-PLANAR = ("yuv4", "yuvj4", "nv12", "gray")  # pixel formats whose first plane is the luma
-TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
 
 @dataclass(frozen=True)
@@ -117,7 +112,7 @@ def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> I
             yield GreyFrame(time, False, True, grey_of(pixels))
         return
     for coded, frame in _decoded(path, start_s, stop_s):
-        yield GreyFrame(coded.time, coded.is_between, coded.is_alone, upright(frame, _luma(frame)))
+        yield GreyFrame(coded.time, coded.is_between, coded.is_alone, upright(frame, luma(frame)))
 
 
 def is_untimed(path: Path) -> bool:
@@ -128,7 +123,7 @@ def is_untimed(path: Path) -> bool:
 def grey_of(rgba: np.ndarray) -> np.ndarray:
     """[H, W] float32, 0 to 255: luma of pixels [H, W, 3 or 4] uint8 or uint16."""
     scale = 255 / np.iinfo(rgba.dtype).max
-    return np.asarray((rgba[..., :3].astype(np.float32) @ _LUMA) * np.float32(scale))
+    return np.asarray((rgba[..., :3].astype(np.float32) @ LUMA) * np.float32(scale))
 
 
 def _stacked(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[Fraction, np.ndarray]]:
@@ -169,12 +164,7 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
             log.clear()
             if frame is None:
                 break
-            if frame.interlaced_frame and path not in _SAID:
-                _SAID.add(path)
-                _LOG.warning(
-                    f"{path}: is interlaced: even and odd rows are of different moments, which shows as motion; film "
-                    "progressively, or deinterlace it"
-                )
+            say_what_it_is(path, frame)
             if frame.pts is None and not untimed:
                 raise CaptureError(
                     f"{path}: its frames have no time stamps; put it into an MP4 or MKV container"
@@ -195,12 +185,6 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
         raise _damaged(path, time, duration)
 
 
-def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
-    """A decoded frame's pixels, turned as its container asks."""
-    turns = TURNS.get(round(frame.rotation), 0)
-    return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
-
-
 def turns_of(path: Path) -> int:
     """By how many quarter turns pictures are turned upright, as the container asks."""
     if is_stack(path):
@@ -208,31 +192,6 @@ def turns_of(path: Path) -> int:
     with opened(path) as container:
         frame = next(container.decode(video=0), None)
     return 0 if frame is None else TURNS.get(round(frame.rotation), 0)
-
-
-def _luma(frame: Any) -> np.ndarray:
-    """[H, W]: uint8, the first plane of planar 8-bit formats, else converted; float32, 0 to 255, of deep grey."""
-    if _is_deep(frame):
-        return np.asarray(frame.to_ndarray(format="gray16le")).astype(np.float32) / np.float32(257)
-    if not (frame.format.name.startswith(PLANAR) and frame.format.components[0].bits == 8):
-        return np.asarray(frame.to_ndarray(format="gray"))
-    plane = frame.planes[0]
-    return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
-
-
-def _is_deep(frame: Any) -> bool:
-    """Whether it is a high-speed camera's grey of more than 8 bits."""
-    return frame.format.name.startswith("gray") and frame.format.components[0].bits > 8
-
-
-def colours(frame: Any) -> np.ndarray:
-    """A decoded frame as `VideoFrame` has it, not turned."""
-    if not _is_deep(frame):
-        return np.asarray(frame.to_ndarray(format="rgb24"))
-    grey = np.asarray(frame.to_ndarray(format="gray16le"))
-    rgba = np.full((*grey.shape, 4), 65535, np.uint16)
-    rgba[..., :3] = grey[..., None]
-    return rgba
 
 
 def file_url(path: Path) -> str:

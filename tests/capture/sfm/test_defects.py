@@ -8,6 +8,7 @@ import pytest
 
 from tests.capture.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
 from tg4mm.capture.sfm.defects import check_usable, is_fixed, warn_bumps, warn_clocks
+from tg4mm.capture.sfm.light import warn_light
 from tg4mm.capture.sfm.steadiness import find_bumps
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
@@ -125,6 +126,18 @@ class TestPartly:
         rng = np.random.default_rng(0)
         for shifts in (rng.normal(0, 0.5, 120), 4 * np.sin(2 * np.pi * 3.4 * at), 5.0 * (at > 2), 3 * at):
             assert find_bumps(np.stack([shifts, 0 * at], axis=1), at) == []
+
+    def test_steps_of_exposure_and_white_balance_are_said_with_their_times(self, tmp_path):
+        frames = np.stack(still(60)).astype(float)
+        frames[40:] *= 0.8
+        frames[20:, ..., 0] *= 1.08
+        path = write_video(tmp_path / "a.mp4", list(np.clip(frames, 0, 255).astype(np.uint8)))
+        said = r"a\.mp4: exposure changes by 0\.2\d* of it, .* at 1\.3 s and white balance .* 0\.08\d* .* at 0\.7 s"
+        with pytest.warns(UserWarning, match=said):
+            warn_light([looked(path)])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warn_light([looked(write_video(tmp_path / "b.mp4", still(60)))])
 
     def test_another_rate_than_the_files_is_said(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))

@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image
 from scipy.ndimage import gaussian_filter, shift
 
+from benchmarks.calibration import film
 from tests.capture.sfm.videos import encoded, still, texture, write_video
 from tg4mm.capture.look import look
 from tg4mm.capture.look.recording import read_recording
@@ -240,6 +241,16 @@ def test_interlaced_rows_are_said(tmp_path, caplog):
         text for text in said if "is interlaced: even and odd rows are of different moments" in text
     ] == said
     assert len(said) == 1
+
+
+def test_ten_bits_stay_and_their_curve_is_said(tmp_path, caplog):
+    ramp = np.broadcast_to(np.arange(64, 64 + 4 * 64, 4, np.uint16), (2, 48, 64))
+    film.write_video(tmp_path / "a.mp4", ramp, 30, film.Coding("libx265", 4_000_000))
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        first = next(grey_frames(tmp_path / "a.mp4")).grey
+    assert "is HDR (HLG, 10 bits): values stay as they are coded" in caplog.text
+    np.testing.assert_allclose(first, ramp[0] / 4, atol=0.5)
+    assert (np.round(first * 4) % 4).any()  # quarters of a grey level
 
 
 def test_a_command_that_is_shown_takes_no_name_for_an_option():

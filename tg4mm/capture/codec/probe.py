@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.video import ALONE, BETWEEN, TURNS, av_module, file_url
+from tg4mm.capture.planes import TURNS
+from tg4mm.capture.video import ALONE, BETWEEN, av_module, file_url
 
-_PIXELS = ("yuv420p", "yuvj420p")  # 8 bits, what the encoders are given
+_PIXELS = ("yuv420p", "yuvj420p", "yuv420p10le")  # what the encoders are given
 # Options that x264 and x265 write into the file, by the names under which they take them.
 _OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", "keyint", "scenecut", "rc-lookahead",
             "weightp", "weightb", "aq-mode", "rd")  # fmt: skip
@@ -19,7 +20,9 @@ _OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", 
 class Probe:
     """A stretch of a video as its decoder hands it out."""
 
-    planes: np.ndarray  # [F, 3 H / 2, W] uint8, brightness and below it both colours, not turned
+    planes: (
+        np.ndarray
+    )  # [F, 3 H / 2, W] uint8, or uint16 of 10 bits, brightness and below it both colours, not turned
     is_key: np.ndarray  # [F] bool
     is_between: np.ndarray  # [F] bool
     rate: Fraction  # frames per second of the file
@@ -30,12 +33,17 @@ class Probe:
 
     @property
     def luma(self) -> np.ndarray:
-        """[F, H, W] uint8."""
+        """[F, H, W], as the planes are."""
         return self.planes[:, : self.planes.shape[1] * 2 // 3]
+
+    @property
+    def pixels(self) -> str:
+        """FFmpeg's name of their format."""
+        return "yuv420p" if self.planes.dtype == np.uint8 else "yuv420p10le"
 
 
 def probe(path: Path, start_s: float, most: int) -> Probe | None:
-    """`most` frames from start_s on; None where the file is no 8-bit video with half the colour, or of odd size.
+    """`most` frames from start_s on; None where it is no video of 8 or 10 bits with half the colour, or of odd size.
 
     Raises Tg4mmError where PyAV is absent, OSError and FFmpegError where the file cannot be read.
     """

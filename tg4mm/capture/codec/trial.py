@@ -34,6 +34,7 @@ def through(
     without_between: bool,
 ) -> list[list[tuple[float, float]]]:
     """Gain and its standard error of each region's tones, after one encoding."""
+    most = 255 if made.pixels == "yuv420p" else 1023
     rng, is_new = np.random.default_rng(seed), np.diff(times, prepend=-1) > 0
     mean, height = made.planes.mean(0, dtype=np.float32), made.luma.shape[1]
     down, right = np.gradient(mean[:height])
@@ -47,7 +48,7 @@ def through(
                 shown = mean + noise * rng.standard_normal(mean.shape, dtype=np.float32)
                 for u, mask in zip(moves, soft, strict=True):
                     shown[:height] -= mask * (u[k, 0] * right + u[k, 1] * down)
-            yield np.clip(np.rint(shown), 0, 255).astype(np.uint8)
+            yield np.clip(np.rint(shown), 0, most).astype(made.planes.dtype)
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "test.mkv"
@@ -87,21 +88,21 @@ def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
     with av.open(file_url(path), "w") as container:
         stream = container.add_stream(made.encoder, rate=made.rate)
         stream.height, stream.width = made.luma.shape[1:]
-        stream.pix_fmt = "yuv420p"
+        stream.pix_fmt = made.pixels
         options = rate_options(made)
         stream.codec_context.options = options
         stream.codec_context.thread_count = 1
         if "b" in options:
             stream.bit_rate = round(made.bits)
         for k, planes in enumerate(pictures):
-            frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+            frame = av.VideoFrame.from_ndarray(planes, format=made.pixels)
             frame.pts, frame.time_base = k, 1 / made.rate
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
 
 def _decoded(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Luma [F, H, W] uint8, and [F] bool: B frames."""
+    """Luma [F, H, W] as it is stored, and [F] bool: B frames."""
     with av_module().open(file_url(path)) as container:
         frames = [
             (f.to_ndarray()[: f.height], int(f.pict_type) == BETWEEN) for f in container.decode(video=0)

@@ -9,7 +9,7 @@ from scipy import ndimage, stats
 
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.marks import marked
-from tg4mm.capture.look.model import Look, LookLine, Mover, Tone
+from tg4mm.capture.look.model import Look, LookLine, Mover, Swing, Tone
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, Picture, read_cells
@@ -29,6 +29,7 @@ _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is 
 _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
+_LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 
 
@@ -78,8 +79,7 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    light = [hz for hz, _, _ in scene.light]
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, light)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.confused_hz)
     found = _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
     return replace(found, regions=region_looks(scene, regions))
 
@@ -178,7 +178,25 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         first=series.first,
         without_between=scene.treats_apart,
         light_readout=by_light(series.row_means, series.times_s),
+        swings=tuple(swings_of(scene)),
     )
+
+
+def swings_of(scene: Scene) -> Iterator[Swing]:
+    """What the whole picture does besides its shift: zoom and roll, and the light's level where it changes."""
+    for shape, course in zip(scene.shapes, scene.courses.T, strict=True):
+        away = course - np.median(course)
+        tones = tuple(Tone(*tone) for tone in tones_of(course, scene.times_s, scene.nuisance))
+        at = int(np.abs(away).argmax())
+        yield Swing(shape, float(np.abs(away).max()), float(scene.times_s[at]), tones)
+    rows = np.log(np.maximum(scene.series.row_means, 1.0))
+    level = np.median(rows - np.median(rows, 0), 1)
+    window = 2 * round(_LIGHT_S / scene.dt / 2) + 1
+    smooth = ndimage.median_filter(level, window, mode="nearest")
+    if float(np.ptp(smooth)) > _LIGHT:
+        steps = np.abs(smooth[window // 2 + 1 :] - smooth[: -(window // 2 + 1)])
+        at = int(steps.argmax()) + window // 4
+        yield Swing("light", float(np.expm1(np.ptp(smooth))), float(scene.times_s[at]), ())
 
 
 _FEWEST, _LONGEST = 8, 2  # cells × pictures of something that passes, and pictures it takes at least

@@ -1,7 +1,8 @@
 """Which lines may be made of a stronger one: by the codec, or as its multiples."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,14 +21,14 @@ def marked(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...] = PATTERNS,
-    light_hz: Sequence[float] = (),
+    confused_hz: Mapping[float, str] = MappingProxyType({}),
 ) -> list[LookLine]:
     """The same lines, each with why it may be none of its own.
 
-    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts, and with it what is
-    no further from it than the record tells apart.
+    patterns: of the codec's kinds of pictures. confused_hz: of flicker and the like, which is taken off the shifts, and
+    with it what is no further from it than the record tells apart.
     """
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, confused_hz)) for line in lines]
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ def _mark(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...],
-    light_hz: Sequence[float],
+    confused_hz: Mapping[float, str],
 ) -> str:
     if line.amplitude_px > _EXACT_PX and line.region.sum() == 1:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
-    for hz in light_hz:
+    for hz, what in confused_hz.items():
         if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
+            return f"nearer to {what}'s {hz:.4g} Hz than the record tells apart"
     near = _Near(line, 1 / duration_s)
     for other in lines:
         if other.amplitude_px >= _LARGER * line.amplitude_px:

@@ -76,6 +76,16 @@ class Tone:
 
 
 @dataclass(frozen=True)
+class Swing:
+    """What the whole picture does besides its shift; it is taken off."""
+
+    kind: str  # "zoom" or "roll" about its middle, or "light": its level
+    largest: float  # pixels in the corners from their median; of light, relative, from its least to its most
+    at_s: float  # of the largest; of light, of its fastest change
+    tones: tuple[Tone, ...] = ()  # its lines, pixels in the corners
+
+
+@dataclass(frozen=True)
 class Smallest:
     """The amplitude from which a steady vibration of something that large is found; compression may take more."""
 
@@ -102,6 +112,7 @@ class Found:
         default=False, kw_only=True
     )  # amplitudes are mostly of pictures other than B
     light_readout: Readout | None = field(default=None, kw_only=True)  # by lamps that flicker
+    swings: tuple[Swing, ...] = field(default=(), kw_only=True)
     rows_s: float = field(default=0.0, kw_only=True)  # the readout that phases take into account
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look.model import Found, LookLine, Mover, Readout, Tone
+from tg4mm.capture.look.model import Found, LookLine, Mover, Readout, Swing, Tone
 
 
 def to_record(found: Found) -> dict[str, Any]:
@@ -28,6 +28,7 @@ def to_record(found: Found) -> dict[str, Any]:
         "size": list(found.size),
         "without_between": found.without_between,
         "light_readout": None if found.light_readout is None else asdict(found.light_readout),
+        "swings": [asdict(swing) for swing in found.swings],
         "rows_s": found.rows_s,
     }
 
@@ -58,6 +59,9 @@ def from_record(values: Mapping[str, Any]) -> Found:
         size=tuple(values["size"]),
         without_between=values.get("without_between", False),
         light_readout=Readout(**values["light_readout"]) if values.get("light_readout") else None,
+        swings=tuple(
+            Swing(**v | {"tones": tuple(Tone(**t) for t in v["tones"])}) for v in values.get("swings", [])
+        ),
         rows_s=values.get("rows_s", 0.0),
     )
 

@@ -8,6 +8,7 @@ from scipy import ndimage
 from tg4mm.capture.look.cells import Grid
 from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, whole_shift
 from tg4mm.capture.look.spectra import step, tone, tones_of
+from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 
 QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
 _BLOCK = np.ones((3, 3))
@@ -48,8 +49,12 @@ class Scene:
     nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
     light: list[tuple[float, float, float]]  # frequency, ±, relative amplitude
     lost: float  # share of detail that B pictures lack
+    by_position: bool  # B pictures count by their distance from the one before that is none, too
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
+    level: np.ndarray = field(default_factory=lambda: np.ones(1))  # [F] of the picture's light, about 1
+    shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, taken off `own`
+    courses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [F, m] theirs, px in the corners
 
     @property
     def grid(self) -> Grid:
@@ -80,12 +85,25 @@ class Scene:
     @property
     def patterns(self) -> tuple[int, ...]:
         """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular."""
-        keys = np.diff(np.flatnonzero(self.series.kinds == INTRA))
-        if len(keys) < 2:
-            return PATTERNS
-        usual = int(np.bincount(keys).argmax())
-        is_pattern = (keys == usual).mean() >= _REGULAR and 1 < usual <= _LONGEST_PATTERN * len(self.times_s)
-        return (*PATTERNS, usual) if is_pattern and usual not in PATTERNS else PATTERNS
+        found = dict.fromkeys(PATTERNS)
+        for kind in (self.series.kinds == INTRA, ~self.between):
+            steps = np.diff(np.flatnonzero(kind))
+            usual = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
+            if 1 < usual <= _LONGEST_PATTERN * len(self.times_s) and (steps == usual).mean() >= _REGULAR:
+                found[usual] = None
+        return tuple(found)
+
+    @property
+    def confused_hz(self) -> dict[float, str]:
+        """Frequencies of what is taken off every shift, and what they are."""
+        out = {hz: "the light" for hz, _, _ in self.light}
+        if self.by_position:
+            steps = np.bincount(np.diff(np.flatnonzero(~self.between)))
+            out |= {
+                j / (int(steps.argmax()) * self.dt): "the codec's pattern"
+                for j in range(1, len(steps) // 2 + 1)
+            }
+        return out
 
     @property
     def treats_apart(self) -> bool:
@@ -103,8 +121,12 @@ def scene_of(series: CellSeries) -> Scene:
     usable = ~masks.moves & np.isfinite(information).all((1, 2))
     usable &= information[:, [0, 1], [0, 1]].max(1) > LEAST_INFORMATION
     information = np.where(usable[:, None, None], information, 0)
-    nuisance, light = _nuisance(series, masks, usable)
-    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series))
+    gain = np.where(~masks.hidden & usable, series.gain, np.nan)
+    level = _median_of(gain)
+    nuisance, light, by_position = _nuisance(series, gain)
+    scene = Scene(
+        series, masks, usable, information, nuisance, light, _lost(series), by_position, level=level
+    )
     return against_background(scene, usable)
 
 
@@ -159,19 +181,34 @@ def _lost(series: CellSeries) -> float:
 
 
 def _nuisance(
-    series: CellSeries, masks: Masks, usable: np.ndarray
-) -> tuple[np.ndarray, list[tuple[float, float, float]]]:
-    """What is no vibration in every cell, and the lines of light."""
+    series: CellSeries, gain: np.ndarray
+) -> tuple[np.ndarray, list[tuple[float, float, float]], bool]:
+    """What is no vibration in every cell, the lines of light, and whether the codec's order of pictures makes some.
+
+    Encoders give B pictures quantisers by their distance from the last that is none, which changes brightness as well.
+    """
     t = series.times_s / max(float(series.times_s[-1]), 1e-12)
     columns = [np.ones_like(t), t - 0.5, (t - 0.5) ** 2]
     columns += [(series.kinds == k) * 1.0 for k in np.unique(series.kinds)[1:]]
     columns += [(series.place == k) * 1.0 for k in np.unique(series.place)[1:]]
     plain = np.stack(columns, 1)
-    gain = np.where(~masks.hidden & usable, series.gain, np.nan)
-    light = _light(gain, series, plain)
+    light, by_position = _light(gain, series, plain), False
+    if light and (positions := _positions(series.kinds)).any():
+        ordered = np.concatenate([plain, positions], 1)
+        fewer = _light(gain, series, ordered)
+        by_position = len(fewer) < len(light)
+        plain, light = (ordered, fewer) if by_position else (plain, light)
     strongest = max((line[2] for line in light), default=0.0)
     major = [tone(series.times_s, line[0]) for line in light if line[2] > _MINOR_LIGHT * strongest]
-    return np.concatenate([plain, *major], 1), light
+    return np.concatenate([plain, *major], 1), light, by_position
+
+
+def _positions(kinds: np.ndarray) -> np.ndarray:
+    """[F, n] columns: B pictures that are the second, third … since one that is none."""
+    last = np.maximum.accumulate(np.where(kinds != BETWEEN, np.arange(len(kinds)), 0))
+    away = np.arange(len(kinds)) - last
+    enough = [k for k in range(2, int(away.max()) + 1) if (away == k).sum() >= _FEWEST_OF_KIND]
+    return np.stack([(away == k) * 1.0 for k in enough], 1) if enough else np.zeros((len(kinds), 0))
 
 
 def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[tuple[float, float, float]]:
@@ -200,33 +237,36 @@ def _median_of(gain: np.ndarray) -> np.ndarray:
 
 
 def against_background(scene: Scene, still: np.ndarray, all_still: bool = False) -> Scene:
-    """The scene with the common shift of the cells `still` [C] taken off every cell's.
+    """The scene with the common shift of the cells `still` [C] taken off every cell's, and the camera's zoom and roll.
 
     Cells count by area, as far as they have texture: weighted by texture, one that vibrates would be the background.
     all_still: otherwise those that scatter more than their noise against the others' median are left out.
     """
     shift = np.where(scene.masks.hidden[..., None], 0.0, np.nan_to_num(scene.series.shift))
     if not still.any():
-        return _with(scene, shift, np.zeros((len(shift), 2)))
-    covariance = shift_covariance(scene.series)
+        return replace(scene, own=shift, whole=np.zeros((len(shift), 2)))
     size = np.trace(scene.information, axis1=1, axis2=2)
     weights = (
         scene.information * np.minimum(1, np.median(size[still]) / np.maximum(size, 1e-9))[:, None, None]
     )
-    agrees = np.ones(len(still), bool)
+    counts = (scene.seen & still).astype(float)
+    places, picture = scene.grid.centres(), scene.series.size
+    shapes = camera_shapes(places, picture, weights, counts, shift, scene.nuisance)
+    design = designs(places, picture, shapes)
     if not all_still:
-        first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)
-        axis = np.linalg.eigh(scene.information)[1][:, :, -1]
-        along = np.einsum("kci,ci->kc", shift - first[:, None], axis)
-        noise = np.einsum("ci,cij,cj->c", axis, covariance, axis)
-        ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / noise
-        agrees = ratio < _AGREES * np.median(ratio[still])
-    counts = (scene.seen & still & agrees).astype(float)
-    products = np.einsum("kc,cij->kij", counts, weights)
-    by_shift = np.einsum("kc,cij,kcj->ki", counts, weights, shift, optimize=True)
-    whole = np.linalg.solve(products + 1e-9 * np.eye(2), by_shift[..., None])[..., 0]
-    return _with(scene, shift - whole[:, None], whole)
+        known = fitted(design, weights, counts, shift)[:, 2:] if shapes else np.zeros((len(shift), 0))
+        counts = counts * _agrees(scene, still, shift - np.einsum("cip,kp->kci", design[..., 2:], known))
+    found = fitted(design, weights, counts, shift)
+    own = shift - np.einsum("cip,kp->kci", design, found)
+    return replace(scene, own=own, whole=found[:, :2], shapes=shapes, courses=found[:, 2:])
 
 
-def _with(scene: Scene, own: np.ndarray, whole: np.ndarray) -> Scene:
-    return replace(scene, own=own, whole=whole)
+def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """[C] bool: cells that scatter no more than their noise against the median of those that are `still`."""
+    covariance = shift_covariance(scene.series)
+    first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)
+    axis = np.linalg.eigh(scene.information)[1][:, :, -1]
+    along = np.einsum("kci,ci->kc", shift - first[:, None], axis)
+    noise = np.einsum("ci,cij,cj->c", axis, covariance, axis)
+    ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / noise
+    return np.asarray(ratio < _AGREES * np.median(ratio[still]))

@@ -28,6 +28,7 @@ from tg4mm.capture.sfm.kind import (
     kind_of,
     possible_kinds,
 )
+from tg4mm.capture.sfm.light import warn_light
 from tg4mm.capture.sfm.pairs import chosen_pairs
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.capture.sfm.register import Workspace, register_frames
@@ -108,6 +109,7 @@ def _made(
         check_usable(surveys, kind.fixed)
     if kind.fixed:
         warn_bumps(surveys)
+        warn_light(surveys)
     check_fits(images, kind, surveys, config)
     job = _Job(work, sources, surveys, kind, config, threads, name)
     return _posed(job) if kind.sees_depth else _flat(job)

@@ -36,6 +36,7 @@ from tg4mm.core.records import Record, read_record
 BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
 NOTHING = -1  # the part of such a frame
 FASTEST = 10**9  # frames a second
+_EVERY = 8  # pixels in each direction of which one tells the light
 _REGULAR = 0.8  # of the distances, that one must have to be a period
 
 
@@ -52,16 +53,13 @@ class Survey:
     parts: np.ndarray  # [T] which scene a frame shows, from 0; NOTHING of a black one
     shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one of its part; NaN: no likeness
     together: np.ndarray  # [T] share of the blocks with something to see that this shift makes more alike
-    repeats: tuple[
-        int, ...
-    ]  # frames of the recording that show the one before again, and are left out of the T
+    repeats: tuple[int, ...]  # frames of the recording that show the one before again, left out of the T
     share: Fraction  # of its frames that are left
     frozen: np.ndarray  # [T] bool: frames that repeat the one before, in a recording that does not
     sharpness: np.ndarray  # [T] variance of the Laplacian
-    codec_period: (
-        int | None
-    )  # frames, from one that the codec predicts forward to the next; None: it has no period
+    codec_period: int | None  # frames, from one that is predicted forward to the next; None: no period
     created_s: float | None  # when the recording began, seconds since 1970
+    light: np.ndarray  # [T, 3] logarithms of green, red / green and blue / green, of the first picture's
     kinds: str = ""  # of each picture I, P or B, as a video's frames are coded; empty: not known
 
     def __len__(self) -> int:
@@ -154,6 +152,7 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
+        light=np.array(record.get("light", []), np.float64).reshape(-1, 3),
         created_s=found.number("created_s") if found.has("created_s") else None,
         kinds=_kinds(record.get("kinds", ""), len(sharpness)),
     )
@@ -182,6 +181,7 @@ class _Look:
         self._between: list[bool] = []
         self._kinds: list[str] = []
         self._brightest = 0.0
+        self._light, self._first = list[np.ndarray](), np.zeros(0)
         self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
         self._meter = PartMeter()
         self._novelty = NoveltyMeter()
@@ -207,6 +207,10 @@ class _Look:
         self.together.append(together)
         self.sharpness.append(float(laplace(grey).var()))
         self._brightest = max(self._brightest, brightest)
+        few = np.log1p(pixels[::_EVERY, ::_EVERY, :3].astype(np.float32))
+        few[..., [0, 2]] -= few[..., 1:2]
+        self._first = self._first if self._light else few
+        self._light.append(np.median((few - self._first)[..., [1, 0, 2]], (0, 1)))
 
     def _add_to_sum(self, frame: Frame, pixels: np.ndarray) -> None:
         if pixels.shape[2] == 4:
@@ -265,6 +269,7 @@ class _Look:
             "frozen": self._novelty.frozen_frames()[kept].tolist(),
             "sharpness": [self.sharpness[k] for k in kept],
             "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
+            "light": [[round(float(x), 5) for x in self._light[k]] for k in kept],
             "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_coded else "",
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }

@@ -12,7 +12,8 @@ from tg4mm.capture.look import Look, LookLine, Mover
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
 from tg4mm.capture.look.rows import row_note
-from tg4mm.capture.sfm.clip import WHOLE, Window
+from tg4mm.capture.look.zoom import swing_note
+from tg4mm.capture.sfm.clip import WHOLE, Window, uneven_steps
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.files import argument, write_json
 from tg4mm.core.regions import Region, Regions
@@ -114,6 +115,7 @@ class Words:
             )
             for t in f.whole
         ]
+        out += [("light" if s.kind == "light" else "whole picture", swing_note(s, f.size)) for s in f.swings]
         out += [("smallest motion", text) for text in self._smallest()]
         return out + [("cannot tell", text) for text in self.cannot()]
 
@@ -138,6 +140,11 @@ class Words:
             out.append(
                 f"anything by {len(f.repeats)} pictures that repeat the one before them: they are left out, and the "
                 "others have the times that this tells"
+            )
+        elif steps := uneven_steps(f.times_s):
+            out.append(
+                f"more than its times tell: the frame rate varies, with steps of {1e3 * steps[0]:.3g} to "
+                f"{1e3 * steps[1]:.3g} ms; each picture has its own"
             )
         if f.light:
             out.append("vibrations at the frequencies of the light")

@@ -7,6 +7,7 @@ import numpy as np
 from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
 from tg4mm.capture.look.rows import row_note
+from tg4mm.capture.look.zoom import swing_note
 from tg4mm.capture.scene import video_file
 from tg4mm.core.files import argument
 from tg4mm.fit.motion.modes import ModalMotion
@@ -70,6 +71,9 @@ def looked_notes(found: Found) -> list[str]:
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
+    for swing in found.swings:
+        whose = "light" if swing.kind == "light" else "picture"
+        out.append(f"motion of the scene from the camera's: the {whose} {swing_note(swing, found.size)}")
     return out + [note for note in [row_note(found)] if note]
 
 

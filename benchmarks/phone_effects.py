@@ -1,0 +1,199 @@
+"""What a phone does to a picture: films with exact truth, one effect each, through look and sfm, train, measure.
+
+A plate vibrates before a still wall; texture, place, frequency and size of its motion are drawn by a seed, the same for
+every effect. 10 s of 320×180 at 30 Hz, HEVC. The table: what is found of the truth, and whether the effect is named.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.calibration.draw import TrueVibration, Truth
+from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.score import Score
+from benchmarks.calibration.stages import look_stage, whole_stage
+
+FPS, FRAMES, NOISE, BITS_PER_S = 30, 300, 2.5, 1_500_000
+SECONDS = FRAMES / FPS
+MARGIN = 14  # pixels beside what is shown, which a drifting picture reaches into
+Course = Callable[[float], float]
+
+OPTIONS: dict[str, Any] = {
+    "out": {"type": Path, "metavar": "DIR"},
+    "--effects": {"nargs": "*", "default": [], "metavar": "NAME", "help": "default: all"},
+    "--seeds": 4,
+    "--first": 0,
+    "--stages": {"nargs": "*", "default": ["look", "whole"], "choices": ["look", "whole"]},
+}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What happens to a film, all of it 0 or 1 where nothing does."""
+
+    shift: Callable[[float], np.ndarray] = lambda t: np.zeros(2)  # pixels right and down
+    zoom: Course = lambda t: 0.0  # relative, about the picture's middle
+    light: Course = lambda t: 1.0
+    tint: Callable[[float], np.ndarray] | None = None  # [3] relative, of red, green, blue
+    times_s: Sequence[float] | None = None
+    is_hlg: bool = False
+    is_portrait: bool = False
+    said: str = ""  # what names it, a regular expression
+
+
+def effects(rng: np.random.Generator) -> dict[str, Effect]:
+    """Drawn anew by each generator."""
+    hunts = np.sort(rng.uniform(1, 9, 2)), rng.choice([-1, 1], 2) * rng.uniform(0.002, 0.004, 2)
+    drift_hz, phases = rng.uniform(0.02, 0.3, 12), rng.uniform(0, 2 * np.pi, (2, 12))
+    pump_hz, pump = rng.uniform(1.5, 3), rng.uniform(0.0005, 0.002)
+    at, stops = np.sort(rng.uniform(1, 9, 3)), rng.choice([-1, 1], 3) * rng.uniform(1 / 6, 1 / 3, 3)
+    whites = rng.choice([-1, 1], 3) * rng.uniform(0.04, 0.1, 3)
+    kept = np.sort(rng.permutation(FRAMES + 12)[:FRAMES])
+    jitter = np.clip(rng.normal(0, 0.0015, FRAMES), -0.005, 0.005)
+
+    def steps(sizes: np.ndarray, ramp_s: float) -> Course:
+        return lambda t: float(sizes @ np.clip((t - at) / ramp_s, 0, 1))
+
+    def hunting(t: float) -> float:
+        x = (t - hunts[0]) / 0.15
+        return float(hunts[1] @ (np.exp(-(x**2) / 2) - 0.6 * np.exp(-((x - 2) ** 2) / 2)))
+
+    dim, warm = steps(stops, 0.1), steps(whites, 0.3)
+    return {
+        "none": Effect(),
+        "stabilisation": Effect(
+            shift=lambda t: np.cos(2 * np.pi * drift_hz * t + phases).sum(1) / 6**0.5,
+            said="camera itself moved",
+        ),
+        "focus hunts": Effect(zoom=hunting, said="grows and shrinks"),
+        "focus pumps": Effect(
+            zoom=lambda t: pump * float(np.cos(2 * np.pi * pump_hz * t)), said="grows and shrinks"
+        ),
+        "exposure": Effect(light=lambda t: float(2 ** dim(t)), said="exposure or lamps"),
+        "white balance": Effect(
+            tint=lambda t: np.array([1 + warm(t), 1, 1 - warm(t)]), said="white balance changes"
+        ),
+        "HLG": Effect(is_hlg=True, said="HLG, 10 bits"),
+        "portrait": Effect(is_portrait=True),
+        "variable rate": Effect(times_s=(kept / FPS + jitter).tolist(), said="rate varies"),
+    }
+
+
+def film_of(name: str, seed: int, folder: Path) -> tuple[Path, Truth]:
+    """The film of an effect; written where it is not there."""
+    rng = np.random.default_rng([17, seed])
+    effect = effects(np.random.default_rng([18, seed]))[name]
+    width, height = (180, 320) if effect.is_portrait else (320, 180)
+    box_w, box_h = int(rng.integers(70, 110)), int(rng.integers(60, 100))
+    left, upper = int(rng.integers(10, width - box_w - 10)), int(rng.integers(10, height - box_h - 10))
+    hz, size, angle, phase = (
+        rng.uniform(3.5, 12),
+        np.exp(rng.uniform(*np.log([0.06, 0.3]))),
+        *rng.uniform(0, 6.28, 2),
+    )
+    moves = (float(size * np.cos(angle)), float(size * np.sin(angle)))
+    region = (left, upper, left + box_w, upper + box_h)
+    vibration = TrueVibration(float(hz), moves, region, False, float(phase))
+    truth = Truth(
+        width, height, FPS, FRAMES, NOISE, "libx265", BITS_PER_S / (width * height * FPS), [vibration]
+    )
+    video = folder / f"{name.replace(' ', '-')}-{seed}.mp4"
+    if not video.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        pictures = _pictures(effect, truth, rng)
+        coding = Coding("libx265", BITS_PER_S, None)
+        if effect.is_portrait:
+            pictures, coding = np.rot90(pictures, -1, (1, 2)), replace(coding, turn=90)
+        write_video(video, np.ascontiguousarray(pictures), FPS, coding, effect.times_s)
+    return video, truth
+
+
+def _pictures(effect: Effect, truth: Truth, rng: np.random.Generator) -> np.ndarray:
+    """[F, H, W] or [F, H, W, 3]: drawn with a margin, and cut out where whole pixels of the drift have come to."""
+    height, width = truth.height + 2 * MARGIN, truth.width + 2 * MARGIN
+    down, right = np.mgrid[:height, :width] + 0.5
+    away = np.stack([right - width / 2, down - height / 2], -1)
+    zoom, own = Mode(away, effect.zoom), truth.vibrations[0]
+    plate = tuple(n + MARGIN for n in own.region)
+    sways = Mode(np.broadcast_to(own.amplitude_px, (height, width, 2)), own.motion())
+    cloths = [texture(height, width, rng, c, m, (1.3, 3.0, 9.0)) for c, m in ((0.25, 0.3), (0.4, 0.25))]
+    layers = [Layer(cloths[0], None, [zoom], 0.6), Layer(cloths[1], plate, [zoom, sways], 0.6)]
+    film = Film(
+        *(layers, FPS, FRAMES, NOISE),
+        light=effect.light,
+        sway=lambda t: effect.shift(t) - np.round(effect.shift(t)),
+        times_s=effect.times_s,
+        is_hlg=effect.is_hlg,
+    )
+    times = np.arange(FRAMES) / FPS if effect.times_s is None else np.array(effect.times_s)
+    corners = np.array([MARGIN - np.round(effect.shift(t)) for t in times]).astype(int)
+    cut = np.stack(
+        [
+            p[y : y + truth.height, x : x + truth.width]
+            for p, (x, y) in zip(film.pictures(), corners, strict=True)
+        ]
+    )
+    if effect.tint is None:
+        return cut
+    gains = np.array([effect.tint(t) for t in times]) ** (1 / 2.2)
+    return np.clip(np.round(cut[..., None] * gains[:, None, None]), 0, 255).astype(np.uint8)
+
+
+def told(video: Path, truth: Truth, stage: str) -> tuple[Score, str]:
+    """A stage's score, and all it says; made where they are not there."""
+    kept = video.with_suffix(f".{stage}.json")
+    if not kept.exists():
+        folder = video.with_suffix("")
+        if stage == "look":
+            said = _says("look", video, "--png", folder.with_suffix(".png"))
+            score = look_stage(video, truth, "")["look"]
+        else:
+            said = _says("sfm", video, "--out", folder / "set")
+            said += _says("train", folder / "set", "--out", folder / "run")
+            is_there = (folder / "run" / "log.json").exists()
+            score = whole_stage(video, truth, "")["sfm, train, measure"] if is_there else Score()
+        kept.write_text(json.dumps({"score": asdict(score), "said": said}, indent=1))
+    values = json.loads(kept.read_text())
+    return Score.of_json(values["score"]), values["said"]
+
+
+def _says(*words: object) -> str:
+    command = [sys.executable, "-m", "tg4mm", *map(str, words)]
+    ran = subprocess.run(command, capture_output=True, text=True)
+    return ran.stdout + ran.stderr
+
+
+def run(options: Any) -> None:
+    """Prints a table."""
+    known = effects(np.random.default_rng(0))
+    print(
+        "| effect | by | named | frequency: errors in ± | amplitude of the truth | errors in ± | false | it is said |"
+    )
+    print("|---|---|---:|---|---|---|---:|---:|")
+    for name in options.effects or known:
+        films = [
+            film_of(name, seed, options.out) for seed in range(options.first, options.first + options.seeds)
+        ]
+        for stage in options.stages:
+            scores, texts = zip(*(told(video, truth, stage) for video, truth in films), strict=True)
+            print(f"| {name} | {stage} | {_cells(scores, texts, known[name].said)} |", flush=True)
+
+
+def _cells(scores: Sequence[Score], texts: Sequence[str], said: str) -> str:
+    named = sum(score.strongest_named for score in scores)
+    ratios = [ratio for score in scores for ratio in score.ratios]
+    errors = [
+        [abs(z) for s in scores for z in own(s)] for own in (lambda s: s.frequencies, lambda s: s.amplitudes)
+    ]
+    shown = [", ".join(f"{z:.1f}" for z in each) or "–" for each in errors]
+    share = f"{sum(bool(re.search(said, text)) for text in texts)} of {len(texts)}" if said else ""
+    amplitudes = ", ".join(f"{ratio:.2f}" for ratio in ratios) or "–"
+    false = sum(len(score.false) for score in scores)
+    return f"{named} of {len(scores)} | {shown[0]} | {amplitudes} | {shown[1]} | {false} | {share}"
