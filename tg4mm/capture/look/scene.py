@@ -52,7 +52,6 @@ class Scene:
     by_position: bool  # B pictures count by their distance from the one before that is none, too
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
-    level: np.ndarray = field(default_factory=lambda: np.ones(1))  # [F] of the picture's light, about 1
     shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, taken off `own`
     courses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [F, m] theirs, px in the corners
 
@@ -122,11 +121,8 @@ def scene_of(series: CellSeries) -> Scene:
     usable &= information[:, [0, 1], [0, 1]].max(1) > LEAST_INFORMATION
     information = np.where(usable[:, None, None], information, 0)
     gain = np.where(~masks.hidden & usable, series.gain, np.nan)
-    level = _median_of(gain)
     nuisance, light, by_position = _nuisance(series, gain)
-    scene = Scene(
-        series, masks, usable, information, nuisance, light, _lost(series), by_position, level=level
-    )
+    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series), by_position)
     return against_background(scene, usable)
 
 
