@@ -14,6 +14,7 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.analyse import read_channels
 from tg4mm.show.view.app import App, canvas_of
+from tg4mm.show.view.charts import LEFT, RIGHT, WIDTH
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.session import Clock, Session
 
@@ -102,6 +103,26 @@ def test_a_click_on_a_peak_sets_the_band(opened):
     opened.page.locator('rect.hit[data-peak="5 Hz"]').first.click()
     until(lambda: opened.session.band == (4.5, 5.5), "the band is around 5 Hz")
     opened.page.get_by_text("1 of 2 frequencies").wait_for(timeout=WAIT * 1e3)
+    opened.page.get_by_role("button", name="all").click()
+    until(lambda: opened.session.band is None, "all frequencies again")
+
+
+def test_over_the_spectrum_the_pointer_reads_and_a_drag_sets_the_band(opened):
+    chart = opened.page.locator('svg[aria-label^="spectrum: peak"]').first
+    box = chart.bounding_box()
+
+    def place(hz):
+        share = (LEFT + hz / (opened.session.scene.motion.fps / 2) * (WIDTH - LEFT - RIGHT)) / WIDTH
+        return box["x"] + share * box["width"], box["y"] + 0.4 * box["height"]
+
+    opened.page.mouse.move(*place(5.0))
+    opened.page.locator("g.cursor text", has_text="5 Hz: ").wait_for(timeout=WAIT * 1e3)
+    opened.page.mouse.move(*place(2.0))
+    opened.page.mouse.down()
+    opened.page.mouse.move(*place(3.0), steps=5)
+    opened.page.mouse.up()
+    until(lambda: opened.session.band is not None, "the band is the drag's")
+    assert opened.session.band == pytest.approx((2.0, 3.0), abs=0.1)
     opened.page.get_by_role("button", name="all").click()
     until(lambda: opened.session.band is None, "all frequencies again")
 

@@ -40,6 +40,10 @@ def test_clicks_make_regions_and_a_scale(tmp_path):
     write_regions(tmp_path / "r.json", drawing.as_file())
     assert opened(read_regions(tmp_path / "r.json")).regions == drawing.regions
     assert len(clicks(drawing.taking("box"), (1, 1), (30, 30)).undone().undone().regions) == 3
+    box = drawing.taking("box").dragged((5, 5), (30, 40))
+    assert (box.regions[-1].values, box.undone().regions) == ((5, 5, 30, 40), drawing.regions)
+    with pytest.raises(Tg4mmError, match="a box is dragged with the tool box"):
+        drawing.taking("polygon").dragged((5, 5), (30, 40))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +107,7 @@ def test_a_box_is_drawn_and_saved_in_the_browser(video, tmp_path):
             errors = []
             page.on("pageerror", lambda error: errors.append(str(error)))
             page.goto(desk.url)
-            page.get_by_text("Click two opposite corners").wait_for(timeout=60e3)
+            page.get_by_text("click two opposite corners").wait_for(timeout=60e3)
             page.locator(".mantine-Notification-closeButton").click()
             end = time.monotonic() + 60
             while not desk.server.get_clients() and time.monotonic() < end:
@@ -114,10 +118,17 @@ def test_a_box_is_drawn_and_saved_in_the_browser(video, tmp_path):
                 page.mouse.click(left + x * scale, upper + y * scale)
                 time.sleep(0.5)
             page.get_by_text("region 1").wait_for(timeout=60e3)
+            page.mouse.move(left + 50 * scale, upper + 90 * scale)
+            page.mouse.down()
+            page.mouse.move(left + 20 * scale, upper + 60 * scale, steps=5)
+            page.mouse.up()
+            page.get_by_text("region 2").wait_for(timeout=60e3)
             page.locator("canvas").last.focus()
             page.keyboard.press("s")
             page.get_by_text("Wrote").wait_for(timeout=60e3)
-            assert read_regions(file).regions[0].values == pytest.approx((112, 20, 150, 70), abs=1)
+            clicked, dragged = (region.values for region in read_regions(file).regions)
+            assert clicked == pytest.approx((112, 20, 150, 70), abs=1)
+            assert dragged == pytest.approx((20, 60, 50, 90), abs=1)
             assert errors == []
         finally:
             desk.stop()

@@ -1,11 +1,13 @@
 """Pictures of the scene: what `tg4mm render` writes, magnified, coloured, in time, and no more than is needed."""
 
 import threading
+from dataclasses import replace
 
 import numba
 import numpy as np
 import pytest
 
+from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.colour import amount_colours
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import to_bytes
@@ -15,7 +17,7 @@ from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
 from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import open_scene
-from tg4mm.show.view.screen import Canvas, Pace, Screen
+from tg4mm.show.view.screen import Canvas, Pace, Screen, picture_of
 from tg4mm.show.view.session import Clock, Session
 
 
@@ -145,3 +147,24 @@ def test_a_run_without_frequencies_is_shown_and_says_so(run, tmp_path, sent):
     screen = Screen(session, lambda picture, quality: sent.append(picture))
     assert screen.refresh(CANVAS, 0.0)
     assert sent[0].min() < 200
+
+
+@pytest.mark.parametrize("zoom", [1, 2])
+def test_beside_the_magnified_one_is_the_films_own_picture_where_a_camera_filmed(scene, painter, zoom):
+    camera, half = scene.cameras[2], np.diag([zoom, zoom, 1.0])
+    wide = replace(camera, K=half @ camera.K, width=zoom * camera.width, height=zoom * camera.height)
+    seen = scene.filmed.seen_by(wide, 3 / scene.motion.fps)
+    taken = scene.filmed._capture
+    (row,) = np.flatnonzero(
+        (taken.timesteps == 3) & (np.abs(taken.viewmats - camera.viewmat).max((1, 2)) < 1e-9)
+    )
+    own = to_bytes(FilePictures(taken).rgb(row)).astype(int)
+    coarse = seen.reshape(camera.height, zoom, camera.width, zoom, 3).mean((1, 3))
+    assert np.abs(coarse - own)[1:-1, 1:-1].mean() < (0.5 if zoom == 1 else 4)
+    away = camera.viewmat.copy()
+    away[0, 3] += 0.3
+    assert scene.filmed.seen_by(replace(camera, viewmat=away), 0.1) is None
+    canvas = Canvas((5.0, 5.0, 5.0), (1.0, 0, 0, 0), 0.6, 900, 300)
+    beside = picture_of(painter, Look(Magnification.of(20.0), beside=True), 0.1, canvas, (900, 300))
+    assert beside.shape == (300, 900, 3)
+    assert (beside[:20, :120] == 0).any(), "which of the two it is is written"

@@ -1,7 +1,9 @@
 """Drawings of the panel: a spectrum whose peaks can be clicked, a waveform. Inline SVG in the browser's own colours."""
 
+import json
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
@@ -11,6 +13,7 @@ from tg4mm.core.colour import amount_colours, hex_colour
 from tg4mm.core.pages.svg import nice_ticks, number
 from tg4mm.show.view.colours import Band
 
+_NOTHING = Markup("")
 WIDTH, HEIGHT = 360, 140
 LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
 ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
@@ -26,22 +29,16 @@ STYLE = (  # of the page
     f".tg4mm .spread{{fill:{ACCENT};fill-opacity:.25}}.tg4mm .band{{fill:{ACCENT};fill-opacity:.14}}"
     ".tg4mm .floor{stroke:var(--mantine-color-dimmed);stroke-dasharray:4 3;fill:none}"
     ".tg4mm .now{stroke:var(--mantine-color-text);stroke-width:1}"
+    ".tg4mm svg[data-span]{cursor:crosshair;touch-action:pan-y}.tg4mm .cursor{pointer-events:none}"
+    ".tg4mm .cursor text{fill:var(--mantine-color-text)}"
     ".tg4mm .hit{fill:transparent;cursor:pointer}.tg4mm .hit:hover{fill:var(--mantine-color-default-hover)}"
 )
 # The page answers a click on a peak by pressing the button of the same name below the chart.
-SCRIPT = """addEventListener("click", (event) => {
-  const peak = event.target.dataset?.peak;
-  if (peak) press(peak);
-});
-addEventListener("keydown", (event) => {
-  const typed = event.target.closest?.("input:not([type=checkbox]), textarea");
-  if (typed || event.ctrlKey || event.metaKey || event.altKey) return;
-  const key = [...document.querySelectorAll("kbd[data-press]")].find((k) => k.dataset.key === event.key.toLowerCase());
-  if (key) { event.preventDefault(); event.stopImmediatePropagation(); press(...key.dataset.press.split("|")); }
-}, true);
-function press(...names) {
-  [...document.querySelectorAll("button")].find((b) => names.includes(b.textContent.trim()))?.click();
-}"""
+BAND_FIELD = "From, to (Hz)"  # of the panel: a drag over a spectrum fills it
+_SIZES = {"WIDTH": WIDTH, "HEIGHT": HEIGHT, "LEFT": LEFT, "RIGHT": RIGHT, "TOP": TOP, "BOTTOM": BOTTOM}
+SCRIPT = "".join(
+    f"const {name} = {json.dumps(value)};\n" for name, value in (*_SIZES.items(), ("BAND_FIELD", BAND_FIELD))
+) + (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
 
 
 def block(*parts: str | Markup) -> str:
@@ -88,7 +85,8 @@ def spectrum_chart(
         x = _x(f, 0, nyquist)
         parts.append(_line(x, _y(0, 0, top), x, min(_y(peak, 0, top), _y(0, 0, top) - 1), style))
     parts += _hits(frequencies, peaks, labels, nyquist, unit)
-    return _svg(parts, f"spectrum: peak displacement ({unit}) over frequency (Hz)")
+    read = _read(frequencies, peaks, (0.0, nyquist), unit)
+    return _svg(parts, f"spectrum: peak displacement ({unit}) over frequency (Hz)", read)
 
 
 def waveform_chart(
@@ -133,7 +131,8 @@ def density_chart(
     if named:
         hz, labels = np.array([f for f, _ in named]), [name for _, name in named]
         parts += _hits(hz, np.interp(hz, frequencies, amplitudes), labels, span[1], unit)
-    return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed")
+    read = _read(frequencies, amplitudes, span, unit)
+    return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed", read)
 
 
 def composite_chart(found: Found) -> Markup:
@@ -199,7 +198,16 @@ def _text(x: float, y: float, text: str, anchor: str) -> Markup:
     return Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>').format(x, y, anchor, text)
 
 
-def _svg(parts: Sequence[Markup], label: str) -> Markup:
-    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-        WIDTH, HEIGHT, label, Markup("").join(parts)
+def _svg(parts: Sequence[Markup], label: str, read: Markup = _NOTHING) -> Markup:
+    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}"{}>{}</svg>').format(
+        WIDTH, HEIGHT, label, read, Markup("").join(parts)
+    )
+
+
+def _read(hz: np.ndarray, sizes: np.ndarray, span: tuple[float, float], unit: str) -> Markup:
+    """Attributes of what the pointer reads: the span, Hz, the curve's points, and the unit of their sizes."""
+    points = [[float(f"{v:.4g}") for v in values] for values in (hz, sizes)]
+    text = ' data-span="{:.6g} {:.6g}" data-points="{}" data-unit="{}"'
+    return Markup(text).format(
+        *span, json.dumps(points, separators=(",", ":")), unit.removeprefix("peak (").rstrip(")")
     )

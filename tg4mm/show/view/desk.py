@@ -162,6 +162,11 @@ class Desk:
             if -2 <= x <= width + 2 and -2 <= y <= height + 2:
                 self._change(lambda drawing: drawing.clicked((x, y)))
 
+        @server.scene.on_rect_select()
+        def _(event: viser.SceneRectSelectEvent) -> None:
+            corners = [self._place(event.client, *at) for at in (event.screen_min, event.screen_max)]
+            self._change(lambda drawing: drawing.dragged(*corners))
+
     def wait(self) -> None:
         """Until `stop`, or an interrupt."""
         self._stopping.wait()

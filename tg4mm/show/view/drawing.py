@@ -8,7 +8,7 @@ from tg4mm.core.scale import Pixel, Scale
 
 BOX, POLYGON, POINT, LENGTH, RECTANGLE = "box", "polygon", "point", "length", "rectangle"
 TOOLS = {
-    BOX: "Click two opposite corners.",
+    BOX: "Drag a box, or click two opposite corners.",
     POLYGON: "Click corners, then Finish.",
     POINT: "Click its middle.",
     LENGTH: "Give millimetres, then click both ends.",
@@ -40,6 +40,14 @@ class Drawing:
         inside = (min(max(at[0], 0.0), self.size[0]), min(max(at[1], 0.0), self.size[1]))
         more = replace(self, clicks=(*self.clicks, inside), before=self)
         return more.finished() if len(more.clicks) == _NEEDED.get(self.tool) else more
+
+    def dragged(self, first: Pixel, last: Pixel) -> "Drawing":
+        """A box from corner to corner, pixels. Raises Tg4mmError where it cannot be, and with another tool."""
+        if self.tool != BOX:
+            raise RegionError(
+                f"a box is dragged with the tool {BOX}; {self.tool}: {TOOLS[self.tool].lower()}"
+            )
+        return replace(self.taking(BOX).clicked(first).clicked(last), before=self)
 
     def finished(self) -> "Drawing":
         """The clicks made a shape. Raises Tg4mmError where they are none."""

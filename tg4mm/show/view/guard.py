@@ -149,15 +149,17 @@ def _is_camera(message: dict[str, Any]) -> bool:
 
 
 def _is_click(message: dict[str, Any]) -> bool:
-    place = message["screen_pos"]
+    place, rays = message["screen_pos"], (message["ray_origin"], message["ray_direction"])
+    is_box = message["event_type"] == "rect-select"
     return (
-        message["event_type"] == "click"
-        and _finite(message["ray_origin"], 3)
-        and _finite(message["ray_direction"], 3)
+        (
+            rays == (None, None)
+            if is_box
+            else message["event_type"] == "click" and all(_finite(r, 3) for r in rays)
+        )
         and isinstance(place, list)
-        and len(place) == 1
-        and _finite(place[0], 2)
-        and all(0 <= share <= 1 for share in place[0])
+        and len(place) == 1 + is_box
+        and all(_finite(at, 2) and (is_box or all(0 <= share <= 1 for share in at)) for at in place)
         and (message["modifier"] is None or isinstance(message["modifier"], str))
     )
 

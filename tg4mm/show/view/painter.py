@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.fit.gaussians import Gaussians
@@ -73,6 +74,13 @@ class Painter:
             gaussians = self._gaussians(look, seconds)
             size = (camera.width, camera.height)
             return to_bytes(render_image(gaussians, camera.viewmat, camera.K, *size))
+
+    def filmed(self, seconds: float, camera: Camera) -> np.ndarray | None:
+        """[height, width, 3] uint8: the capture's own picture from there; None where there is none, or it is gone."""
+        try:
+            return None if self._scene.filmed is None else self._scene.filmed.seen_by(camera, seconds)
+        except (CaptureError, OSError):
+            return None
 
     def pixel_weights(self, look: Look, seconds: float, camera: Camera, x: int, y: int) -> np.ndarray:
         """[N] float64: blending weight α·T ([3DGS] Eq. (3)) of every Gaussian in pixel (x, y); they sum to its opacity.

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from tg4mm.core.pages.svg import number
 from tg4mm.show.maps import middle_depth
 from tg4mm.show.view.cameras import Standpoint, standpoint_of
-from tg4mm.show.view.charts import block, composite_chart, spectrum_chart
+from tg4mm.show.view.charts import BAND_FIELD, block, composite_chart, spectrum_chart
 from tg4mm.show.view.colours import (
     ALL,
     Colour,
@@ -85,6 +85,9 @@ class Panel:
             hint="What is magnified.",
         )
         self._band.on_update(lambda event: self._slid(event))
+        hint = "Two frequencies, as 4.5 5.5; or drag over a spectrum."
+        self._typed = self._gui.add_text(BAND_FIELD, "", hint=hint)
+        self._typed.on_update(lambda _: self._type(str(self._typed.value)))
         self._band_words = self._gui.add_html("")
 
     def _choose(self, name: str) -> None:
@@ -104,6 +107,17 @@ class Panel:
         low, high = self._band.value
         self._session.choose_band(band_of_slider(float(low), float(high), self._nyquist))
         self._show_band()
+
+    def _type(self, text: str) -> None:
+        """The band of two numbers; what is none yet, as it is typed, changes nothing."""
+        try:
+            low, high = (min(max(float(word), 0.0), self._nyquist) for word in text.replace(",", " ").split())
+        except ValueError:
+            return
+        if low < high:
+            self._session.choose_band((low, high))
+            self._band.value = low, high
+            self._show_band()
 
     def _show_band(self) -> None:
         """Everything that depends on the band."""

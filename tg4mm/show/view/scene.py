@@ -14,11 +14,12 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
-from tg4mm.show.maps import leading_modes
+from tg4mm.show.maps import leading_modes, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.result import result_of
 from tg4mm.show.result.model import unit_of
 from tg4mm.show.view.cameras import overview
+from tg4mm.show.view.filmed import Filmed
 from tg4mm.show.weights import blending_weights
 
 _LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes
@@ -38,6 +39,7 @@ class RunScene:
     per_unit: float  # shown length per scene unit
     notes: tuple[str, ...] = ()  # lines: what could not be had, and why
     look: Found | None = None  # of a flat capture: what the look at its regions found
+    filmed: Filmed | None = None  # its own pictures
 
     @property
     def duration(self) -> float:
@@ -109,6 +111,9 @@ def open_scene(run: Run) -> RunScene:
         per_unit,
         tuple(notes),
         None if capture is None or capture.kind.sees_depth else look_of(run),
+        None
+        if capture is None
+        else Filmed(capture, middle_depth(gaussians.means.numpy(), weights, cameras[0])),
     )
 
 

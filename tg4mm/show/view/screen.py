@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
 from tg4mm.core.magnification import AS_CAPTURED
@@ -17,6 +18,7 @@ from tg4mm.show.view.session import Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
 NARROW = 600  # pixels: a phone, whose lower half the panel covers
+_LETTER = 0.022  # of a picture's height
 _BORDER = 90  # grey level between two pictures
 _RING, _STROKE = 0.012, 1.5  # of the picture's shorter side; pixels
 
@@ -49,16 +51,37 @@ class Canvas:
 def picture_of(
     painter: Painter, look: Look, seconds: float, canvas: Canvas, size: tuple[int, int]
 ) -> np.ndarray:
-    """[H, W, 3] uint8 of `size` (w, h): what a page shows; with `look.beside` the scene as captured comes first."""
+    """[H, W, 3] uint8 of `size` (w, h): what a page shows.
+
+    With `look.beside` the scene as captured comes first: the film's own picture where a camera filmed from there, else
+    the model at α = 0; which of the two is written on it.
+    """
     if not (look.beside and canvas.holds_two and size[0] > 1):
         return painter.paint(look, seconds, canvas.camera(size))
     camera = canvas.halved().camera((size[0] // 2, size[1]))
-    parts = [painter.paint(one, seconds, camera) for one in (replace(look, magnified=AS_CAPTURED), look)]
-    for part in parts:
+    film = painter.filmed(seconds, camera)
+    first = painter.paint(replace(look, magnified=AS_CAPTURED), seconds, camera) if film is None else film
+    parts = [first, painter.paint(look, seconds, camera)]
+    alpha = f"α = {look.magnified.alpha:g}"
+    for part, words in zip(parts, ("model, α = 0" if film is None else "as filmed", alpha), strict=True):
         if look.mark is not None:
             _marked(part, camera, np.array(look.mark))
+        _written(part, words)
     parts[0][:, -1] = _BORDER
     return np.pad(np.concatenate(parts, 1), ((0, 0), (0, size[0] % 2), (0, 0)), mode="edge")
+
+
+def _written(picture: np.ndarray, words: str) -> None:
+    """Words into the upper left corner of picture [H, W, 3], at the size of a page's text."""
+    height = max(12, round(_LETTER * picture.shape[0]))
+    font = ImageFont.load_default(height)
+    right, lower = (round(v) for v in font.getbbox(words)[2:])
+    corner = picture[: lower + height, : right + height]
+    label = Image.fromarray(np.ascontiguousarray(corner))
+    ImageDraw.Draw(label).text(
+        (height // 2, height // 2), words, "white", font, stroke_width=2, stroke_fill="black"
+    )
+    corner[:] = np.asarray(label)
 
 
 def _marked(picture: np.ndarray, camera: Camera, point: np.ndarray) -> None:
