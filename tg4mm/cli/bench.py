@@ -278,6 +278,34 @@ def ablation(
     _exit_with(results, out)
 
 
+@bench.command()
+def release(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with datasets, at any depth.")],
+    version: Annotated[str, typer.Option(help="Version of the data.")] = "1",
+) -> None:
+    """Write the card and the checksums with which datasets are passed on.
+
+    DIR/README.md: what the datasets are; DIR/SHA256SUMS: of every file.
+    """
+    from tg4mm.research.bench.release import release as write
+
+    typer.echo("\n".join(map(str, write(folder, version))))
+
+
+@bench.command()
+def verify(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with SHA256SUMS.")]) -> None:
+    """Check every file of datasets against SHA256SUMS.
+
+    A line for each file that is missing, changed or not listed; exit code 1 if there is any.
+    """
+    from tg4mm.research.bench.release import verify as check
+
+    wrong = check(folder)
+    typer.echo("\n".join(wrong) if wrong else f"{folder}: every file is as it was")
+    if wrong:
+        raise typer.Exit(1)
+
+
 def _plan(alphas: str | None, band: bool, lpips_weights: list[Path] | None, device: Device) -> Plan:
     wanted = parse_alphas(alphas)
     if wanted is not None and any(not 0 <= a < float("inf") for a in wanted):

@@ -1,0 +1,118 @@
+"""A folder of datasets as others get it: a card that says what it holds, and a checksum of every file."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from tg4mm import __version__
+from tg4mm.core.progress import progress
+from tg4mm.research.bench import BenchError
+from tg4mm.research.bench.folder import write_text
+from tg4mm.research.bench.sets import open_set
+from tg4mm.research.text import table
+from tg4mm.run.config import read_json
+
+CARD, SUMS = "README.md", "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *]([^\x00-\x1f]+)")
+
+_HEAD = """---
+pretty_name: {name}
+version: {version}
+license: gpl-3.0
+tags: [vibration, motion magnification, Gaussian splatting, synthetic]
+---
+
+# {name}, version {version}
+
+Generated scenes that vibrate by a fraction of a pixel, with exact ground truth: magnified pictures of the test views,
+depth and displacement of their pixels, and the motion of every vertex. Made by tg4mm {program}; layout, axes and units
+are in its docs/conventions.md, how methods are compared in docs/protocol.md. Train on `train` alone; tune on no set that
+is called a test.
+
+`sha256sum -c {sums}` or `tg4mm bench verify DIR` checks every file.
+"""
+
+
+def release(root: Path, version: str) -> list[Path]:
+    """Write the card and then the checksums of all files under `root`, its datasets' at any depth; the two files.
+
+    Raises BenchError where there is no dataset, or a version that no line can hold.
+    """
+    if not re.fullmatch(r"[\w.+-]+", version):
+        raise BenchError(f"--version {version!r}: letters, digits, and . + - alone")
+    datasets = sorted(file.parent for file in root.rglob("scene.json") if (file.parent / "000").is_dir())
+    if not datasets:
+        raise BenchError(f"{root} holds no dataset: expected a folder with scene.json and 000/")
+    head = [
+        "set",
+        "scene",
+        "cameras",
+        "pixels",
+        "views",
+        "timesteps",
+        "Hz",
+        "motion, px",
+        "seed",
+        "noise",
+        "MiB",
+    ]
+    rows = [_row(root, dataset) for dataset in datasets]
+    card = _HEAD.format(name=root.resolve().name, version=version, program=__version__, sums=SUMS)
+    write_text(root / CARD, f"{card}\n{table(head, rows, text_columns=3)}\n")
+    lines = [f"{digest}  {name}\n" for name, digest in _digests(root, _files(root))]
+    write_text(root / SUMS, "".join(lines))
+    return [root / CARD, root / SUMS]
+
+
+def _row(root: Path, dataset: Path) -> list[str]:
+    data, scene = open_set(dataset, dataset.name), read_json(dataset / "scene.json")
+    files = {(s.st_ino, s.st_size) for s in (f.stat() for f in dataset.rglob("*") if f.is_file())}
+    mib = sum(size for _, size in files) / 2**20
+    pixels, hz, px = f"{data.width}×{data.height}", f"{data.frequency_hz:g}", f"{data.amplitude_px:.2g}"
+    cells = (data.scene, data.cameras, pixels, data.n_views, data.n_timesteps, hz, px, scene.get("seed", ""),
+             scene.get("noise", "state"), f"{mib:.1f}")  # fmt: skip
+    return [dataset.relative_to(root).as_posix(), *map(str, cells)]
+
+
+def verify(root: Path) -> list[str]:
+    """A line for each file that is missing, changed or not in the list. Raises BenchError without a sound list."""
+    wanted = dict(_listed(root / SUMS))
+    present = {file.relative_to(root).as_posix() for file in _files(root)}
+    found = [f"{name}: missing" for name in wanted if name not in present]
+    found += [f"{name}: is not in {SUMS}" for name in sorted(present - set(wanted))]
+    there = [root / name for name in wanted if name in present]
+    return found + [f"{name}: changed" for name, digest in _digests(root, there) if digest != wanted[name]]
+
+
+def _listed(file: Path) -> Iterator[tuple[str, str]]:
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"{file} cannot be read, tg4mm bench release writes it: {error}") from None
+    for number, line in enumerate(lines, 1):
+        found = _LINE.fullmatch(line)
+        path = None if found is None else PurePosixPath(found[2])
+        if found is None or path is None or path.is_absolute() or ".." in path.parts:
+            raise BenchError(
+                f"{file}, line {number}: {line[:80]!r} is not a checksum and a name below the folder"
+            )
+        yield found[2], found[1]
+
+
+def _files(root: Path) -> list[Path]:
+    return sorted(file for file in root.rglob("*") if file.is_file() and file != root / SUMS)
+
+
+def _digests(root: Path, files: list[Path]) -> Iterator[tuple[str, str]]:
+    """(name below the root, SHA-256) of each; of files that are one by hard links it is taken once."""
+    known: dict[tuple[int, int], str] = {}
+    with progress("checksums", len(files), unit="files", brief=True) as update:
+        for done, file in enumerate(files, 1):
+            stat = file.stat()
+            key = (stat.st_dev, stat.st_ino)
+            if key not in known:
+                with file.open("rb") as stream:
+                    known[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+            yield file.relative_to(root).as_posix(), known[key]
+            update(done)
