@@ -27,8 +27,8 @@ tags: [vibration, motion magnification, Gaussian splatting, synthetic]
 
 Generated scenes that vibrate by a fraction of a pixel, with exact ground truth: magnified pictures of the test views,
 depth and displacement of their pixels, and the motion of every vertex. Made by tg4mm {program}; layout, axes and units
-are in its docs/conventions.md, how methods are compared in docs/protocol.md. Train on `train` alone; tune on no set that
-is called a test.
+are in its docs/conventions.md, how methods are compared in docs/protocol.md. Train on `train` alone; tune on no set
+that is called a test.
 
 `sha256sum -c {sums}` or `tg4mm bench verify DIR` checks every file.
 """
