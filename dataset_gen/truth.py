@@ -1,7 +1,7 @@
 """Exact ground truth: the complex mode of every vertex, and per pixel what its centre sees."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +47,18 @@ def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
     Depth.V: planar z, 1e10 where the pixel centre sees nothing (every other channel is 0 there). Normal:
     smooth normal of the mesh, world axes. Position: world. Displacement: of the point seen, from rest.
     """
-    import OpenEXR
-
-    channels = {"Depth.V": np.ascontiguousarray(passes["Depth"], np.float32)}
+    channels = {"Depth.V": passes["Depth"]}
     for name in _VECTORS:
         for axis, letter in enumerate("XYZ"):
-            channels[f"{name}.{letter}"] = np.ascontiguousarray(passes[name][..., axis], np.float32)
+            channels[f"{name}.{letter}"] = passes[name][..., axis]
+    write_channels(path, channels)
+
+
+def write_channels(path: Path, numbers: Mapping[str, np.ndarray]) -> None:
+    """Writes channels [H, W] by name as a single-part EXR, ZIP, float32."""
+    import OpenEXR
+
+    channels = {name: np.ascontiguousarray(values, np.float32) for name, values in numbers.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with tree.whole(path) as temporary, OpenEXR.File(header, channels) as file:
         file.write(str(temporary))

@@ -279,6 +279,19 @@ def ablation(
 
 
 @bench.command()
+def truth(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder with per-pixel truth of its test views.")],
+) -> None:
+    """Write a dataset's truth as optical flow, part masks, occlusion and tracks of points.
+
+    DATASET/truth/flow, parts, occlusion, parts.json, tracks.npz, of the test views, not magnified: docs/conventions.md.
+    """
+    from tg4mm.research.bench.truth_files import write_truth
+
+    typer.echo("\n".join(map(str, write_truth(dataset))))
+
+
+@bench.command()
 def release(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with datasets, at any depth.")],
     version: Annotated[str, typer.Option(help="Version of the data.")] = "1",

@@ -225,6 +225,8 @@ def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
     if own.get("scenes") == ():
         raise BenchError("configuration: scenes is [], expected one or more")
     checked_names(own.get("methods", DEFAULT))
+    if "methods" in own:
+        own.setdefault("settings", ())  # the preset's are for its own methods
     return replace(PRESETS[name], **own) if own else name
 
 
