@@ -106,11 +106,8 @@ class _Views:
 
     def __init__(self, root: Path, capture: Capture, truth: Truth) -> None:
         self.capture = capture
-        self.gains = truth.gains
-        if self.gains is None:
-            self.gains = np.exp(
-                2j * np.pi * np.outer(truth.freqs_hz, np.arange(truth.n_timesteps)) / truth.fps
-            )
+        turns = np.outer(truth.freqs_hz, np.arange(truth.n_timesteps)) / truth.fps
+        self.gains: np.ndarray = np.exp(2j * np.pi * turns) if truth.gains is None else truth.gains  # [K, T]
         self.key: list[tuple[int, int]] = []
         self.seen: dict[tuple[int, int], _View] = {}
         for image, path in enumerate(capture.paths):
