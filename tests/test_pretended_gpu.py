@@ -17,7 +17,8 @@ from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.fit.space import train as stage
-from tg4mm.research.bench.methods.tracking import TrackingConfig, track
+from tg4mm.research.bench.methods.deformed import fit_motion
+from tg4mm.research.bench.methods.tracking import TrackingConfig, track, track_along
 from tg4mm.research.paper import motion as paper_motion
 from tg4mm.research.paper import space as paper_space
 from tg4mm.research.paper.config import PaperConfig
@@ -172,7 +173,8 @@ def test_the_preset_paper(made, tmp_path, gpu, monkeypatch):
     assert counts[2] == counts[0]
 
 
-def test_the_method_tracking(made, tmp_path, gpu):
+@pytest.mark.parametrize("fit", [track, track_along])
+def test_the_method_tracking(fit, made, tmp_path, gpu):
     data, source = made
     capture = load_capture(data)
     images, base, found = load_images(capture), scattered(oblong(source.load_space())), []
@@ -180,7 +182,7 @@ def test_the_method_tracking(made, tmp_path, gpu):
     for place in ("cpu", NAME):
         run = Run.create(tmp_path / place, data, "modal", {})
         run.save_space(base, {})
-        track(run, capture, images, config, place)
+        fit_motion(run, capture, images, fit, config, place)
         found.append(torch.view_as_real(torch.from_numpy(run.load_motion().displacement)))
         assert bool(counted(gpu)) == (place == NAME)
     assert found[0].abs().max() > 0

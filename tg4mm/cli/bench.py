@@ -220,20 +220,14 @@ def _request(
 ) -> ScenesRequest:
     plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
-    from tg4mm.research.bench.methods.known import checked_names, parse_external
-    from tg4mm.research.bench.methods.tracking import checked_settings
-    from tg4mm.research.bench.request import SCORINGS, settings_by_preset
+    from tg4mm.research.bench.methods.known import checked_names, parse_external, settings_of
     from tg4mm.research.bench.scenes import ScenesRequest
     from tg4mm.research.bench.scored import checkouts
 
     names = checked_names(methods.split(",")) if methods or not external else ()
-    own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.") and "tracking" in names}
-    # tracking has the space stage of modal
-    trained = (name for name in names if name in SCORINGS or name == "tracking")
-    presets = dict.fromkeys("modal" if name == "tracking" else name for name in trained)
     return ScenesRequest(
         methods=names,
-        settings=settings_by_preset(given, list(presets)) | {"tracking": checked_settings(own)},
+        settings=settings_of(given, names),
         external=parse_external(external or []),
         same_time=same_time.value,
         plan=plan,

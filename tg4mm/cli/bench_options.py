@@ -56,7 +56,8 @@ Methods = Annotated[
     str,
     typer.Option(
         metavar="M,M,…",
-        help="Some of modal, paper-tuned, paper (presets of tg4mm train), tracking, phase-2d, linear-2d.",
+        help="Some of modal, paper-tuned, paper (presets of tg4mm train), tracking, 4dgs, sc-gs, per-frame, 3dmm, "
+        "phase-2d, linear-2d.",
     ),
 ]
 Outside = Annotated[

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from tests.research.bench.conftest import MODAL
 from tg4mm.fit.magnify.phase import PhaseMagnifier, half_octave_bands
-from tg4mm.research.bench.methods.tracking import HexPlane, tracking
+from tg4mm.research.bench.methods.tracking import HexPlane
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response
 from tg4mm.research.bench.request import Plan
-from tg4mm.research.bench.sets import BenchSet, open_set
-from tg4mm.run import Run
+from tg4mm.research.bench.sets import BenchSet
 
 T, FPS, HZ = 30, 30.0, 5.0
 
@@ -108,15 +106,3 @@ def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient():
     torch.nn.init.normal_(field.head.weight)
     field(points, 0.3).square().sum().backward()
     assert all(p.grad is not None and p.grad.any() for p in field.parameters())
-
-
-@pytest.mark.slow
-def test_training_finds_the_motion_and_a_second_call_does_not_train(data, tmp_path):
-    method = tracking(MODAL, {"tracking.iterations": "400", "tracking.resolution": "16"})
-    first = method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,)))
-    assert first["displacement"]["per_frequency"][0]["mac"] > 0.3
-    assert first["rows"]["5"]["tracking"]["change_gain"] > 0.2
-    assert Run.open(tmp_path / "run").log()["motion"]["iterations"] == 400
-    given = {"tracking.iterations": "400", "tracking.resolution": "16"}
-    assert method.training.overrides == {**MODAL, **given}
-    assert method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,))) == first

@@ -50,7 +50,7 @@ def _project(xyz: np.ndarray, views: RestViews, v: int) -> tuple[np.ndarray, np.
     return np.clip(u, 0, width - 1), np.clip(w, 0, height - 1), inside
 
 
-def _in_hull(xyz: np.ndarray, views: RestViews, masks: np.ndarray) -> np.ndarray:
+def in_hull(xyz: np.ndarray, views: RestViews, masks: np.ndarray) -> np.ndarray:
     """True where no view that sees the point sees background there, and enough views see it.
 
     Enough: a share SEEN of what the best-seen point of the hull has. Before each camera lies a space that few others
@@ -86,12 +86,12 @@ def hull_shell(views: RestViews) -> tuple[np.ndarray, float] | None:
         grown |= np.roll(masks, shift, axis=(1, 2))
     centre, half = working_box(views)
     coarse, step, _ = _grid(centre - half, centre + half, 96)
-    kept = coarse[_in_hull(coarse, views, grown)]
+    kept = coarse[in_hull(coarse, views, grown)]
     if len(kept) == 0:
         return None
     fine, step, shape = _grid(kept.min(0) - step, kept.max(0) + step, HULL_GRID)
     hull = np.zeros(np.array(shape) + 2, bool)
-    hull[1:-1, 1:-1, 1:-1] = _in_hull(fine, views, masks).reshape(shape)
+    hull[1:-1, 1:-1, 1:-1] = in_hull(fine, views, masks).reshape(shape)
     interior = np.ones(shape, bool)
     for axis in range(3):
         for side in (0, 2):

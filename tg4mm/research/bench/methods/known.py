@@ -9,11 +9,19 @@ from tg4mm.capture import Capture
 from tg4mm.core.pictures.decode import image_header
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import SET, files_state
-from tg4mm.research.bench.methods import Method, Pictures, Trained
-from tg4mm.research.bench.methods.tracking import NAME as TRACKING
-from tg4mm.research.bench.methods.tracking import tracking
+from tg4mm.research.bench.methods import (
+    Method,
+    Pictures,
+    Trained,
+    control_points,
+    eulerian,
+    per_frame,
+    tracking,
+)
+from tg4mm.research.bench.methods.deformed import Fit, deformed
+from tg4mm.research.bench.methods.own_settings import configured
 from tg4mm.research.bench.methods.video import Linear2D, Phase2D
-from tg4mm.research.bench.request import SCORINGS, Plan, Training
+from tg4mm.research.bench.request import SCORINGS, Plan, Training, settings_by_preset
 from tg4mm.research.bench.scored import cameras_of, picture_name, video_of
 from tg4mm.research.bench.sets import BenchSet, check_name, truth_at
 from tg4mm.research.evaluate.run import CEILING, STATIC
@@ -99,18 +107,31 @@ def parse_external(given: list[str]) -> tuple[External, ...]:
     return tuple(found.values())
 
 
-BASELINES = (TRACKING, Phase2D.name, Linear2D.name)
-NAMES = (*SCORINGS, *BASELINES)
+TRACKING = tracking.NAME
+# Gaussians of `modal`, moved by another fit: its settings and itself
+_DEFORMED: dict[str, tuple[Any, Fit]] = {
+    TRACKING: (tracking.TrackingConfig(), tracking.track),
+    tracking.ALONG: (tracking.TrackingConfig(), tracking.track_along),
+    control_points.NAME: (control_points.ControlConfig(), control_points.carry),
+    per_frame.NAME: (per_frame.PerFrameConfig(), per_frame.tune),
+}
+_OWN = {name: usual for name, (usual, _) in _DEFORMED.items()} | {eulerian.NAME: eulerian.EulerianConfig()}
+_VIDEO: dict[str, Method] = {m.name: m for m in (Phase2D(), Linear2D())}
+NAMES = (*SCORINGS, *_OWN, *_VIDEO)
 _TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems know no upper case
 ABOUT = {
     "modal": "tg4mm's own; Gaussians and a few shapes of motion with their courses over time, from all views at once",
     "paper": "the method of TG4MM, the paper that this program implements; magnified by `linear` or `phase`",
     "paper-tuned": "the method of TG4MM, the paper that this program implements, in minutes; by `linear` or `phase`",
     TRACKING: "Gaussians moved by a deformation network, in the manner of 4DGS",
+    tracking.ALONG: "the same, Gaussians and network trained together, as 4DGS does",
+    control_points.NAME: "Gaussians carried by 512 control points that an MLP moves, in the manner of SC-GS",
+    per_frame.NAME: "the Gaussians at rest fine-tuned to each timestep by itself",
+    eulerian.NAME: "planes of density and colour at fixed points of space, after 3DMM; by `phase` or `linear`",
     Phase2D.name: "phase-based magnification of each test view's own video, in complex sub-bands of half an octave",
     Linear2D.name: "linear Eulerian magnification of each test view's own video",
 }
-DEFAULT = ("modal", "paper-tuned", *BASELINES)
+DEFAULT = ("modal", "paper-tuned", TRACKING, *_VIDEO)
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -130,8 +151,8 @@ def methods_of(
 ) -> list[Method]:
     """The methods, in order; the first preset also gives the rows of its Gaussians at rest and moved exactly.
 
-    settings: {preset: as `tg4mm train --set`}; tracking has those of `modal` and its own. Raises BenchError for an
-    outside method that is called as one of this program's.
+    settings: {preset or method: as `--set`}; methods that begin with the Gaussians of `modal` have its settings too.
+    Raises BenchError for an outside method that is called as one of this program's.
     """
     reference = next((n for n in names if n in SCORINGS), None)
     made = [_method(n, settings, n == reference) for n in names]
@@ -142,8 +163,21 @@ def methods_of(
 
 
 def _method(name: str, settings: Mapping[str, Mapping[str, str]], framing: bool) -> Method:
+    own = settings.get(name, {})
     if name in SCORINGS:
-        return Trained(Training(name, name, settings.get(name, {})), framing)
-    if name == TRACKING:
-        return tracking(settings.get("modal", {}), settings.get(TRACKING, {}))
-    return Phase2D() if name == Phase2D.name else Linear2D()
+        return Trained(Training(name, name, own), framing)
+    if name in _DEFORMED:
+        return deformed(name, *_DEFORMED[name], settings.get("modal", {}), own)
+    return eulerian.Eulerian(configured(name, _OWN[name], own)) if name in _OWN else _VIDEO[name]
+
+
+def settings_of(given: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """`--set` by preset and method. Raises Tg4mmError for a name that none has, and for a value that does not fit."""
+    own = {n: {k: v for k, v in given.items() if k.startswith(f"{n}.")} for n in names if n in _OWN}
+    for name, some in own.items():
+        configured(name, _OWN[name], some)
+    rest = {k: v for k, v in given.items() if k.partition(".")[0] not in own}
+    presets = dict.fromkeys(
+        "modal" if n in _DEFORMED else n for n in names if n in SCORINGS or n in _DEFORMED
+    )
+    return settings_by_preset(rest, list(presets)) | own

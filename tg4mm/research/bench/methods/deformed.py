@@ -1,0 +1,168 @@
+"""Runs whose Gaussians begin as those of `modal` (same space stage, same settings) and are moved by another method.
+
+The trajectories are kept as a modal motion of all frequency bins, so that the band is magnified as by any other method.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.phasors import series_modes
+from tg4mm.core.progress import progress
+from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import moved
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.space import rest_views
+from tg4mm.research.bench.methods import Trained
+from tg4mm.research.bench.methods.own_settings import configured, overrides
+from tg4mm.research.bench.request import Scoring, Training
+from tg4mm.research.paper.space import Cameras, cameras_on, view_loss, views_at
+from tg4mm.research.paper.triplane import base_of, scene_box
+from tg4mm.run import Run
+from tg4mm.run.stages.space import train_space
+from tg4mm.run.train import parse_settings
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What a method has fitted: Gaussians at rest, and their displacement and rotation vectors [T, N, 6] from there
+    (scene units, radians)."""
+
+    gaussians: Gaussians
+    series: Tensor
+    iterations: int
+    parameters: int
+
+
+# (the Gaussians of `modal`, the views of each timestep, its configuration) → what it fits
+Fit = Callable[[Gaussians, list[Cameras], Any], Moving]
+
+
+@dataclass(frozen=True)
+class Deformer:
+    """A `Trainer`: space stage as `modal`, then a method's own fit to the pictures of all timesteps."""
+
+    name: str
+    usual: Any  # its configuration by default
+    fit: Fit
+    config: Any
+
+    def plain(self) -> dict[str, Any]:
+        return {self.name: dataclasses.asdict(self.config)}
+
+    def overrides(self) -> dict[str, str]:
+        return overrides(self.name, self.config, self.usual)
+
+    def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
+        configs = parse_settings(settings, "modal")
+        plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+        run = Run.create(place, dataset, "modal", plain | self.plain())
+        if run.has_space and run.has_motion:
+            return run
+        capture = load_capture(dataset)
+        images = load_images(capture)
+        if not run.has_space:
+            train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+        fit_motion(run, capture, images, self.fit, self.config, device)
+        return run
+
+
+def deformed(name: str, usual: Any, fit: Fit, settings: Mapping[str, str], own: Mapping[str, str]) -> Trained:
+    """The method; `settings` are those of `modal`, of which the space stage's count, `own` are `NAME.…`."""
+    deformer = Deformer(name, usual, fit, configured(name, usual, own))
+    return Trained(Training(name, "modal", settings, (Scoring(name, "modal"),), deformer))
+
+
+def fit_motion(
+    run: Run, capture: Capture, images: ImageStack, fit: Fit, config: Any, device: str = "cpu"
+) -> None:
+    """Fit to all pictures and save it as the run's motion. A killed fit begins anew."""
+    began = time.monotonic()
+    reset_peak_memory()
+    reset_gpu_peak(device)
+    g = run.load_space().to(device)
+    views = [cameras_on(views_at(capture, images, t), "cpu") for t in range(capture.n_timesteps)]
+    with full_precision(device):
+        found = fit(g, views, config)
+    freqs, phasors = series_modes(found.series.cpu().numpy(), capture.fps)
+    motion = ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], capture.fps, capture.n_timesteps)
+    if found.gaussians is not g:
+        run.save_space(found.gaussians, {})
+    figures = {"iterations": found.iterations, "parameters": found.parameters, **gpu_figures(device)}
+    spent = {"seconds": time.monotonic() - began, "peak_memory_mib": peak_memory_mib()}
+    run.save_motion(motion, spent | figures)
+
+
+def box_of(g: Gaussians) -> Tensor:
+    """[2, 3] the box that the Gaussians fill, scene units."""
+    return torch.from_numpy(scene_box(g.means.cpu().numpy()).astype(np.float32)).to(g.means.device)
+
+
+Group = dict[str, Any]  # of Adam: {params, lr}
+
+
+def descend(
+    name: str,
+    now: Callable[[], Gaussians],
+    motion: Callable[[int], Tensor],
+    penalty: Callable[[int], Tensor],
+    groups: Iterable[Group],
+    views: list[Cameras],
+    iterations: int,
+    seed: int,
+) -> None:
+    """Fit to random views of random timesteps; Adam's rates fall to a tenth.
+
+    now: the Gaussians at rest. motion: [N, 6] of a timestep. penalty: what is added to the L1 of its pictures.
+    """
+    adam = torch.optim.Adam(list(groups), eps=1e-15)
+    falls = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / iterations))
+    draw = np.random.default_rng(seed)
+    with progress(name, iterations) as update:
+        for i in range(iterations):
+            t = int(draw.integers(len(views)))
+            v = int(draw.integers(len(views[t][0])))
+            posed = moved(now(), motion(t))
+            viewmats, ks, pictures = (x[v : v + 1].to(posed.means.device) for x in views[t])
+            (view_loss(posed, (viewmats, ks, pictures), 0) + penalty(t)).backward()
+            adam.step()
+            falls.step()
+            adam.zero_grad(set_to_none=True)
+            update(i + 1)
+
+
+# 4DGS's rates for its Gaussians, of which a tenth is taken: these are fitted already. Means per unit of the box.
+_RATES = {"means": 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "sh": 2.5e-3}
+
+
+class Free:
+    """Gaussians that are trained along."""
+
+    def __init__(self, g: Gaussians) -> None:
+        self.parameters = {k: v.requires_grad_() for k, v in base_of(g).items()}
+        box = box_of(g)
+        unit = {"means": float((box[1] - box[0]).max())}
+        self.groups: list[Group] = [
+            {"params": [p], "lr": 0.1 * _RATES[k] * unit.get(k, 1.0)} for k, p in self.parameters.items()
+        ]
+
+    def now(self) -> Gaussians:
+        p = self.parameters
+        return Gaussians(p["means"], p["quats"], p["log_scales"].exp(), p["logits"].sigmoid(), p["sh"])
+
+
+@torch.no_grad()
+def from_first(g: Gaussians, motion: Callable[[int], Tensor], n: int) -> tuple[Gaussians, Tensor]:
+    """The Gaussians at timestep 0, and the motion from there [n, N, 6]; rotations are small, and subtracted."""
+    series = torch.stack([motion(t) for t in range(n)])
+    return moved(g.detach(), series[0]), series - series[0]
