@@ -10,6 +10,7 @@ from tg4mm.show.analyse import (
     Value,
     compared,
     converted,
+    curve_of,
     density_of,
     from_transfers,
     lag_of,
@@ -18,6 +19,7 @@ from tg4mm.show.analyse import (
     operational,
     phases_of,
     transfer_of,
+    waterfall_of,
     zone_of,
 )
 from tg4mm.show.analyse.compare import _of_channel
@@ -221,3 +223,49 @@ def test_what_changed_is_named_and_what_did_not_is_not():
     changes, alone = compared(machine(1, 0), _of_channel(slower))
     assert [c.figure for c in changes if c.changed] == ["frequency"]
     assert alone == ["x: 11.7 Hz is in the first record alone"]
+
+
+def test_an_instruments_curve_lies_on_the_films_and_the_ratio_tells_a_wrong_scale():
+    rng, fast = np.random.default_rng(5), np.arange(0, 12, 1e-3)
+    f, p, lag = rng.uniform(2, 20, 12), rng.uniform(0, 6.28, 12), 0.4
+    a, scores = rng.normal(size=12) / f**2, []
+    push = (-a * (2 * np.pi * f) ** 2)[:, None] * np.cos(2 * np.pi * f[:, None] * fast + p[:, None])
+    x = channel(push.sum(0), 1000.0, name="acc", quantity="acceleration")
+    shift = (a[:, None] * np.cos(2 * np.pi * f[:, None] * (T - lag) + p[:, None])).sum(0)
+    for seed in range(12):
+        y = channel(1.05 * shift, RATE, 0.02 * shift.std(), seed)
+        found = curve_of(y, x, Value(lag, 1e-5), (1.0, 22.0))
+        scores.append((found.ratio.value - 1.05) / found.ratio.deviation)
+    assert inside(scores) > 0.5
+    assert np.abs(scores).max() < 3.5
+    assert found.ratio.deviation < 0.02
+    assert (found.unit, found.correlation > 0.98) == ("mm/s²", True)
+    assert np.std(found.values - 1.05 * found.instrument) == pytest.approx(found.deviation, rel=0.3)
+
+
+def test_a_waterfall_shows_each_segments_amplitude_at_its_time():
+    swept = np.cos(2 * np.pi * (5 * T + 0.5 * T**2))  # 5 Hz + 1 Hz a second
+    freqs, times, amplitude = waterfall_of(channel(swept, RATE), Averaging(segment_s=1.5, overlap=0.75))
+    assert freqs[amplitude.argmax(0)] == pytest.approx(5 + times, abs=freqs[1])
+    steady = waterfall_of(channel(0.7 * np.cos(2 * np.pi * 8 * T), RATE), Averaging(segment_s=1.5))[2]
+    assert steady.max(0) == pytest.approx(0.7, rel=0.01)
+
+
+def test_modes_of_a_free_decay_are_those_of_the_system():
+    pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
+    true, shapes = ((6.3, 0.012), (17.9, 0.008)), np.array([[1, 0.6, 0.3], [0.7, -0.8, 0.5]])
+    t = T[:480]
+    for seed in range(3):
+        rings = [
+            np.exp(-2 * np.pi * f * z * t) * np.cos(2 * np.pi * f * np.sqrt(1 - z * z) * t + seed)
+            for f, z in true
+        ]
+        values = np.einsum("kc,kt->ct", shapes, rings)
+        found = operational(
+            [channel(v, RATE, 0.01, 9 * seed + k, name=str(k)) for k, v in enumerate(values)], (1, 25)
+        )
+        for (f, z), shape in zip(true, shapes, strict=True):
+            mode = min(found.modes, key=lambda m: abs(m.frequency_hz.value - f))
+            assert abs(mode.frequency_hz.value - f) < 3 * mode.frequency_hz.deviation < 0.05
+            assert abs(mode.damping.value - z) < 3 * mode.damping.deviation < 0.005
+            assert mac(mode.shape, shape) > 0.99

@@ -14,13 +14,14 @@ from tg4mm.show.analyse.modal import from_transfers, mac, operational
 from tg4mm.show.analyse.orders import OrderTrack, orders_of, speed_of
 from tg4mm.show.analyse.quantities import Levels, Value, converted, levels_of
 from tg4mm.show.analyse.spectra import Averaging, Density, density_of, waterfall_of
-from tg4mm.show.analyse.transfer import Transfer, lag_of, phases_of, transfer_of
+from tg4mm.show.analyse.transfer import Curve, Transfer, curve_of, lag_of, phases_of, transfer_of
 from tg4mm.show.analyse.zones import zone_of
 
 __all__ = [
     "AnalyseError",
     "Averaging",
     "Channel",
+    "Curve",
     "Density",
     "Levels",
     "OrderTrack",
@@ -28,6 +29,7 @@ __all__ = [
     "Value",
     "compared",
     "converted",
+    "curve_of",
     "density_of",
     "from_transfers",
     "lag_of",

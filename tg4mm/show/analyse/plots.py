@@ -66,6 +66,19 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
         coherence.plot(t.freqs_hz, t.coherence)
         coherence.set(ylabel="coherence", xlabel="frequency, Hz", ylim=(0, 1.05))
         yield f"transfer {t.response}", figure
+    for c in found.curves:
+        figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+        axes.plot(c.times_s, c.instrument, color=COLOURS[1], lw=1.6, label=c.reference)
+        axes.plot(c.times_s, c.values, color=COLOURS[0], lw=0.8, label=c.channel)
+        if np.isfinite(c.deviation):
+            sides = c.values - c.deviation, c.values + c.deviation
+            axes.fill_between(c.times_s, *sides, color=COLOURS[0], alpha=0.2, lw=0)
+        axes.set(xlabel="time, s", ylabel=c.unit)
+        axes.set_title(
+            f"{c.band_hz[0]:.3g} to {c.band_hz[1]:.4g} Hz; band: one standard deviation", loc="left"
+        )
+        axes.legend()
+        yield f"reference {c.channel}", figure
     for m in found.modes:
         figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
         for stable, colour, text in ((0, "#bbbbbb", "not stable"), (1, COLOURS[2], "stable")):

@@ -43,6 +43,14 @@ def format_analysis(found: Analysis) -> str:
             ],
         ),
         _table(
+            ("channel", "instrument", "Hz", "channel / instrument", "difference, rms", "correlation"),
+            [
+                (c.channel, c.reference, f"{c.band_hz[0]:.3g} to {c.band_hz[1]:.4g}", _both(c.ratio),
+                 f"{c.difference_rms:.3g} {c.unit}", f"{c.correlation:.4f}")
+                for c in found.curves
+            ],
+        ),
+        _table(
             ("modes by", "frequency, Hz", "damping, %", "MAC with FDD"),
             [
                 (m.method, _both(mode.frequency_hz),

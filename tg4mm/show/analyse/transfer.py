@@ -1,4 +1,5 @@
-"""A second instrument beside the film: its clock's lag, transfer functions H1 and H2 with coherence, phases of regions.
+"""A second instrument beside the film: its clock's lag, transfer functions H1 and H2 with coherence, the
+two curves side by side, phases of regions.
 
 The lag is where the film and an accelerometer, made the same quantity, correlate most, if no other lag does nearly as
 well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is what the residual, with its own spectrum,
@@ -14,7 +15,7 @@ from scipy.signal import correlate, correlation_lags, csd, welch
 
 from tg4mm.core.lines import fit_lines
 from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel
-from tg4mm.show.analyse.quantities import Value, continued, converted
+from tg4mm.show.analyse.quantities import Value, band_of, continued, converted
 from tg4mm.show.analyse.spectra import Averaging
 
 _USED = 0.4  # of the slower rate: transfer functions end there
@@ -158,6 +159,47 @@ def transfer_of(
     return Transfer(
         response.name, reference.name, f"{y.unit}/{x.unit}", freqs[keep], h1[keep], h2[keep], coherence[keep],
         size[keep], np.minimum(turn, np.pi)[keep], lag, averaging.count(y),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A channel beside an instrument, both as the instrument's quantity in a band, by the channel's clock."""
+
+    channel: str
+    reference: str
+    unit: str
+    band_hz: tuple[float, float]
+    lag_s: Value
+    times_s: np.ndarray  # [T]
+    values: np.ndarray  # [T] the channel
+    deviation: float  # of each; nan: none is stated
+    instrument: np.ndarray  # [T]
+    ratio: Value  # the channel over the instrument, whose own errors are not counted
+    difference_rms: float  # of the channel, and ratio × instrument
+    correlation: float
+
+
+def curve_of(
+    channel: Channel, reference: Channel, lag: Value, band: tuple[float, float] | None = None
+) -> Curve:
+    """Least squares of the channel on the instrument; its residual, of 2 (hi − lo) T independent values, is the ±.
+
+    Raises AnalyseError for a reference that is no motion, and for records that hardly overlap.
+    """
+    y, x = shared(channel, reference, lag)
+    lo, hi = band_of(y, band)
+    hi = min(hi, _USED * min(channel.rate, reference.rate))
+    own, noise, inner = converted(y, reference.quantity, (lo, hi))
+    other = converted(replace(x, noise=float("nan")), reference.quantity, (lo, hi))[0][inner]
+    own, power = own[inner], max(float(other @ other), 1e-300)
+    ratio = float(other @ own) / power
+    left = own - ratio * other
+    freedom = max(2 * (hi - lo) * len(own) / y.rate - 1, 1.0)
+    sure = float(np.hypot(np.sqrt(float(left @ left) / power / freedom), y.share * ratio))
+    return Curve(
+        channel.name, reference.name, x.unit, (lo, hi), lag, y.times_s[inner], own, noise, other, Value(ratio, sure),
+        float(np.sqrt((left**2).mean())), float(np.corrcoef(own, other)[0, 1]),
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from tg4mm.show.analyse.modal import Modes, from_transfers, operational
 from tg4mm.show.analyse.orders import OrderTrack, Speed, orders_of, speed_of
 from tg4mm.show.analyse.quantities import Levels, Value, levels_of
 from tg4mm.show.analyse.spectra import Averaging, Density, density_of
-from tg4mm.show.analyse.transfer import Phase, Transfer, lag_of, phases_of, transfer_of
+from tg4mm.show.analyse.transfer import Curve, Phase, Transfer, curve_of, lag_of, phases_of, transfer_of
 from tg4mm.show.analyse.zones import Zone, zone_of
 
 MARK = "analysis.json"
@@ -60,6 +60,7 @@ class Analysis:
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     orders: tuple[OrderTrack, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
 
 def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
@@ -86,11 +87,13 @@ def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
                     levels.append(levels_of(channel, quantity, o.band))
             update(done)
     phases = phases_of(channels, channels[0])
-    transfers = []
+    transfers, curves = [], list[Curve]()
     if reference is not None and moving:
         clock = next((c for c in others if c.name == o.sync), reference)
         lag = lag or lag_of(moving[0], clock)
         transfers = [transfer_of(channel, reference, o.averaging, lag) for channel in moving]
+        instrument = clock if clock.quantity in ORDER else None
+        curves = [] if instrument is None else [curve_of(moving[0], instrument, lag, o.band)]
     modes = [operational(moving, o.band)] if o.modes else []
     modes += [from_transfers(transfers, o.band)] if o.modes and transfers else []
     orders: list[OrderTrack] = []
@@ -105,7 +108,7 @@ def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
     notes += [note for zone in zones for note in zone.notes]
     return Analysis(
         tuple(channels), tuple(levels), tuple(densities), tuple(phases), tuple(zones), tuple(transfers),
-        tuple(modes), tuple(changes), tuple(dict.fromkeys(notes)), tuple(orders),
+        tuple(modes), tuple(changes), tuple(dict.fromkeys(notes)), tuple(orders), tuple(curves),
     )  # fmt: skip
 
 
@@ -162,11 +165,12 @@ def write_analysis(found: Analysis, out: Path, averaging: Averaging) -> None:
         "orders.csv": (
             "channel", "unit", "order", "time_s", "speed_rpm", "amplitude", "deviation",
         ),
+        "reference.csv": ("channel", "instrument", "unit", "time_s", "value", "deviation", "instrument_value"),
         "stabilisation.csv": ("method", "order", "frequency_hz", "stable"),
     }  # fmt: skip
     for name, rows in (
         ("levels.csv", _level_rows(found)), ("psd.csv", _psd_rows(found)), ("transfer.csv", _transfer_rows(found)),
-        ("orders.csv", _order_rows(found)),
+        ("orders.csv", _order_rows(found)), ("reference.csv", _curve_rows(found)),
         ("stabilisation.csv", ((m.method, *map(_text, row)) for m in found.modes for row in m.diagram)),
     ):  # fmt: skip
         _write_csv(out / name, heads[name], rows)
@@ -220,6 +224,12 @@ def _order_rows(found: Analysis) -> Iterable[Sequence[Any]]:
     for o in found.orders:
         for values in zip(o.times_s, o.speed_rpm, o.amplitudes, o.deviations, strict=True):
             yield o.channel, o.unit, _text(o.order), *map(_text, values)
+
+
+def _curve_rows(found: Analysis) -> Iterable[Sequence[Any]]:
+    for c in found.curves:
+        for t, value, other in zip(c.times_s, c.values, c.instrument, strict=True):
+            yield c.channel, c.reference, c.unit, f"{t:.9g}", _text(value), _text(c.deviation), _text(other)
 
 
 def _write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
