@@ -165,7 +165,41 @@ def test_every_format_holds_the_same_numbers_with_their_units_and_deviations(run
     np.testing.assert_allclose(told["displacement, standard deviation"], metres, rtol=1e-4)
 
 
-def test_sep005_is_what_the_standards_own_check_accepts(run):
+def test_every_waveform_and_spectrum_of_the_universal_file_is_that_of_the_csv_in_metres(out):
+    import pyuff
+
+    tables = {name: list(csv.DictReader((out / f"{name}.csv").open())) for name in ("series", "spectra")}
+    content = json.loads((out / "measure.json").read_text())
+    columns = {
+        "displacement": ("series", "displacement_mm", "s", 1 / 30),
+        "displacement, standard deviation": ("series", "deviation_mm", "s", 1 / 30),
+        "amplitude spectrum, Hann, zero to peak": (
+            "spectra",
+            "amplitude_mm",
+            "Hz",
+            content["sensors"][0]["spectrum"]["step_hz"],
+        ),
+    }
+    seen = set()
+    for s in pyuff.UFF(str(out / "measure.uff")).read_sets():
+        if s["type"] == 164:
+            assert (s["length"], s["units_description"].strip()) == (1.0, "metres")
+        if s["type"] == 15:
+            at = list(np.asarray(s["node_nums"], int)).index(2)
+            place = 0.1 * np.array(content["sensors"][1]["centre"])
+            assert [s["x"][at], s["y"][at], s["z"][at]] == pytest.approx(place, rel=1e-4, abs=1e-6)
+        if s["type"] == 58:
+            table, column, unit, step = columns[s["id2"]]
+            sensor, axis = ("ball", "all")[int(s["rsp_node"]) - 1], "xyz"[int(s["rsp_dir"]) - 1]
+            own = [float(r[column]) for r in tables[table] if (r["sensor"], r["axis"]) == (sensor, axis)]
+            np.testing.assert_allclose(s["data"], np.array(own) / 1000, rtol=1e-4, atol=1e-12)
+            assert (s["ordinate_axis_units_lab"], s["abscissa_axis_units_lab"]) == ("metres", unit)
+            assert s["abscissa_inc"] == pytest.approx(step, rel=1e-4)
+            seen.add((s["id2"], sensor, axis))
+    assert len(seen) == 3 * 2 * 3
+
+
+def test_sep005_is_what_the_standards_own_check_accepts(run, out):
     standard = pytest.importorskip("sdypy_sep005", reason="the extra `dev` is not installed")
     found = measure(run, [parse_sensor(BALL_SPHERE)])
     signals = sep005(found)
@@ -175,6 +209,14 @@ def test_sep005_is_what_the_standards_own_check_accepts(run):
     first = signals[0]
     assert (first["name"], first["unit_str"], first["quantity"]) == ("ball/x/displacement", "mm", "d")
     np.testing.assert_allclose(first["data"], 100 * found["ball"].displacement[:, 0])
+    rows = [
+        r for r in csv.DictReader((out / "series.csv").open()) if (r["sensor"], r["axis"]) == ("ball", "z")
+    ]
+    for name, unit in (("velocity", "mm/s"), ("acceleration", "mm/s²")):
+        (own,) = (s for s in signals if s["name"] == f"ball/z/{name}")
+        column = f"{name}_{unit.replace('/', '_per_').replace('²', '2')}"
+        np.testing.assert_allclose(own["data"], [float(r[column]) for r in rows], rtol=1e-5)
+        assert own["unit_str"] == unit
 
 
 def test_a_measurement_is_analysed_in_its_unit(out, tmp_path, capsys):
