@@ -100,6 +100,21 @@ def test_usage_errors_are_one_line(arguments, message):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["look", "film.mp4", "--out", ""], "what follows --out is empty"),
+        (["measure", "run", "--out="], "--out is empty"),
+        (["report", ""], "an argument is empty"),
+    ],
+)
+def test_an_empty_path_is_not_the_folder_one_is_in(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert capsys.readouterr().err == f"tg4mm: {said}\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
     ("pairs", "message"),
     [
         (["seed"], "--set 'seed' is not of the form key=value"),

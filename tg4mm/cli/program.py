@@ -1,6 +1,7 @@
 """The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
 
 import logging
+import sys
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
@@ -88,7 +89,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     _show_log()
     enable()
     try:
-        arguments = None if argv is None else list(argv)
+        arguments = list(sys.argv[1:] if argv is None else argv)
+        _check_filled(arguments)
         result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
     except Tg4mmError as error:
         return _fail(str(error))
@@ -109,6 +111,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
         return _interrupted()
     return result if isinstance(result, int) else 0
+
+
+def _check_filled(arguments: Sequence[str]) -> None:
+    """An empty one, as an unset variable of a shell leaves it, would be taken for the folder one is in."""
+    for before, word in zip(("", *arguments), arguments, strict=False):
+        if not word or (word.startswith("--") and word.endswith("=")):
+            after = f"what follows {before}" if before.startswith("-") else "an argument"
+            raise Tg4mmError(f"{word.rstrip('=') or after} is empty")
 
 
 class _ToStderr(logging.Handler):
