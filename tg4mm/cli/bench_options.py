@@ -64,8 +64,8 @@ Outside = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=DIR",
-        help="Pictures of another method: DIR/<dataset's name>/magnified/x005/000/test/r_000.png …; may be "
-        "repeated. docs/protocol.md.",
+        help="Pictures of another method, DIR/<dataset's name>/magnified/x005/000/test/r_000.png …, or its "
+        "displacements, DIR/<dataset's name>/displacement.npz; may be repeated. docs/protocol.md.",
     ),
 ]
 MdVqa = Annotated[

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dataset_gen.points import write_ply
+from tg4mm.capture.truth_file import load_truth
 from tg4mm.cli import main
 from tg4mm.research.bench.jobs import run_job
 from tg4mm.research.bench.methods.video import Linear2D
@@ -282,3 +284,59 @@ def test_scores_are_of_the_weights_and_programs_as_they_are(data, tmp_path, monk
     assert scored("0.25", "81.5") == (0.25, 81.5)
     assert scored("0.125", "81.5") == (0.125, 81.5)
     assert scored("0.125", "9.25") == (0.125, 9.25)
+
+
+@pytest.fixture(scope="module")
+def pointed(data, tmp_path_factory):
+    root = tmp_path_factory.mktemp("points") / data.name
+    shutil.copytree(data, root)
+    truth = load_truth(root, 30.0, 6)
+    points = np.concatenate([o.rest[::7] for o in truth.objects]).astype(np.float32)
+    write_ply(root / "points3d.ply", points, np.zeros_like(points), np.full_like(points, 0.5))
+    return root
+
+
+def exact(root):
+    truth = load_truth(root, 30.0, 6)
+    gains = np.exp(2j * np.pi * np.outer(truth.freqs_hz, np.arange(6)) / 30)
+    modes = np.concatenate([o.modes[:, ::7] for o in truth.objects], axis=1)
+    return np.einsum("kt,knj->tnj", gains, modes).real
+
+
+def hand_in(root, folder, **arrays):
+    (folder / root.name).mkdir(parents=True)
+    np.savez(folder / root.name / "displacement.npz", **arrays)
+    return ["bench", "scenes", str(root), "--methods", "", "--external", f"theirs={folder}", "--out"]
+
+
+def test_true_displacements_have_no_error_and_their_double_has_all(pointed, tmp_path):
+    for factor, expected in ((1.0, 0.0), (2.0, 1.0)):
+        place = tmp_path / f"{factor:g}"
+        command = hand_in(pointed, place / "theirs", displacement=factor * exact(pointed))
+        assert main([*command, str(place / "out")]) == 0
+        results = json.loads((place / "out" / "results.json").read_text())
+        (run,) = results["runs"]
+        assert run["displacement"]["relative_error"] == pytest.approx(expected, abs=1e-6)
+        assert run["displacement"]["per_frequency"][0]["amplitude_ratio"] == pytest.approx(factor)
+        assert "theirs" in (place / "out" / "results.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: {"displacements": d}, "holds displacements; expected displacement alone"),
+        (
+            lambda d: {"displacement": d[:, 1:]},
+            r"has shape \(6, \d+, 3\), expected \(6, \d+, 3\)",
+        ),
+        (
+            lambda d: {"displacement": d.astype(int)},
+            "has type int64, expected finite floating-point numbers",
+        ),
+        (lambda d: {"displacement": d * np.nan}, "expected finite floating-point numbers"),
+    ],
+)
+def test_displacements_that_are_refused(pointed, change, message, tmp_path, capsys):
+    command = hand_in(pointed, tmp_path / "theirs", **change(exact(pointed)))
+    assert main([*command, str(tmp_path / "out")]) == 2
+    assert re.search(message, capsys.readouterr().err.splitlines()[-1])

@@ -65,6 +65,8 @@ def run_job(
     place = job_folder(out, data, method)
     claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
     figures = method.fit(data, place, plan)
+    if isinstance(method, External) and not method.has_pictures(data):
+        return figures, []
     return figures, [_line(method, row, data, place, plan, vqa, collect) for row in method.rows]
 
 

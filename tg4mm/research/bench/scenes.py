@@ -94,7 +94,7 @@ def run_scenes(
             for training in same_time_trainings(bench.figures[data.label], request):
                 bench.job(Trained(training), data)
                 bench.write()
-    if not bench.lines:
+    if not bench.lines and not bench.runs:
         raise bench.first_error or Tg4mmError("nothing was run")
     tables = bench.tables_of(ablations)
     results = bench.results()
@@ -193,6 +193,9 @@ class _Bench:
         if isinstance(method, Trained):
             self.figures[data.label][method.training.name] = figures
             self.runs.append(run_entry(data, method.training.name, method.training, figures))
+        elif figures:
+            own = {"set": data.label, "row": method.name, "preset": "", "overrides": {}, "ways": []}
+            self.runs.append(own | figures)
         for line in lines:
             for why in line.failed:
                 self.failed.append({"set": data.label, "method": line.row, "why": why})

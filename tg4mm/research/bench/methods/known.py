@@ -24,6 +24,7 @@ from tg4mm.research.bench.methods.video import Linear2D, Phase2D
 from tg4mm.research.bench.request import SCORINGS, Plan, Training, settings_by_preset
 from tg4mm.research.bench.scored import cameras_of, picture_name, video_of
 from tg4mm.research.bench.sets import BenchSet, check_name, truth_at
+from tg4mm.research.bench.submitted import FILE, submitted
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -31,7 +32,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class External:
-    """Pictures in `folder`/<dataset's name>/, laid out as the dataset's own test pictures: docs/protocol.md."""
+    """Pictures in `folder`/<dataset's name>/, laid out as the dataset's own, or displacements: docs/protocol.md."""
 
     name: str
     folder: Path
@@ -46,10 +47,13 @@ class External:
             raise BenchError(
                 f"--external {self.name}: {folder} does not exist; expected a folder with the dataset's name"
             )
-        if not any(self.has(data, alpha) for alpha in (0, *data.alphas)):
+        figures = submitted(folder, data)
+        if not figures and not self.has_pictures(data):
             first = self.place(data, min(data.alphas)) / "000" / "test" / "r_000.png"
-            raise BenchError(f"--external {self.name}: {folder} holds no pictures such as {first}")
-        return {}
+            raise BenchError(
+                f"--external {self.name}: {folder} holds no pictures such as {first}, and no {FILE}"
+            )
+        return figures
 
     def check(self, data: BenchSet, alpha: int) -> None:
         """Raise BenchError (CaptureError) for the first picture at α that is missing, no PNG or of another size.
@@ -81,6 +85,9 @@ class External:
         self.check(data, int(alpha))
         for rows in cameras_of(capture):
             yield from zip(rows.tolist(), video_of(capture, rows, folder), strict=True)
+
+    def has_pictures(self, data: BenchSet) -> bool:
+        return any(self.has(data, alpha) for alpha in (0, *data.alphas))
 
     def has(self, data: BenchSet, alpha: float) -> bool:
         """Whether there is anything for this α."""

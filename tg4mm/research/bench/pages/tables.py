@@ -66,7 +66,7 @@ _SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "r
 
 def groups_of(results: Results) -> list[str]:
     """Sets of one size, kind of capture and amplitude, whose figures are averaged together."""
-    return list(dict.fromkeys(m["group"] for m in results["line_means"]))
+    return list(dict.fromkeys(m["group"] for m in (*results["line_means"], *results["means"])))
 
 
 def tables_of(results: Results, group: str) -> list[Table]:
@@ -221,7 +221,7 @@ def cost_table(results: Results, group: str) -> Table:
         "all views, and the number is the largest that is allowed."
     )
     speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
-    rows = _scalar_rows(results, group, _COSTS)
+    rows = [row for row in _scalar_rows(results, group, _COSTS) if {*row[2:]} != {NOTHING}]
     members = {s["label"] for s in results["sets"] if s["group"] == group}
     for row in rows:
         of = {row[0]} if row[0] in members else members  # a row of means
