@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tg4mm.cli.bench_data import release, truth, verify
 from tg4mm.cli.bench_options import (
     Alphas,
     Banded,
@@ -249,6 +250,7 @@ def ablation(
     alphas: Alphas = None,
     band: Banded = True,
     settings: Settings = None,
+    lpips_weights: Lpips = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Vary one thing and compare.
@@ -261,7 +263,7 @@ def ablation(
     training camera, 0.01 to 1) and capture generate their datasets from the given ones under OUT/sets, unless they are
     there.
     """
-    plan = _plan(alphas, band, None, device)
+    plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
     from tg4mm.research.bench.ablation.page import ablation_table
     from tg4mm.research.bench.ablation.run import run_ablation
@@ -272,45 +274,8 @@ def ablation(
     _exit_with(results, out)
 
 
-@bench.command()
-def truth(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder with per-pixel truth of its test views.")],
-) -> None:
-    """Write a dataset's truth as optical flow, part masks, occlusion and tracks of points.
-
-    DATASET/truth/flow, parts, occlusion, parts.json, tracks.npz, of the test views, not magnified: docs/conventions.md.
-    """
-    from tg4mm.research.bench.truth_files import write_truth
-
-    typer.echo("\n".join(map(str, write_truth(dataset))))
-
-
-@bench.command()
-def release(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with datasets, at any depth.")],
-    version: Annotated[str, typer.Option(help="Version of the data.")] = "1",
-) -> None:
-    """Write the card and the checksums with which datasets are passed on.
-
-    DIR/README.md: what the datasets are; DIR/SHA256SUMS: of every file.
-    """
-    from tg4mm.research.bench.release import release as write
-
-    typer.echo("\n".join(map(str, write(folder, version))))
-
-
-@bench.command()
-def verify(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with SHA256SUMS.")]) -> None:
-    """Check every file of datasets against SHA256SUMS.
-
-    A line for each file that is missing, changed or not listed; exit code 1 if there is any.
-    """
-    from tg4mm.research.bench.release import verify as check
-
-    wrong = check(folder)
-    typer.echo("\n".join(wrong) if wrong else f"{folder}: every file is as it was")
-    if wrong:
-        raise typer.Exit(1)
+for _command in (truth, release, verify):
+    bench.command()(_command)
 
 
 def _plan(alphas: str | None, band: bool, lpips_weights: list[Path] | None, device: Device) -> Plan:

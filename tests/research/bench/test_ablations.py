@@ -14,7 +14,13 @@ from tg4mm.cli import main
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.pages.page import Figure
 from tg4mm.research.bench.ablation.catalogue import ABLATIONS, rows_of
-from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, read_ablation
+from tg4mm.research.bench.ablation.page import (
+    COLUMNS,
+    ablation_cells,
+    ablation_table,
+    mean_lines,
+    read_ablation,
+)
 from tg4mm.research.bench.ablation.run import run_ablation
 from tg4mm.research.bench.ablation.sets import KINDS
 from tg4mm.research.bench.pages.write import _ablation
@@ -178,3 +184,13 @@ def test_means_over_sets_are_of_all_of_them():
     assert one["rows"]["α = 20"]["modal"]["ssim"] is two["rows"]["α = 20"]["modal"]["ssim"] is None
     assert one["scalars"]["displacement_error"] is None
     assert two["scalars"]["displacement_error"] == pytest.approx(0.3)
+
+
+def test_lpips_stands_beside_ssim_where_it_was_measured():
+    results = by_hand({("a", "one"): ({"5": 0.8}, 0.1)})
+    results |= {"sets": [{"label": "a"}], "title": "x", "name": "x", "remark": "", "source": "x"}
+    assert not any("LPIPS" in title for title in ablation_cells(results).header)
+    results["lines"][0]["rows"]["5"]["modal"]["lpips"] = 0.03
+    table = ablation_cells(results)
+    assert table.header[3:5] == ["SSIM α = 5", "LPIPS α = 5"]
+    assert table.rows[1][3:5] == ["0.8000", "0.0300"]

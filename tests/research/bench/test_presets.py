@@ -65,9 +65,9 @@ def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path):
         assert found["alphas"] == (None if step.name == "ablation/amplitude" else "5,20")
         if kind != "data":
             assert found["device"] == "cuda"
+            assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
         if kind in {"job", "page"}:
             assert found["external"] == ["theirs=dir"]
-            assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
             assert (found["md_vqa"], found["fast_vqa"]) == (Path("md"), Path("fast"))
             assert found["vqa_python"] == "python3.9"
 

@@ -74,7 +74,9 @@ def test_a_hammer_beside_the_film(tmp_path, capsys):
     assert transfer["freqs_hz"][int(np.argmax(transfer["h1"]["size"]))] == pytest.approx(8, abs=0.2)
     assert any(abs(m["frequency_hz"]["value"] - 8) < 0.1 for m in found["modes"][-1]["modes"])
     (curve,) = found["curves"]
-    assert curve["ratio"]["value"] == pytest.approx(1, abs=0.003)  # the differences of `push` take a thousandth
+    assert curve["ratio"]["value"] == pytest.approx(
+        1, abs=0.003
+    )  # the differences of `push` take a thousandth
     rows = list(csv.DictReader((tmp_path / "out" / "reference.csv").open()))
     assert {(r["channel"], r["instrument"], r["unit"]) for r in rows} == {("tip", "acc", "mm/s²")}
 

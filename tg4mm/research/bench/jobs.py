@@ -19,7 +19,7 @@ from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import claim_set, files_state, filmed_digest, safe_name
-from tg4mm.research.bench.measure import alphas_of
+from tg4mm.research.bench.measure import alphas_of, weights_state
 from tg4mm.research.bench.methods import Method
 from tg4mm.research.bench.methods.known import External
 from tg4mm.research.bench.request import Plan
@@ -209,7 +209,7 @@ class _Kept:
 def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
     asked = {
         "recipe": recipe,
-        "lpips": [files_state([p], p.parent) for p in plan.lpips_weights],
+        "lpips": weights_state(plan),
         **({} if has_flip() else {"without": ["flip"]}),
         "vqa": [[c.metric, c.python, str(c.folder), files_state([c.program], c.folder)] for c in vqa],
         "truth": truth_state(data, alpha),

@@ -16,7 +16,7 @@ from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import NO_FLIP, has_flip
 from tg4mm.core.records import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
-from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, safe_name
+from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances, files_state, safe_name
 from tg4mm.research.bench.observed import observed_figures
 from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
@@ -148,7 +148,13 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
         "band_hz": list(data.band_hz) if plan.banded else None,
         "device": plan.device,
         "metrics": list(plan.metrics),
+        **({"lpips": weights_state(plan)} if "lpips" in plan.metrics else {}),
     }
+
+
+def weights_state(plan: Plan) -> list[Any]:
+    """Of the files of LPIPS' weights, as `files_state`."""
+    return [files_state([path], path.parent) for path in plan.lpips_weights]
 
 
 def _made_by(place: Path) -> dict[str, Any] | None:
@@ -203,6 +209,7 @@ def _scored(
         magnified=way.magnified(plan.bands(data)),
         device=plan.device,
         scores=scores,
+        lpips_weights=plan.lpips_weights or None,
         metrics=plan.metrics,
     )
 

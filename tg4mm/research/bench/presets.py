@@ -130,7 +130,7 @@ def steps_of(
             found.append(Step(f"job/{data.label}/{method}", command, (data.step,)))
     for ablation in chosen.ablations:
         # amplitude chooses α itself
-        names = ("device",) if ablation == "amplitude" else ("device", "alphas")
+        names = ("device", "lpips_weights", *(() if ablation == "amplitude" else ("alphas",)))
         place = f"{out}/ablations/{ablation}"
         command = (*program, "bench", "ablation", ablation, datasets[0].given, "--out", place)
         found.append(Step(f"ablation/{ablation}", (*command, *choices.options(*names)), (datasets[0].step,)))

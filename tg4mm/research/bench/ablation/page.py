@@ -13,7 +13,7 @@ from tg4mm.research.bench.measure import OF_RUN
 from tg4mm.research.bench.pages.markdown import markdown, not_there, origin, trained_otherwise
 from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.evaluate.run import CEILING, STATIC
-from tg4mm.research.text import NOTHING, Table, shown
+from tg4mm.research.text import Table, shown
 
 # Columns by key of a line's `scalars`: title, format.
 COLUMNS = {
@@ -33,7 +33,7 @@ COLUMNS = {
     "total_s": ("both stages, s", "{:.0f}"),
     "mib_on_disk": ("on disk, MiB", "{:.1f}"),
 }
-SSIM = "ssim"
+SSIM, LPIPS = "ssim", "lpips"
 
 
 def ablation_table(results: Mapping[str, Any]) -> str:
@@ -42,10 +42,10 @@ def ablation_table(results: Mapping[str, Any]) -> str:
 
 
 def ablation_cells(results: Mapping[str, Any]) -> Table:
-    """SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
-    figures."""
+    """SSIM (LPIPS, if measured) of rows and methods at every α beside what frames them, and the row's figures."""
     columns = ssim_columns(results)
     header = ["set", results["title"], "method", *(f"SSIM {c}" for c in columns)]
+    header += [f"LPIPS {c}" for c in columns if _has_lpips(results["lines"])]
     header += [COLUMNS[key][0] for key in results["columns"]]
     cells: list[list[str]] = []
     for data in results["sets"]:
@@ -68,18 +68,26 @@ def _cells(
 ) -> list[list[str]]:
     """The rows of one dataset. Where all have the same Gaussians, what frames them is printed once."""
     blank = [""] * len(results["columns"])
-    once = _same_frames(lines, columns)
+    once, lpips = _same_frames(lines, columns), _has_lpips(results["lines"])
     cells = []
     for i, line in enumerate(lines):
-        own = [_scalar_cell(key, line["scalars"].get(key)) for key in results["columns"]]
+        own = [shown(line["scalars"].get(key), COLUMNS[key][1]) for key in results["columns"]]
         methods = [(STATIC, blank)] if not once or i == 0 else []
         methods += [(way, own if j == 0 else blank) for j, way in enumerate(line["ways"])]
         methods += [(CEILING, blank)] if not once or i == len(lines) - 1 else []
         for method, figures in methods:
             named = "" if once and method in {STATIC, CEILING} else line["row"]
             title = "" if method == line["row"] else method
-            cells.append([line["set"], named, title, *_ssims(line, method, columns), *figures])
+            scores = _ssims(line, method, columns)
+            scores += [shown(ssim_of(line, method, c, LPIPS), "{:.4f}") for c in columns if lpips]
+            cells.append([line["set"], named, title, *scores, *figures])
     return cells
+
+
+def _has_lpips(lines: Sequence[Mapping[str, Any]]) -> bool:
+    return any(
+        x.get(LPIPS) is not None for line in lines for row in line["rows"].values() for x in row.values()
+    )
 
 
 def _same_frames(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bool:
@@ -87,17 +95,17 @@ def _same_frames(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> 
     return all(len({tuple(_ssims(x, name, columns)) for x in lines}) == 1 for name in (STATIC, CEILING))
 
 
-def _scalar_cell(key: str, value: Any) -> str:
-    return NOTHING if value is None else COLUMNS[key][1].format(value)
-
-
 def _ssims(line: Mapping[str, Any], method: str, columns: Sequence[str]) -> list[str]:
     return [shown(ssim_of(line, method, c), "{:.4f}") for c in columns]
 
 
-def ssim_of(line: Mapping[str, Any], method: str, column: str) -> float | None:
+def ssim_of(line: Mapping[str, Any], method: str, column: str, metric: str = SSIM) -> float | None:
     alpha = line["ssim_columns"].get(column)
-    return None if alpha is None else line["rows"][alpha].get(method, {}).get(SSIM)
+    return None if alpha is None else line["rows"][alpha].get(method, {}).get(metric)
+
+
+def _means(lines: Sequence[Mapping[str, Any]], method: str, column: str) -> dict[str, float | None]:
+    return {k: mean_of_all(ssim_of(x, method, column, k) for x in lines) for k in (SSIM, LPIPS)}
 
 
 def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[str, Any]]:
@@ -122,10 +130,7 @@ def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[
                 "row": row,
                 "ways": lines[0]["ways"],
                 "ssim_columns": {c: c for c in columns},
-                "rows": {
-                    c: {m: {SSIM: mean_of_all(ssim_of(x, m, c) for x in lines)} for m in methods}
-                    for c in columns
-                },
+                "rows": {c: {m: _means(lines, m, c) for m in methods} for c in columns},
                 "scalars": {
                     key: _mean([x["scalars"].get(key) for x in lines if (x["set"], key) in measured])
                     for key in results["columns"]

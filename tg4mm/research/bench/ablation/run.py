@@ -67,7 +67,7 @@ def run_ablation(
     possible.
     """
     ablation, preset, out = find_ablation(name), chosen_preset(name, preset), Path(out)
-    plan = replace(plan, metrics=_METRICS)
+    plan = replace(plan, metrics=(*_METRICS, *(("lpips",) if plan.lpips_weights else ())))
     rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
     sets, failed = open_those_that_open(roots, plan.alphas)
     failed += torn_truth(sets, plan.alphas)
