@@ -1,7 +1,7 @@
-"""The figures of README.md and docs/results.md: both tables are written from docs/figures.json.
+"""The figures of README.md and docs/results.md: all their tables of the benchmark are written from docs/figures.json.
 
     python -m benchmarks figures                             # writes the tables anew
-    python -m benchmarks figures --results eight/results.json   # takes the figures of a benchmark first
+    python -m benchmarks figures --results eight.json --five small.json --mic mic.json    # takes these first
 
 A table stands between `<!-- figures: NAME -->` and `<!-- end -->`.
 """
@@ -16,7 +16,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = {"--results": ""}
+OPTIONS = {"--results": "", "--five": "", "--mic": ""}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -65,7 +65,8 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
             "%", " %"
         ),
     ]
-    return {
+    others = {name: _markdown(made["header"], made["rows"]) for name, made in figures["tables"].items()}
+    return others | {
         "scenes": _markdown(["set", *(title for title, _, _ in _MOTION.values())], motion),
         "ssim": _markdown(["SSIM, mean", *(f"α = {a}" for a in next(iter(ssim.values())))], scores),
         "lost": f"So SSIM lies below that of the exact motion by {lost[0]} at α = {_LOST_AT[0]} and {lost[1]} at "
@@ -95,14 +96,28 @@ def _number(form: str, value: float) -> str:
 
 def _markdown(header: list[str], rows: list[list[str]]) -> str:
     dashes = "|:--|" + "--:|" * (len(header) - 1)
-    return "\n".join([f"| {' | '.join(header)} |", dashes, *(f"| {' | '.join(row)} |" for row in rows)])
+    return "\n".join([_row(header), dashes, *map(_row, rows)])
+
+
+def _row(cells: list[str]) -> str:
+    return "".join(f"| {cell} " if cell else "| " for cell in cells) + "|"
+
+
+def _read(path: str) -> Any:
+    return json.loads(Path(path).read_text(encoding="utf-8"))
 
 
 def run(options: argparse.Namespace) -> None:
+    from benchmarks.figures_tables import five_tables, mic_table
+
     figures = json.loads(FILE.read_text(encoding="utf-8"))
     if options.results:
-        figures |= figures_of(json.loads(Path(options.results).read_text(encoding="utf-8")))
-        FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        figures |= figures_of(_read(options.results))
+    if options.five:
+        figures["tables"] |= five_tables(_read(options.five))
+    if options.mic:
+        figures["tables"] |= mic_table(_read(options.mic))
+    FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")
         print(page)

@@ -5,6 +5,8 @@ import json
 import pytest
 
 from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
+from benchmarks.figures_tables import five_tables, mic_table
+from tg4mm.research.bench.means import group_means, line_means
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -26,3 +28,27 @@ def test_figures_are_those_of_a_benchmarks_results():
     found = figures_of({"runs": [run], "line_means": means})
     assert found["scenes"]["mic"]["displacement_error"] == 0.04
     assert found["ssim"]["ceiling"] == {"20": 0.9}
+
+
+def test_the_other_tables_are_of_results_too():
+    run = {
+        "set": "mic_5Hz_0_005", "row": "modal", "log": {}, "n_gaussians": 12984, "mib_on_disk": 4.2,
+        "displacement": {"relative_error": 0.058, "static_leak": 0.01, "per_frequency": [
+            {"amplitude_true": 1.0, "amplitude_ratio": 0.957, "mac": 0.998, "frequency_hz": 5.0}
+        ]},
+        "seconds": {"space": 19.0, "motion": 16.0, "total": 35.0}, "rows": {}, "ways": ["modal"], "preset": "modal",
+    }  # fmt: skip
+    lines = [
+        {"set": run["set"], "row": row, "alphas": {"20": {"ssim": 0.952}}, "frames_per_s": 158.2}
+        for row in ("nothing moves", "modal", "linear-2d", "ceiling")
+    ]
+    groups = {run["set"]: "all"}
+    results = {
+        "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
+    }  # fmt: skip
+    made = five_tables(results)
+    assert made["five_ssim"]["rows"][1:3] == [["`modal`", ".9520"], ["`linear-2d`", ".9520"]]
+    assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
+    assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
+    assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
+    assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]

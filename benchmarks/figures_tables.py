@@ -1,0 +1,114 @@
+"""Tables of docs/results.md from a benchmark's results.json: `python -m benchmarks figures` writes them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from tg4mm.research.bench.means import scalars
+from tg4mm.research.evaluate.run import CEILING, STATIC
+
+Results = Mapping[str, Any]
+Made = dict[str, dict[str, Any]]  # {name: {header, rows}}, cells as text
+_MEANS = (  # of the table of sets: name, key of `scalars`, factor and format
+    ("mean of what can be observed", "displacement_error_observed", 100, "{:.1f}"),
+    ("mean leak", "static_leak", 100, "{:.1f}"),
+    ("mean amplitude ratio", "amplitude_ratio", 1, "{:.3f}"),
+)
+_OF_MIC = (  # row of line_means, key, title, format
+    (STATIC, "ssim", "SSIM, nothing moves", "{:.4f}"),
+    ("modal", "ssim", "SSIM, `modal`", "{:.4f}"),
+    (CEILING, "ssim", "SSIM, ceiling", "{:.4f}"),
+    ("modal", "closure", "closure", "{:.2f}"),
+    ("modal", "ssim_moving", "SSIM where it moves, `modal`", "{:.4f}"),
+    (CEILING, "ssim_moving", "the same, ceiling", "{:.4f}"),
+    ("modal", "psnr_moving_db", "PSNR where it moves, `modal`, dB", "{:.2f}"),
+    (CEILING, "psnr_moving_db", "the same, ceiling, dB", "{:.2f}"),
+)
+
+
+def number(form: str, value: float | None, half: float | None = None) -> str:
+    """Without the 0 before the point where all digits after it count; after ± half of its interval."""
+    if value is None:
+        return ""
+    text = form.format(value)
+    text = text.removeprefix("0") if len(text) > 4 and not form.endswith("2f}") else text
+    return text if half is None else f"{text} ± {number(form, half)}"
+
+
+def five_tables(results: Results) -> Made:
+    """SSIM of every method over α, error and MAC of every set, and what the methods cost."""
+    return {"five_ssim": _over_alpha(results), "five_sets": _by_set(results), "five_cost": _cost(results)}
+
+
+def mic_table(results: Results) -> Made:
+    """Scores over α of one set."""
+    means = {m["row"]: m["alphas"] for m in results["line_means"]}
+    alphas = sorted(means["modal"], key=float)
+    rows = [
+        [title, *(number(form, means[row][a].get(key)) for a in alphas)] for row, key, title, form in _OF_MIC
+    ]
+    return {"mic_512": {"header": ["", *(f"α = {a}" for a in alphas)], "rows": rows}}
+
+
+def _named(row: str) -> str:
+    name, colon, way = row.partition(":")
+    return row if row in {STATIC, CEILING} else f"`{name}`{colon}{way}"
+
+
+def _over_alpha(results: Results) -> dict[str, Any]:
+    means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
+    alphas = sorted(means[0]["alphas"], key=float)
+    rows = []
+    for m in means:
+        halves = m.get("half", {})
+        cells = (number("{:.4f}", m["alphas"][a]["ssim"], halves.get(a, {}).get("ssim")) for a in alphas)
+        rows.append([_named(m["row"]), *cells])
+    return {"header": ["SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
+
+
+def _by_set(results: Results) -> dict[str, Any]:
+    means = {m["row"]: m for m in results["means"]}
+    runs = {(run["set"], run["row"]): scalars(run) for run in results["runs"]}
+    rows = [
+        [label.partition("_")[0], *(_error(runs.get((label, row), {})) for row in means)]
+        for label in dict.fromkeys(label for label, _ in runs)
+    ]
+    rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
+    for title, key, factor, form in _MEANS:
+        rows.append([title, *(number(form, _times(m["scalars"][key], factor)) for m in means.values())])
+    return {"header": ["set", *map(_named, means)], "rows": rows}
+
+
+def _error(values: Mapping[str, float | None], halves: Mapping[str, float | None] | None = None) -> str:
+    """Displacement error in per cent, and MAC."""
+    halves = halves or {}
+    error = number("{:.1f}", *(_times(x.get("displacement_error"), 100) for x in (values, halves)))
+    return ", ".join(filter(None, (error, number("{:.3f}", values.get("mac"), halves.get("mac")))))
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
+
+
+def _cost(results: Results) -> dict[str, Any]:
+    header = ["method", "space, s", "motion, s", "iterations", "peak MiB, space and motion", "Gaussians",
+              "on disk, MiB", "pictures a second"]  # fmt: skip
+    rows = []
+    for m in results["means"]:
+        s = m["scalars"]
+        iterations = (number("{:,.0f}", s[f"{stage}_iterations"]) for stage in ("space", "motion"))
+        peaks = (number("{:.0f}", s[f"{stage}_peak_mib"]) for stage in ("space", "motion"))
+        times = (number("{:.0f}", s[f"{stage}_s"]) for stage in ("space", "motion"))
+        size = number("{:,.0f}", s["n_gaussians"]), number("{:.1f}", s["mib_on_disk"])
+        speed = _range(x["frames_per_s"] for x in results["lines"] if x["row"] == m["row"]) or "–"
+        rows.append([_named(m["row"]), *times, " and ".join(iterations), ", ".join(peaks), *size, speed])
+    known = {m["row"] for m in results["means"]}
+    for row in dict.fromkeys(x["row"] for x in results["lines"]):
+        speed = _range(x["frames_per_s"] for x in results["lines"] if x["row"] == row)
+        if speed and row.partition(":")[0] not in {*known, STATIC, CEILING}:
+            rows.append([_named(row), *[""] * (len(header) - 2), speed])
+    return {"header": header, "rows": rows}
+
+
+def _range(values: Iterable[float | None]) -> str:
+    known: Sequence[float] = [v for v in values if v]
+    return f"{min(known):.0f} to {max(known):.0f}" if known else ""
