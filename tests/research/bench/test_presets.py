@@ -175,23 +175,29 @@ def run_snakemake(folder, config, *more):
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
 
 
-# Plans as the real one does; other commands are recorded, and the one that holds `fail` fails.
+# Plans as the real one does; other commands are recorded. Of linear-2d's the first is killed where `kill` is there, and
+# all fail where `fail` is.
 STAND_IN = """#!{python}
-import os, runpy, sys
+import os, runpy, signal, sys
 sys.path.insert(0, {root!r})
 if sys.argv[2] == "tg4mm.research.bench.presets":
     sys.argv = sys.argv[2:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
     sys.exit()
 line = " ".join(sys.argv[3:])
-open({log!r}, "a").write(line + "\\n")
+with open({log!r}, "a") as log:
+    log.write(line + "\\n")
+if os.path.exists({kill!r}) and " linear-2d --out" in line:
+    os.unlink({kill!r})
+    os.kill(os.getpid(), signal.SIGKILL)
 sys.exit("does not work" if os.path.exists({fail!r}) and " linear-2d --out" in line else 0)
 """
 
 
-def test_the_page_is_made_though_a_job_failed(tmp_path):
-    program, log, fail = (tmp_path / name for name in ("python", "calls.txt", "fail"))
-    program.write_text(STAND_IN.format(python=sys.executable, root=str(ROOT), log=str(log), fail=str(fail)))
+def test_the_page_is_made_though_a_job_failed_and_a_killed_worker_is_replaced(tmp_path):
+    program, log, fail, kill = (tmp_path / name for name in ("python", "calls.txt", "fail", "kill"))
+    files = {"log": str(log), "fail": str(fail), "kill": str(kill)}
+    program.write_text(STAND_IN.format(python=sys.executable, root=str(ROOT), **files))
     program.chmod(0o755)
     fail.touch()
     config = {"preset": "mic-512", "out": "my bench", "python": str(program)}
@@ -203,9 +209,11 @@ def test_the_page_is_made_though_a_job_failed(tmp_path):
     assert calls[-1].endswith(" --collect")
     fail.unlink()
     log.write_text("")
-    again = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
+    kill.touch()
+    again = run_snakemake(tmp_path, config, "--cores", "2", "--keep-going", "--retries", "1")
     assert again.returncode == 0, again.stderr
-    repeated, page = log.read_text().splitlines()
+    killed, repeated, page = log.read_text().splitlines()
+    assert killed == repeated
     assert repeated.startswith("bench job")
     assert " linear-2d " in repeated
     assert page.startswith("bench scenes ")
