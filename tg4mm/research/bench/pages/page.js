@@ -3,7 +3,7 @@ for (const table of document.querySelectorAll("figure.table table")) {
   const body = table.tBodies[0];
   const value = (row, i) => {
     const text = row.cells[i].textContent.trim();
-    const number = Number(text.replace(/,/g, "").replace("−", "-").replace(/%$/, ""));
+    const number = Number(text.replace(/ ±.*/, "").replace(/,/g, "").replace("−", "-").replace(/%$/, ""));
     return text === "–" ? null : Number.isNaN(number) ? text : number;
   };
   [...table.tHead.rows[0].cells].forEach((head, i) => {
