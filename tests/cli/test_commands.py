@@ -97,6 +97,7 @@ def test_render_takes_an_orbit_in_slow_motion(run_path, tmp_path):
             ["--alpha", "1", "--band", "4", "6", "--filter", "ideal"],
             "--filter ideal: the method modal picks modes",
         ),
+        (["--alpha", "1", "--amplitude-percentile", "50"], "--amplitude-percentile is of the method phase"),
         (["--alpha", "1", "--slow", "2", "--no-video"], "--slow 2 and --no-video exclude each other"),
         (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),
         (["--alpha", "1", "--slow", "0"], "--slow 0"),

@@ -61,6 +61,19 @@ def render(
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
+    suppressed: Annotated[
+        bool,
+        typer.Option(
+            "--suppressed", help="Of phase: what lies outside the bands does not move at all, as in 3DMM."
+        ),
+    ] = False,
+    amplitude_percentile: Annotated[
+        float,
+        typer.Option(
+            help="Of phase: what of a sub-band is weaker than this percentile of its amplitudes keeps its phase, as in "
+            "3DMM."
+        ),
+    ] = 0.0,
     split: Annotated[Split | None, typer.Option(help="Cameras of the dataset. [default: test]")] = None,
     cameras: Annotated[
         Path | None, typer.Option(help="Cameras of a transforms.json file (NeRF or nerfstudio).")
@@ -119,6 +132,7 @@ def render(
         cameras_asked(opened, given[0] if given else None)
     low_pass = opened.low_pass_px2 if isinstance(opened, SplatRun) else LOW_PASS_PX2
     plan = magnified(alpha, known_bands(opened, asked), method, chosen_filter)
+    plan = replace(plan, suppressed=suppressed, amplitude_percentile=amplitude_percentile)
     request = RenderRequest(plan, slow=slow, low_pass_px2=low_pass).checked()
     check_magnified(opened, plan, allow_empty_band)
     warn_too_far(opened, plan)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -67,6 +67,10 @@ class Magnification:
     # `modal`, `phase` or `linear`; None: the preset's own (modal: `modal`, paper: `phase`, paper-tuned: `linear`)
     method: str | None = None
     filter: TemporalFilter | None = None  # None: zero-phase
+    # of `phase` alone, as [3DMM] has it for real captures: nothing but the bands moves; what of each sub-band is
+    # weaker than this percentile of its amplitudes keeps its phase
+    suppressed: bool = False
+    amplitude_percentile: float = 0.0
 
     @classmethod
     def of(
@@ -82,7 +86,8 @@ class Magnification:
 
     def times(self, alpha: float) -> "Magnification":
         """With `alpha` in place of every α."""
-        return Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
+        own = Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
+        return replace(own, suppressed=self.suppressed, amplitude_percentile=self.amplitude_percentile)
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
@@ -113,13 +118,25 @@ class Magnification:
                 raise Tg4mmError(f"alpha is {alpha!r}, expected a finite number within ±{LARGEST_ALPHA:g}")
         if self.bands and self.everywhere != 0:
             raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
+        if not 0 <= self.amplitude_percentile < 100:
+            raise Tg4mmError(
+                f"amplitude percentile is {self.amplitude_percentile:g}, expected 0 to below 100"
+            )
+        if self.suppressed and not self.bands:
+            raise Tg4mmError("other frequencies are suppressed where there are bands: give one")
         check_bands([b.band for b in self.bands], fps)
         return self
 
     @property
+    def of_phase(self) -> dict[str, float | bool]:
+        """The settings of the method `phase` that are not at their defaults, by name."""
+        own = {"suppressed": self.suppressed, "amplitude_percentile": self.amplitude_percentile}
+        return {name: value for name, value in own.items() if value}
+
+    @property
     def is_identity(self) -> bool:
         """Whether nothing is magnified."""
-        return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands)
+        return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands) and not self.suppressed
 
     def ideal(self, freqs_hz: np.ndarray) -> np.ndarray:
         """[K] float64: the α of each frequency, 0 outside all bands."""
@@ -138,7 +155,7 @@ class Magnification:
         total = np.full(freqs.shape, self.everywhere, np.complex128)
         temporal = self.filter or TemporalFilter()
         for b in self.bands:
-            total += b.alpha * temporal.response(b.band, freqs, fps)
+            total += (b.alpha + self.suppressed) * temporal.response(b.band, freqs, fps)
         return total
 
 

@@ -29,6 +29,10 @@ def method_of(run: Run, plan: Magnification) -> str:
             f"--filter {plan.filter.kind}: the method modal picks modes by their frequency; filters belong to "
             "linear and phase"
         )
+    if method != "phase" and plan.of_phase:
+        raise Tg4mmError(
+            f"--{next(iter(plan.of_phase)).replace('_', '-')} is of the method phase, and this is {method}"
+        )
     return method
 
 

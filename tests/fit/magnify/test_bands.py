@@ -37,5 +37,9 @@ def test_other_nonsense_is_refused():
         Magnification(method="magic").checked(FPS)
     with pytest.raises(Tg4mmError, match="alpha is nan"):
         Magnification((BandGain(1, 2, float("nan")),)).checked(FPS)
+    with pytest.raises(Tg4mmError, match="amplitude percentile is 100, expected 0 to below 100"):
+        Magnification(amplitude_percentile=100.0).checked(FPS)
+    with pytest.raises(Tg4mmError, match="give one"):
+        Magnification(suppressed=True).checked(FPS)
     with pytest.raises(Tg4mmError, match="exclude each other"):
         Magnification((BandGain(1, 2, 3.0),), everywhere=1.0).checked(FPS)

@@ -97,6 +97,27 @@ def test_phase_is_better_than_linear_where_linear_fails():
         assert error(phase, truth, rest) < bound < error(along_a_line, truth, rest)
 
 
+def test_what_is_suppressed_does_not_move_and_the_band_moves_by_one_plus_alpha():
+    alpha, small, other = 9.0, shift(0.1), shift(0.2, 12.0)
+    factors = response(alpha + 1)
+    out = PhaseMagnifier((SIZE, SIZE), factors, suppressed=True)(pattern(small + other))
+    rest = pattern(0 * small)
+    assert error(out, pattern((1 + alpha) * small), rest) < 0.15
+    still = PhaseMagnifier((SIZE, SIZE), 0 * factors, suppressed=True)(pattern(small + other))
+    assert np.linalg.norm(still - rest) < 0.15 * np.linalg.norm(pattern(small + other) - rest)
+
+
+def test_what_is_weak_keeps_its_phase_where_a_percentile_says_so():
+    video = pattern(shift(0.1)) + np.random.default_rng(0).normal(0, 3e-3, (T, SIZE, SIZE)).astype(np.float32)
+    truth, rest = pattern(shift(1.0)), pattern(0 * shift(1.0))
+    changes = []
+    for percentile in (0.0, 50.0):
+        out = PhaseMagnifier((SIZE, SIZE), response(9.0), amplitude_percentile=percentile)(video)
+        assert error(out, truth, rest) < 0.2
+        changes.append(np.linalg.norm((out - video)[:, :6]))  # the edge, where there is noise alone
+    assert changes[1] < 0.5 * changes[0]
+
+
 def test_no_magnification_is_the_identity():
     video = pattern(shift(0.3))
     assert np.array_equal(PhaseMagnifier((SIZE, SIZE), response(0.0))(video), video)

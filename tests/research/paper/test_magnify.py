@@ -109,6 +109,13 @@ class TestCommands:
         assert record["bands"] == [[4, 6, 5], [9, 11, -1]]
         assert (record["method"], record["filter"]) == ("phase", ["ideal", 0])
         assert json.loads((tmp_path / "own" / "render.json").read_text())["method"] is None
+        out, masked = tmp_path / "masked", ["--suppressed", "--amplitude-percentile", "50"]
+        options += ["--method", "phase", *masked, "--no-video", "--out", str(out)]
+        assert main(["render", str(trained.path), *options]) == 0
+        record = json.loads((out / "render.json").read_text())
+        assert (record["suppressed"], record["amplitude_percentile"]) == (True, 50)
+        pictures = [sorted((tmp_path / name).rglob("*.png")) for name in ("phase", "masked")]
+        assert [p.read_bytes() for p in pictures[0]] != [p.read_bytes() for p in pictures[1]]
 
     def test_evaluate(self, trained, tmp_path, capsys):
         out = tmp_path / "m.json"

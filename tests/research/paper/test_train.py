@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 from tests.helpers.runs import copied
 from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.capture import load_capture, load_images
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.animate import animate
 from tg4mm.research.paper.model import load_model, load_planes, planes_name
@@ -167,6 +168,14 @@ class TestRefusals:
 def views(data):
     capture = load_capture(data)
     return first_views(capture, load_images(capture))
+
+
+def test_of_a_moving_camera_every_picture_tells_the_scene_at_rest(data):
+    capture = load_capture(data)
+    images = load_images(capture)
+    found = [first_views(replace(capture, kind=Kind(kind)), images) for kind in ("handheld", "rig")]
+    counts = [sorted(np.concatenate(views.images).tolist()) for views in found]
+    assert counts == [list(range(len(capture))), np.flatnonzero(capture.timesteps == 0).tolist()]
 
 
 def test_static_errors_cost_nothing(trained, views):

@@ -112,16 +112,28 @@ class PhaseMagnifier:
     """Magnifies videos [T, H, W] of one size by one temporal response."""
 
     def __init__(
-        self, shape: tuple[int, int], response: np.ndarray, bands: Iterable[SubBand] | None = None
+        self,
+        shape: tuple[int, int],
+        response: np.ndarray,
+        bands: Iterable[SubBand] | None = None,
+        suppressed: bool = False,
+        amplitude_percentile: float = 0.0,
     ) -> None:
         """shape (H, W); response [T // 2 + 1] complex on the DFT bins: Σ over bands α · filter.
+
+        suppressed: phases of other frequencies are left out ([PVM]'s program, "attenuate other frequencies"); α + 1 in
+        the response. amplitude_percentile: cells whose mean amplitude is below this percentile of their sub-band keep
+        their phase, which is noise there.
 
         bands: sub-bands of images of `shape`; None for those of the complex steerable pyramid, for powers of two.
 
         Raises Tg4mmError for a size the pyramid cannot take.
         """
         self.shape, self.response = shape, torch.from_numpy(response.astype(np.complex64))
-        self._bands = list(sub_bands(shape) if bands is None else bands) if np.any(response) else []
+        self._suppressed, self._percentile = suppressed, amplitude_percentile
+        self._bands = (
+            list(sub_bands(shape) if bands is None else bands) if np.any(response) or suppressed else []
+        )
 
     @torch.no_grad()
     def __call__(self, video: np.ndarray) -> np.ndarray:
@@ -144,7 +156,12 @@ class PhaseMagnifier:
 
     def turn(self, held: Tensor) -> None:
         """Replace a sub-band's coefficients [T, h, w], in place, by their change. A subclass may smooth it."""
-        turn(held.view(len(held), -1), self.response)
+        flat = held.view(len(held), -1)
+        keeps = None
+        if self._percentile:
+            amplitude = flat.abs().mean(0)
+            keeps = amplitude < np.percentile(amplitude.numpy(), self._percentile)
+        turn(flat, self.response, self._suppressed, keeps)
 
     def _add(self, band: SubBand, spectrum: Tensor, change: Tensor) -> None:
         n, (h, w) = len(spectrum), band.analysis.shape
@@ -157,17 +174,24 @@ class PhaseMagnifier:
             _give(change[part], torch.fft.fft2(held[part]) * band.synthesis)
 
 
-def turn(coefficients: Tensor, response: Tensor) -> None:
+def turn(
+    coefficients: Tensor, response: Tensor, suppressed: bool = False, keeps: Tensor | None = None
+) -> None:
     """Replace coefficients c [T, P], in place, by their change c · (exp(i φ') − 1).
 
-    φ' is the phase relative to timestep 0, in (−π, π], filtered along time by `response` [T // 2 + 1].
+    φ' is the phase relative to timestep 0, in (−π, π], filtered along time by `response` [T // 2 + 1]; `suppressed`:
+    less that phase itself. Cells that a mask `keeps` [P] bool do not change.
     """
     n, cells = coefficients.shape
     step = max(_CELLS_AT_ONCE // n, 1)
     for start in range(0, cells, step):
         c = coefficients[:, start : start + step]
-        phase = torch.angle(c * c[:1].conj())
-        phase = torch.fft.irfft(torch.fft.rfft(phase, dim=0) * response[:, None], n, dim=0)
+        own = torch.angle(c * c[:1].conj())
+        phase = torch.fft.irfft(torch.fft.rfft(own, dim=0) * response[:, None], n, dim=0)
+        if suppressed:
+            phase -= own
+        if keeps is not None:
+            phase[:, keeps[start : start + step]] = 0
         c *= torch.polar(torch.ones_like(phase), phase) - 1
 
 

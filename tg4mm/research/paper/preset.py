@@ -93,7 +93,10 @@ def series_of(run: Run, method: str, plan: Magnification, device: str = "cpu") -
 
 def digest(run: Run, method: str, plan: Magnification) -> str:
     """What the magnified embeddings depend on, as a file name."""
-    parts = [_VERSION, model_hash(run.path), method, asdict(plan) | {"method": None}, asdict(PyramidConfig())]
+    own = {k: v for k, v in asdict(plan).items() if k not in ("suppressed", "amplitude_percentile")}
+    parts = [_VERSION, model_hash(run.path), method, own | {"method": None}, asdict(PyramidConfig())]
+    if plan.of_phase:
+        parts.append(plan.of_phase)
     return json_digest(parts)[:20]
 
 
@@ -106,7 +109,7 @@ def _stored(
     folder.mkdir(exist_ok=True)
     with _alone(target):
         if len(_finished(target, shape)) < shape[0]:
-            _make(run, model, method, plan.response(bins(n_timesteps, fps), fps), target, shape)
+            _make(run, model, method, plan, fps, target, shape)
     os.utime(target)
     _prune(folder, target)
     return np.memmap(target, np.float32, "r", shape=shape)
@@ -128,8 +131,15 @@ def _alone(target: Path) -> Iterator[None]:
 
 
 def _make(
-    run: Run, model: PaperModel, method: str, response: np.ndarray, target: Path, shape: tuple[int, int, int]
+    run: Run,
+    model: PaperModel,
+    method: str,
+    plan: Magnification,
+    fps: float,
+    target: Path,
+    shape: tuple[int, int, int],
 ) -> None:
+    response = plan.response(bins(shape[1], fps), fps)
     part = target.with_suffix(".part")
     checksums = _finished(part, shape)
     if not checksums:
@@ -140,7 +150,8 @@ def _make(
     out = np.memmap(part, np.float32, "r+", shape=shape)
     r = model.planes.shape[-1]
     assert method in ("phase", "linear"), method
-    magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
+    masked = plan.suppressed, plan.amplitude_percentile
+    magnify = PhaseMagnifier((r, r), response, None, *masked) if method == "phase" else None
     with progress(f"{method}: feature planes", shape[0], unit="planes", start=len(checksums)) as update:
         for i in range(len(checksums), shape[0]):
             k, channel = divmod(i, model.channels)
@@ -199,6 +210,12 @@ def _check(configs: Mapping[str, Any]) -> None:
 def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) -> None:
     """Base Gaussians, space triplane, motion triplanes. space.safetensors is the scene at rest at every stage."""
     config, images = configs["paper"], load_images(capture)
+    if config.difference and capture.kind.moving:
+        warnings.warn(
+            "the camera moves: phase 2 compares pictures, since no picture shows the same view at rest",
+            stacklevel=2,
+        )
+        config = replace(config, difference=False)
     if not has_model(run):
         views = first_views(capture, images)
         if not run.has_space:

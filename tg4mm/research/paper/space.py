@@ -16,7 +16,7 @@ from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space import RestViews
+from tg4mm.fit.space import RestViews, rest_views
 from tg4mm.fit.space.view import render_view
 from tg4mm.research.paper.config import PaperConfig
 from tg4mm.research.paper.model import PaperModel, active, save_model, with_active
@@ -41,8 +41,8 @@ def views_at(capture: Capture, images: ImageStack, t: int) -> RestViews:
 
 
 def first_views(capture: Capture, images: ImageStack) -> RestViews:
-    """Those of timestep 0, which [TG4MM] takes for the scene at rest."""
-    return views_at(capture, images, 0)
+    """Those of timestep 0, which [TG4MM] takes for the scene at rest; of a moving camera every picture."""
+    return rest_views(capture, images) if capture.kind.moving else views_at(capture, images, 0)
 
 
 def cameras_on(views: RestViews, device: str) -> Cameras:

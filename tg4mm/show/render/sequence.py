@@ -233,5 +233,6 @@ def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: st
         "background": list(request.background),
         "slow": request.slow if kind == "orbit" else 1.0,
         "model": model_hash(run.path),
+        **chosen.of_phase,
         "cameras": hashlib.sha256(poses.encode()).hexdigest(),
     }
