@@ -57,6 +57,17 @@ def test_a_plate_that_vibrates_is_found_where_it_is_with_its_frequency_amplitude
     assert found.composite[np.argmin(np.abs(found.hz - 5.137))] > found.composite_floor
 
 
+@pytest.mark.parametrize("vibrates", [True, False])
+def test_before_an_overexposed_wall_a_plate_vibrates_or_stands(vibrates):
+    """Most cells then have no noise at all, by which the plate's own is no motion of another kind."""
+    made = film((0.2, -0.1) if vibrates else (0.0, 0.0), tone(5.137))
+    wall = np.ones((HEIGHT, WIDTH), bool)
+    wall[PLATE[1] : PLATE[3], PLATE[0] : PLATE[2]] = False
+    found = look_at_pictures((replace(p, grey=np.where(wall, 255, p.grey)) for p in pictures(made)), "a film")
+    assert found.movers == ()
+    assert [round(line.hz, 2) for line in found.vibrations] == ([5.14] if vibrates else [])
+
+
 def test_of_noise_nothing_is_named():
     found = seen(film((0.0, 0.0), tone(5.0), noise=5.0, seed=1))
     assert found.lines == ()

@@ -18,7 +18,7 @@ from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import Pool
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
-from tg4mm.capture.look.scene import PATTERNS
+from tg4mm.capture.look.scene import PATTERNS, lacks
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import LOG2, spectrum
 
@@ -237,7 +237,7 @@ class _Placing:
         intra, forward = series.kinds == INTRA, series.kinds == FORWARD
         if not intra.any() or not forward.any():
             return 0.0
-        return max(0.0, 1 - float(np.median(series.misfit[forward]) / np.median(series.misfit[intra])))
+        return lacks(series, forward, intra)
 
     def _readout(self, direction: np.ndarray) -> Readout | None:
         statistic = self.cells.statistic

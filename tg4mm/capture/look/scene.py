@@ -135,13 +135,15 @@ def shift_covariance(series: CellSeries) -> np.ndarray:
 def find_masks(series: CellSeries) -> Masks:
     """Cells whose misfit stands out among the others all the time, and those whose misfit stands out at times."""
     grid, typical = series.grid, np.maximum(np.median(series.misfit, 0), QUANTISED)
-    excess = np.log(typical / np.median(typical))
-    spread = 1.4826 * float(np.median(np.abs(excess)))
+    compared = _compared(series, typical)
+    excess = np.log(typical / np.median(typical[compared]))
+    spread = 1.4826 * float(np.median(np.abs(excess[compared])))
     core = excess > max(np.log(_CORE), _CORE_SPREADS * spread)
     around = ndimage.binary_dilation(grid.picture(core), _BLOCK).ravel()
     relative = series.misfit / typical_by_kind(series)
     quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * spread))))
-    scatter = 1.4826 * float(np.median(np.abs(relative[:, quiet] - 1))) if quiet.any() else 0.1
+    usual = quiet & compared
+    scatter = 1.4826 * float(np.median(np.abs(relative[:, usual] - 1))) if usual.any() else 0.1
     unlike = grid.picture(relative > 1 + _PASSING * max(0.1, scatter))
     clustered = (
         np.stack([ndimage.uniform_filter(u.astype(float), 3, mode="nearest") for u in unlike]) > _CLUSTER
@@ -152,19 +154,37 @@ def find_masks(series: CellSeries) -> Masks:
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
 
 
+def _compared(series: CellSeries, typical: np.ndarray) -> np.ndarray:
+    """[C] bool: cells whose typical misfits [C] tell what is usual: all, or those that tell a shift if most are plain.
+
+    Most cells of a picture with an overexposed or rendered background hold no noise but rounding, which says nothing of
+    the others'.
+    """
+    if np.median(typical) > QUANTISED:
+        return np.ones(len(typical), bool)
+    noisy = typical > QUANTISED
+    beside = (
+        ndimage.binary_dilation(series.grid.picture(noisy), _BLOCK).ravel() & ~noisy
+    )  # it has their slopes
+    tells = QUANTISED * np.einsum("cii->ci", series.covariance).min(1) < 1 / LEAST_INFORMATION
+    compared = tells & ~beside
+    return compared if compared.any() else np.ones(len(typical), bool)
+
+
 def typical_by_kind(series: CellSeries) -> np.ndarray:
     """[F, C] grey levels²: the median misfit of each cell in pictures of the same kind, as key frames hold more noise.
 
     Where a kind has few pictures, the median of all of them times what most cells then have more or less.
     """
     every = np.maximum(np.median(series.misfit, 0), QUANTISED)
-    out = np.empty_like(series.misfit)
+    compared, out = _compared(series, every), np.empty_like(series.misfit)
     for kind in np.unique(series.kinds):
         rows = series.kinds == kind
         if rows.sum() >= _FEWEST_OF_KIND:
             out[rows] = np.maximum(np.median(series.misfit[rows], 0), QUANTISED)
         else:
-            out[rows] = every * np.median(series.misfit[rows] / every, 1, keepdims=True)
+            share = np.median(series.misfit[rows][:, compared] / every[compared], 1, keepdims=True)
+            out[rows] = np.maximum(every * share, QUANTISED)
     return out
 
 
@@ -173,7 +193,14 @@ def _lost(series: CellSeries) -> float:
     between = series.kinds == BETWEEN
     if between.sum() <= 8 or (~between).sum() <= 8:
         return 0.0
-    return max(0.0, 1 - float(np.median(series.misfit[between]) / np.median(series.misfit[~between])))
+    return lacks(series, between, ~between)
+
+
+def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
+    """The share of detail that pictures `some` [F] bool lack beside `others`, neither of which is empty."""
+    compared = _compared(series, np.maximum(np.median(series.misfit, 0), QUANTISED))
+    typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
+    return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 
 
 def _nuisance(
@@ -264,5 +291,5 @@ def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray) -> np.ndarray:
     axis = np.linalg.eigh(scene.information)[1][:, :, -1]
     along = np.einsum("kci,ci->kc", shift - first[:, None], axis)
     noise = np.einsum("ci,cij,cj->c", axis, covariance, axis)
-    ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / noise
+    ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / np.maximum(noise, 1e-12)
     return np.asarray(ratio < _AGREES * np.median(ratio[still]))
