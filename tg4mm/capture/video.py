@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
@@ -149,7 +150,7 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
     first: Fraction | None = None
     count = 0
     time, step = Fraction(0), Fraction(0)
-    with av.logging.Capture(False) as log, opened(path) as container:
+    with _settled(path), av.logging.Capture(False) as log, opened(path) as container:
         stream = container.streams.video[0]
         stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
         log.clear()
@@ -183,6 +184,20 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
         raise CaptureError(f"{path}: holds no frames")
     if duration is not None and float(time + 2 * step) < duration - 0.05:
         raise _damaged(path, time, duration)
+
+
+@contextmanager
+def _settled(path: Path) -> Iterator[None]:
+    """Raises CaptureError, whatever else is wrong, where the file's size changes meanwhile."""
+    size = path.stat().st_size
+    try:
+        yield
+    finally:
+        if (now := path.stat().st_size) != size:
+            raise CaptureError(
+                f"{path}: changed while it was read, from {size:,} to {now:,} bytes: it is still being recorded or "
+                "copied; give the command again when it is whole"
+            )
 
 
 def turns_of(path: Path) -> int:

@@ -253,6 +253,16 @@ def test_ten_bits_stay_and_their_curve_is_said(tmp_path, caplog):
     assert (np.round(first * 4) % 4).any()  # quarters of a grey level
 
 
+def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path):
+    path = write_video(tmp_path / "a.mkv", still(12))
+    frames = grey_frames(path)
+    next(frames)
+    with path.open("ab") as file:
+        file.write(bytes(100))
+    with pytest.raises(CaptureError, match="changed while it was read, from .* it is still being recorded"):
+        list(frames)
+
+
 def test_a_command_that_is_shown_takes_no_name_for_an_option():
     assert argument("-x y.mp4") == "'./-x y.mp4'"
     assert argument("a.mp4") == "a.mp4"
