@@ -259,7 +259,7 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path):
     next(frames)
     with path.open("ab") as file:
         file.write(bytes(100))
-    with pytest.raises(CaptureError, match="changed while it was read, from .* it is still being recorded"):
+    with pytest.raises(CaptureError, match=r"changed while it was read, from .* it is still being recorded"):
         list(frames)
 
 

@@ -19,6 +19,7 @@ from tg4mm.capture.look.rows import by_light
 from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
+from tg4mm.capture.look.zoom import left_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.capture.stacks import is_stack
 from tg4mm.core.lines import Line as CoreLine
@@ -80,7 +81,11 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
     lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.confused_hz)
-    found = _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
+    swings = tuple(swings_of(scene))
+    lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
+    found = _result(
+        scene, search, swings, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px))
+    )
     return replace(found, regions=region_looks(scene, regions))
 
 
@@ -154,7 +159,7 @@ def _of(line: CoreLine) -> _Told:
     return _Told(line.hz, line.hz_deviation, line.change, line.damping, line.damping_deviation)
 
 
-def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
+def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list[LookLine]) -> Look:
     grid, series = scene.grid, scene.series
     cells = max(len(search.pools[0]), 1) if search.pools else 1
     whole = [tone for k in (0, 1) for tone in tones_of(scene.whole[:, k], scene.times_s, scene.nuisance)]
@@ -178,7 +183,7 @@ def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
         first=series.first,
         without_between=scene.treats_apart,
         light_readout=by_light(series.row_means, series.times_s),
-        swings=tuple(swings_of(scene)),
+        swings=swings,
     )
 
 

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.capture.look.model import Swing
+from tg4mm.capture.look.model import LookLine, Swing
 from tg4mm.capture.look.spectra import without
 
 SHAPES = ("zoom", "roll")
 _SURE = 4.0  # deviations of each quarter's slope: one of 10⁹ courses of noise reaches that in three quarters
 _ALIKE = 0.3  # of their median, by which quarters' slopes may differ besides their deviations
 _FEWEST_QUARTERS, _FEWEST_CELLS = 3, 4
+_LEFT = 0.3  # of the whole picture's amplitude in its corners: what is less is what it leaves
 _STEPS = 3  # of reweighting: cells that move by themselves count less
 
 
@@ -105,6 +106,15 @@ def _slopes(
 def _lag(series: np.ndarray) -> float:
     """Correlation of neighbours."""
     return float(series[1:] @ series[:-1] / max(series @ series, 1e-30))
+
+
+def left_of(line: LookLine, swings: Sequence[Swing], duration_s: float) -> str:
+    """Why a line at a swing's own frequency may be what is left of that; empty: it is stronger, or elsewhere."""
+    for swing in swings:
+        for tone in swing.tones:
+            if abs(tone.hz - line.hz) < 1 / duration_s and line.amplitude_px < _LEFT * tone.amplitude:
+                return f"faint beside the whole picture's {swing.kind} at {tone.hz:.4g} Hz"
+    return ""
 
 
 def swing_note(swing: Swing, size: tuple[int, int]) -> str:
