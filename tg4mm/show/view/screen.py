@@ -62,8 +62,11 @@ def picture_of(
     film = painter.filmed(seconds, camera)
     first = painter.paint(replace(look, magnified=AS_CAPTURED), seconds, camera) if film is None else film
     parts = [first, painter.paint(look, seconds, camera)]
-    alpha = f"α = {look.magnified.alpha:g}"
-    for part, words in zip(parts, ("model, α = 0" if film is None else "as filmed", alpha), strict=True):
+    told = (
+        "model, not magnified" if film is None else "as filmed",
+        f"{1 + look.magnified.alpha:g} times the motion",
+    )
+    for part, words in zip(parts, told, strict=True):
         if look.mark is not None:
             _marked(part, camera, np.array(look.mark))
         _written(part, words)
