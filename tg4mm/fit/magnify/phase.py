@@ -190,6 +190,7 @@ def turn(
         phase = torch.fft.irfft(torch.fft.rfft(own, dim=0) * response[:, None], n, dim=0)
         if suppressed:
             phase -= own
+        del own  # or a part of the working set is held twice
         if keeps is not None:
             phase[:, keeps[start : start + step]] = 0
         c *= torch.polar(torch.ones_like(phase), phase) - 1
