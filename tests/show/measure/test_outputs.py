@@ -229,3 +229,22 @@ def test_a_measurement_is_analysed_in_its_unit(out, tmp_path, capsys):
     assert abs(level["rms"]["value"] - true) < 4 * level["rms"]["deviation"] < true
     assert not any(c["changed"] for c in found["changes"])
     assert "ends at 15 Hz of 10 to 1000 Hz" in capsys.readouterr().out
+
+
+def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys):
+    content = json.loads((out / "measure.json").read_text())
+    sure = {}
+    for name, told in (
+        ("plain", {}),
+        ("lossy", {"codec_gain": 0.8, "codec_gain_deviation": 0.05, "codec_mark": "too much"}),
+    ):
+        for peak in content["sensors"][0]["peaks"]:
+            peak.update(told)
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "measure.json").write_text(json.dumps(content))
+        words = ["analyse", str(tmp_path / name), "--out", str(tmp_path / f"{name}-a"), "--channel", "ball/x"]
+        assert main(words) == 0
+        level = json.loads((tmp_path / f"{name}-a" / "analysis.json").read_text())["levels"][0]
+        sure[name] = level["rms"]["deviation"] / level["rms"]["value"]
+    assert sure["lossy"] == pytest.approx(np.hypot(sure["plain"], np.hypot(0.25, 0.05 / 0.64)), rel=0.02)
+    assert "Hz: too much; its levels are lower bounds" in capsys.readouterr().out

@@ -145,9 +145,29 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
     for k in np.flatnonzero(keep & np.isfinite(noise)):
         name = "/".join(filter(None, [sensor["name"], clock, list(series["axes"])[k]]))
         times = _even(np.array(series["times_s"], float), name)
-        share = float(series["model_share"][k])
+        share = float(np.hypot(series["model_share"][k], _taken(sensor["peaks"], k)))
         out.append(Channel(name, DISPLACEMENT, base, times, values[:, k] * factor, noise[k] * factor, share))
     return out
+
+
+def _taken(peaks: Any, axis: int) -> float:
+    """Share of the motion along an axis that compression may have taken: of the peaks, weighted by their power."""
+    told = [p for p in peaks if p.get("codec_gain")]
+    gain = np.array([p["codec_gain"] for p in told], float)
+    sure = np.array([p["codec_gain_deviation"] for p in told], float)
+    power = np.array([p["amplitude"][axis] for p in told], float) ** 2
+    missing = np.maximum(1 / gain - 1, 0) ** 2 + (sure / gain**2) ** 2
+    return float(np.sqrt(power @ missing / power.sum())) if power.sum() > 0 else 0.0
+
+
+def doubts_of(path: Path) -> list[str]:
+    """Lines of a measurement's folder, of peaks that compression made smaller by an amount that is not known."""
+    if path.is_file():
+        return []
+    with readable(path):
+        peaks = [(s["name"], p) for s in read_json(path / "measure.json")["sensors"] for p in s["peaks"]]
+        marked = [(name, p["frequency_hz"], p["codec_mark"]) for name, p in peaks if p.get("codec_mark")]
+    return [f"{name} at {hz:.4g} Hz: {why}; its levels are lower bounds" for name, hz, why in marked]
 
 
 def read_table(path: Path) -> tuple[list[str], np.ndarray]:

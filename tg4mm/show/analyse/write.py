@@ -14,7 +14,7 @@ from tg4mm import __version__
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
-from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, read_channels
+from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, doubts_of, read_channels
 from tg4mm.show.analyse.compare import Change, compared, lines_of
 from tg4mm.show.analyse.modal import Modes, from_transfers, operational
 from tg4mm.show.analyse.orders import OrderTrack, Speed, orders_of, speed_of
@@ -105,7 +105,7 @@ def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
             for track in orders_of(c, _for(speed, channels[0], c), o.orders, o.averaging)
         ]
     changes, notes = ([], []) if before is None else compared(before, lines_of(path))
-    notes += [note for zone in zones for note in zone.notes]
+    notes += [*(note for zone in zones for note in zone.notes), *doubts_of(path)]
     return Analysis(
         tuple(channels), tuple(levels), tuple(densities), tuple(phases), tuple(zones), tuple(transfers),
         tuple(modes), tuple(changes), tuple(dict.fromkeys(notes)), tuple(orders), tuple(curves),
