@@ -13,6 +13,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from benchmarks.figures_tables import five_tables, mic_table, number
+from tg4mm.research.bench.intervals import half_width
+
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
@@ -46,25 +49,29 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
     """{name: Markdown}: every scene, SSIM over α, what is lost of it in words, and the short table of README."""
     scenes, ssim = figures["scenes"], figures["ssim"]
     mean = {key: sum(values[key] for values in scenes.values()) / len(scenes) for key in _MOTION}
+    half = {key: half_width([values[key] for values in scenes.values()], list(scenes)) for key in _MOTION}
     motion = [
-        [name, *(_number(form, values[key] * factor) for key, (_, form, factor) in _MOTION.items())]
-        for name, values in [*scenes.items(), ("mean", mean)]
+        [name, *(number(form, values[key] * factor) for key, (_, form, factor) in _MOTION.items())]
+        for name, values in scenes.items()
     ]
+    means = (
+        number(form, mean[key] * factor, None if (h := half[key]) is None else h * factor)
+        for key, (_, form, factor) in _MOTION.items()
+    )
+    motion.append(["mean", *means])
     named = {"modal": "`modal`"}
     scores = [
-        [named.get(row, row), *(_number("{:.4f}", v) for v in values.values())]
-        for row, values in ssim.items()
+        [named.get(row, row), *(number("{:.4f}", v) for v in values.values())] for row, values in ssim.items()
     ]
-    lost = [_number("{:.4f}", ssim["ceiling"][a] - ssim["modal"][a]) for a in _LOST_AT]
+    lost = [number("{:.4f}", ssim["ceiling"][a] - ssim["modal"][a]) for a in _LOST_AT]
     errors = {name: values["displacement_error"] for name, values in scenes.items()}
     best, worst = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
     why = f": {note}" if (note := figures.get("notes", {}).get(worst)) else ""
-    short = [
-        "displacement error, rms, relative to the true motion",
-        f"{mean['displacement_error']:.0%} | {errors[best]:.0%} ({best}) | {errors[worst]:.0%} ({worst}{why})".replace(
-            "%", " %"
-        ),
-    ]
+    cells = (
+        f"{100 * mean['displacement_error']:.0f} ± {100 * (half['displacement_error'] or 0):.0f} %",
+        f"{100 * errors[best]:.0f} % ({best})",
+        f"{100 * errors[worst]:.0f} % ({worst}{why})",
+    )
     others = {name: _markdown(made["header"], made["rows"]) for name, made in figures["tables"].items()}
     return others | {
         "scenes": _markdown(["set", *(title for title, _, _ in _MOTION.values())], motion),
@@ -73,9 +80,10 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
         f"α = {_LOST_AT[1]}.",
         "short": "\n".join(
             [
-                "| eight generated scenes, 128×128, 30 cameras, 0.2 pixels of motion | mean | best | worst |",
+                "| eight generated scenes, 128×128, 30 cameras, 0.2 pixels of motion "
+                "| mean, ± 95 % over scenes | best | worst |",
                 "|---|---:|---:|---:|",
-                f"| {short[0]} | {short[1]} |",
+                f"| displacement error, rms, relative to the true motion | {' | '.join(cells)} |",
                 f"| SSIM lost against the exact motion, α = {' / '.join(_LOST_AT)} | {' / '.join(lost)} | | |",
             ]
         ),
@@ -86,12 +94,6 @@ def filled(page: str, made: Mapping[str, str]) -> str:
     """The page with each table in its place."""
     part = re.compile(r"(<!-- figures: (\w+) -->\n).*?(\n<!-- end -->)", re.DOTALL)
     return part.sub(lambda found: found[1] + made[found[2]] + found[3], page)
-
-
-def _number(form: str, value: float) -> str:
-    """Without the 0 before the point where all digits after it count."""
-    text = form.format(value)
-    return text.removeprefix("0") if len(text) > 4 else text
 
 
 def _markdown(header: list[str], rows: list[list[str]]) -> str:
@@ -108,8 +110,6 @@ def _read(path: str) -> Any:
 
 
 def run(options: argparse.Namespace) -> None:
-    from benchmarks.figures_tables import five_tables, mic_table
-
     figures = json.loads(FILE.read_text(encoding="utf-8"))
     if options.results:
         figures |= figures_of(_read(options.results))

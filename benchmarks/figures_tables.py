@@ -30,7 +30,7 @@ def number(form: str, value: float | None, half: float | None = None) -> str:
     if value is None:
         return ""
     text = form.format(value)
-    text = text.removeprefix("0") if len(text) > 4 and not form.endswith("2f}") else text
+    text = text.removeprefix("0") if len(text) > 4 else text
     return text if half is None else f"{text} ± {number(form, half)}"
 
 
