@@ -16,7 +16,8 @@ import numpy as np
 
 from tg4mm.core import events
 from tg4mm.core.digits import aligned
-from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError, system_says
+from tg4mm.core.parent import end_with_parent
 
 from . import run
 from .options import Request, parser, request_from
@@ -115,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the generator. Returns 0 done, 2 bad input (one line says what), 1 failed, 130 stopped."""
     events.print_any_text()
     with _stopped_once():
+        end_with_parent()
         return _run(argv)
 
 
@@ -164,7 +166,8 @@ def _run(argv: Sequence[str] | None) -> int:
         events.say("error", str(error), "error: ")
         return 2
     except (RunFailed, OSError) as error:
-        events.say("error", str(error), "error: ")
+        said = system_says(error, named=True) if isinstance(error, OSError) else str(error)
+        events.say("error", said, "error: ")
         return 1
     except KeyboardInterrupt:
         print("stopped; run the same command again to continue", file=sys.stderr)

@@ -35,6 +35,9 @@ def import_bpy(threads: int) -> None:
 def run(arguments: list[str]) -> int:
     """The generator's command line, or one worker."""
     if arguments[:1] == ["--job"]:
+        from tg4mm.core.parent import end_with_parent
+
+        end_with_parent()
         if arguments[2:3] == ["--threads"]:
             import_bpy(int(arguments[3]))
         from dataset_gen.worker import work

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm.core import events
+from tg4mm.core.parent import ending_with_this
 from tg4mm.core.progress import progress
 
 from .errors import GenerateError
@@ -126,7 +127,12 @@ class _Pool:
         with log_path.open("wb") as log:
             command = _command(path, self._job.get("threads", 0))
             process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=log, encoding="utf-8", errors="replace"
+                command,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                encoding="utf-8",
+                errors="replace",
+                env=ending_with_this(),
             )
         self._running.add(process)
         if self._failure:  # all were ended while this one started

@@ -21,7 +21,7 @@ _KEYS = {"python": str, "out": str, "parts": int, "threads": int, "mem_mb": int,
 _SET_KEYS = ("options", "parts")
 _DEFAULTS: dict[str, Any] = {"parts": 4, "threads": 1, "mem_mb": 4000, "minutes": 240, "options": ""}
 MOST_PARTS = 100_000  # of a dataset: each is a job of a scheduler
-
+_MOST = {"parts": MOST_PARTS, "threads": 10_000, "mem_mb": 100_000_000, "minutes": 1_000_000}
 
 MODULE = "dataset_gen"
 
@@ -79,14 +79,13 @@ def _checked(config: Mapping[str, Any]) -> dict[str, Any]:
             raise GenerateError(f"configuration: {key!r} is none of {', '.join(_KEYS)}")
         if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
             raise GenerateError(f"configuration: {key} is {value!r}, expected {_KEYS[key].__name__}")
-    if config.get("parts", 1) > MOST_PARTS:
-        raise GenerateError(f"configuration: parts is {config['parts']}, expected at most {MOST_PARTS}")
     for key in ("out", "python", "options"):
         if not str(config.get(key, "")).isprintable():
             raise GenerateError(f"configuration: {key} is {config[key]!r}, which holds a control character")
-    for key in ("parts", "threads", "mem_mb", "minutes"):
-        if config.get(key, 1) < 1:
-            raise GenerateError(f"configuration: {key} is {config[key]}, expected at least 1")
+    for key, most in _MOST.items():
+        require(f"configuration: {key}", config.get(key, 1), Number(1, most, whole=True), GenerateError)
+    if config.get("python", "").startswith("-"):
+        raise GenerateError(f"configuration: python is {config['python']!r}, expected a program")
     for key in ("out", "sets"):
         if not config.get(key):
             raise GenerateError(f"configuration: {key} is missing")
@@ -143,6 +142,7 @@ def main() -> int:
     """Reads a configuration as JSON on standard input. Returns 0, or 2 with one line on bad input."""
     try:
         config = parse_json(sys.stdin.read())
+        require("configuration", config, dict, GenerateError)
         found = {one.folder: one.to_json() for one in farm_sets(config)}
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -157,9 +157,17 @@ def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1():
     assert "IndexError" in done.stderr
 
 
-@pytest.mark.parametrize("error", ["OSError(28, 'No space left')", "OSError('No space left')"])
-def test_fault_of_the_system_is_one_line(error):
-    assert refused(run_main(f"raise {error}")) == "tg4mm: No space left"
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("OSError(28, 'No space left', 'a.json')",
+         "a.json: No space left; make room there and give the same command again"),
+        ("OSError('No space left')", "No space left"),
+        (r"Tg4mmError('size is a\nb\x1b[31m')", r"size is a b\x1b[31m"),
+    ],
+)  # fmt: skip
+def test_fault_of_the_system_or_of_the_input_is_one_line(error, said):
+    assert refused(run_main(f"from tg4mm.core.errors import Tg4mmError; raise {error}")) == f"tg4mm: {said}"
 
 
 def test_reader_that_goes_away_ends_it_quietly():

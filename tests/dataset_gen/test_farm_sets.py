@@ -39,7 +39,9 @@ def test_every_command_is_one_that_the_generator_understands():
         ({**SMALL, "sets": {"mic": {"size": 3}}}, "'size' is none of options, parts"),
         ({**SMALL, "sets": {"mic": {"parts": 0}}}, "parts is 0"),
         ({**SMALL, "sets": {"mic": {"parts": 3.1}}}, "parts is 3.1"),
-        ({**SMALL, "parts": 9 * 10**15}, "parts is 9000000000000000, expected at most 100000"),
+        ({**SMALL, "parts": 9 * 10**15}, "parts is 9000000000000000, expected 1 to 100,000"),
+        ({**SMALL, "mem_mb": 9 * 10**15}, "mem_mb is 9000000000000000, expected 1 to"),
+        ({**SMALL, "python": "-h"}, "python is '-h'"),
         ({**SMALL, "sets": {"mic": {"parts": 9 * 10**15}}}, "parts is 9000000000000000"),
         ({**SMALL, "sets": {"mic": {"options": "mic -h"}}}, "ask for help"),
         ({**SMALL, "out": "x\0"}, "control character"),
@@ -66,6 +68,6 @@ def test_the_module_prints_what_a_shell_can_run(monkeypatch, capsys):
     assert folder == "mic_5Hz_0_005"
     assert plan["prepare"] == "py -m dataset_gen mic --out 'my data' --prepare --parts 2"
     assert plan["part"][1] == "py -m dataset_gen mic --out 'my data' --part 2/2 --processes 1"
-    monkeypatch.setattr("sys.stdin", io.StringIO("{}"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("[]"))
     assert main() == 2
-    assert capsys.readouterr().err == "error: configuration: out is missing\n"
+    assert capsys.readouterr().err == "error: configuration is [], expected an object\n"

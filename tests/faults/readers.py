@@ -69,6 +69,7 @@ def _read_run(root):
     run.load_motion()
     run.load_uncertainty()
     run.load_checkpoint("space")
+    run.load_fit()
     total_seconds(run.log())
     for name, figures in run.log().items():
         _stage(name, figures)

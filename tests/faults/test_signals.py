@@ -59,6 +59,19 @@ def test_a_signal_to_the_parent_ends_the_child(tmp_path, repo_root, number, mann
     assert said.strip() == "tg4mm: interrupted; run the same command again to continue"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_kill_of_the_parent_ends_the_child(tmp_path, repo_root, monkeypatch):
+    """It cannot pass a signal on."""
+    monkeypatch.setitem(
+        globals(), "STUB", f"from tg4mm.core.parent import end_with_parent\nend_with_parent()\n{STUB}"
+    )
+    parent = started(tmp_path, repo_root)
+    child = psutil.Process(int(wait_for(tmp_path / "child")))
+    parent.kill()
+    parent.communicate(timeout=20)
+    assert psutil.wait_procs([child], timeout=20)[1] == []
+
+
 BENCH = """
 import sys
 from tg4mm.research.bench import presets

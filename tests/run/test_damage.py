@@ -115,6 +115,34 @@ def test_a_clock_that_cannot_be_is_refused(run, key, text, match):
 
 
 @pytest.mark.parametrize(
+    ("key", "value"),
+    [("reliability", [None]), ("reliability", 1), ("duration_s", "x"), ("duration_s", 1e30), ("readout_s", None),
+     ("nuisance", True), ("frequencies_hz", None), ("notes", 0), ("notes", [1]), ("clip_phases_deg", {"a": {"x": 1}})],
+)  # fmt: skip
+def test_a_row_of_the_log_that_something_is_computed_from_is_checked(run, key, value):
+    (run.path / "log.json").write_text(json.dumps({"motion": {key: value}}))
+    with refused(key):
+        run.log()
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ([1], "settings of motion is .1., expected an object"),
+        ({"brand_new": 3}, "motion.brand_new is a setting that this version of tg4mm does not have"),
+        ({"components": "x"}, "motion.components is 'x', expected a whole number"),
+    ],
+)
+def test_settings_of_another_version_are_named(run, settings, match):
+    other = run.path.with_name("other")
+    with refused(match):
+        made = Run.create(other, run.dataset, "modal", {"motion": settings})
+        made.save_space(gaussians(), {})
+        made.save_motion(modal(), {})
+        Run.open(other).load_fit()
+
+
+@pytest.mark.parametrize(
     ("name", "tensors", "match"),
     [
         ("space", {"means": torch.ones(7, 3, dtype=torch.int32)}, "means is torch.int32, expected torch.float32"),
@@ -130,6 +158,9 @@ def test_a_clock_that_cannot_be_is_refused(run, key, text, match):
         ("uncertainty", {"displacement": None, "other": torch.ones(7)}, "displacement is absent, expected float32"),
         ("uncertainty", {"displacement": torch.ones(6)}, r"is torch.float32 \(6,\), expected float32 \(7,\)"),
         ("uncertainty", {"displacement": torch.ones(7, dtype=torch.int64)}, "expected floating-point numbers"),
+        ("uncertainty", {"displacement": -torch.ones(7)}, "displacement holds -1, expected at least 0"),
+        ("uncertainty", {"noise": torch.ones(3)}, r"noise is torch.float32 \(3,\), expected float32 \(7,\)"),
+        ("uncertainty", {"covariance": torch.ones(7, 3)}, r"covariance is .*expected float32 \(7, 3, 3\)"),
     ],
 )  # fmt: skip
 def test_tensors_of_another_kind_are_refused(run, name, tensors, match):

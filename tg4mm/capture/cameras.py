@@ -27,7 +27,16 @@ OTHER_LENSES = (
     *(f"ftheta_p{i}" for i in range(5)),
     "rolling_shutter",
 )
+SMALLEST = 8  # pixels along a side of a picture: fewer hold no texture that motion is told by
 _PINHOLE = "the images of a pinhole camera: undistort them first"
+
+
+def check_picture_size(where: Any, width: int, height: int) -> None:
+    """Raise CaptureError, naming `where`, for pictures that are too small to tell any motion."""
+    if min(width, height) < SMALLEST:
+        raise CaptureError(
+            f"{where}: pictures are {width}×{height} pixels, expected {SMALLEST} or more along each side"
+        )
 
 
 def world_to_camera(c2w: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import typer
 
 from tg4mm.cli.regions import RegionsOption, read_drawn
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.values import NOT_NEGATIVE, Maybe, require
+from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, Maybe, require
 
 
 def look(
@@ -64,6 +64,7 @@ def look(
     require("--readout", readout, Maybe(NOT_NEGATIVE), Tg4mmError)
     if png is not None and png.suffix.lower() != ".png":
         raise Tg4mmError(f"--png {png}: expected a name that ends in .png")
+    require("--until", until, Maybe(POSITIVE), Tg4mmError)
     stop = math.inf if until is None else until
     if not 0 <= start < stop:
         raise Tg4mmError(f"--from {start:g}{'' if until is None else f' --until {until:g}'}: holds nothing")

@@ -26,8 +26,9 @@ from tg4mm.cli.sfm import sfm
 from tg4mm.cli.train import train
 from tg4mm.cli.view import view
 from tg4mm.core import events
-from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError, one_line, system_says
 from tg4mm.core.extras import EXTRA_OF, install
+from tg4mm.core.parent import end_with_parent
 from tg4mm.fit.precompile import enable
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -85,6 +86,7 @@ def tg4mm(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
+    end_with_parent()  # a step of a benchmark
     events.print_any_text()
     _show_log()
     enable()
@@ -95,8 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Tg4mmError as error:
         return _fail(str(error))
     except OSError as error:  # a path that cannot be read or made, a full disk
-        where = "" if error.filename is None else f"{error.filename}: "
-        return _fail(f"{where}{error.strerror or error}")
+        return _fail(system_says(error, named=True))
     except KeyboardInterrupt:
         return _interrupted()
     except ModuleNotFoundError as error:
@@ -137,7 +138,7 @@ def _show_log() -> None:
 
 
 def _warning_line(message: Warning | str, *_where: object, **_more: object) -> str:
-    return f"tg4mm: {message}\n"
+    return f"tg4mm: {one_line(str(message))}\n"
 
 
 def _usage(error: Exception) -> int:
@@ -160,7 +161,7 @@ def _offending(error: Exception, message: str) -> str:
 
 
 def _fail(message: str) -> int:
-    events.say("error", " ".join(message.split()), "tg4mm: ")
+    events.say("error", message, "tg4mm: ")
     return BAD_INPUT
 
 

@@ -1,8 +1,30 @@
 """The one exception family: what a user can mend. The command line prints it as one line and exits with 2."""
 
+import errno
+
+ROOM = "make room there and give the same command again"
+_ELSEWHERE = "give another place"
+_REMEDIES = {errno.ENOSPC: ROOM, errno.EDQUOT: ROOM, errno.EROFS: _ELSEWHERE, errno.EACCES: _ELSEWHERE}
+
 
 class Tg4mmError(ValueError):
     """Bad input. The message is one line, names the file or option, and shows the offending value."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
+
+
+def one_line(text: str) -> str:
+    """The text in one line that a terminal may show: a value of a file may hold line ends, or codes of a terminal."""
+    joined = " ".join(line.strip() for line in text.splitlines()) if len(text.splitlines()) > 1 else text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in joined)
+
+
+def system_says(error: OSError, named: bool = False) -> str:
+    """What the system says, and what to do about it where that is known. named: after the file's name."""
+    where = f"{error.filename}: " if named and error.filename is not None else ""
+    remedy = _REMEDIES.get(error.errno or 0)
+    return f"{where}{error.strerror or error}{'' if remedy is None else f'; {remedy}'}"
 
 
 class CaptureError(Tg4mmError):

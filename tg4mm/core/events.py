@@ -16,6 +16,8 @@ import os
 import sys
 from typing import Any, TextIO
 
+from tg4mm.core.errors import one_line
+
 VARIABLE = "TG4MM_EVENTS"
 
 
@@ -43,4 +45,4 @@ def say(event: str, message: str, prefix: str = "", stream: TextIO | None = None
     if wanted():
         emit(event, stream, message=message)
     else:
-        print(f"{prefix}{message}", file=stream or sys.stderr)
+        print(one_line(f"{prefix}{message}"), file=stream or sys.stderr)

@@ -7,11 +7,24 @@ from typing import Any
 
 from tg4mm.core.digits import aligned
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.values import require
 
 
 def setting(default: Any, about: str, unit: str = "") -> Any:
     """A field of a settings' dataclass: its default, what it means, and its unit, "" for a plain number."""
     return dataclasses.field(default=default, metadata={"about": about, "unit": unit})
+
+
+def of_file(kind: type, values: Any, where: str, error: type[Tg4mmError]) -> Any:
+    """A settings' dataclass with the values that a file holds. Raises `error` for a name that it lacks, as of another
+    version, and a value of another type."""
+    require(where, values, dict, error)
+    fields = {field.name: type(field.default) for field in dataclasses.fields(kind)}
+    for name, value in values.items():
+        if name not in fields:
+            raise error(f"{where}.{name} is a setting that this version of tg4mm does not have")
+        require(f"{where}.{name}", value, fields[name], error)
+    return kind(**values)
 
 
 def listed(defaults: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,7 @@
 """Files that are whole or absent: how they are written, and what a kill leaves. Needs Python's own library alone."""
 
 import contextlib
+import errno
 import functools
 import os
 import platform
@@ -16,6 +17,7 @@ _FORM = re.compile(r"\.(?P<name>.+)\.(?:(?P<host>\w+)-)?(?P<process>[0-9a-f]+)\.
 # Windows neither deletes nor replaces a file that is open or mapped into memory.
 WINDOWS = sys.platform == "win32"
 _PATIENCE_S = 2.0  # for a virus scanner or an indexer to close a file that was just written
+FULL = (errno.ENOSPC, errno.EDQUOT)
 _STARTED = time.time() - 1.0  # file systems have coarse clocks
 _STALE_S = 3600.0  # since its last change, after which a file is a leftover wherever its writer was
 
@@ -38,6 +40,10 @@ def replacing(path: Path, suffix: str = "") -> Iterator[Path]:
         yield temporary
         flush(temporary)
         rename(temporary, path)
+    except OSError as error:  # a full disk is told without a name, or with that of what is copied
+        if error.errno in FULL or error.filename in (None, str(temporary)):
+            raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

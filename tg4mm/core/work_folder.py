@@ -7,12 +7,12 @@ lock the package filelock: inside Blender's own Python, which lacks it, nothing 
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.errors import RunError, Tg4mmError, system_says
 from tg4mm.core.files import give_back, write_json
 from tg4mm.core.temporary import is_temporary, remove_leftovers
 from tg4mm.core.untrusted import read_json
@@ -38,7 +38,8 @@ class WorkFolder:
     def held(self, busy: str) -> Iterator[None]:
         """Hold the folder's lock, making the folder if there is none; the system takes it back however a process dies.
 
-        At the end the lock's file is removed, and the folder if it is empty and was made here. Raises RunError if
+        At the end the lock's file is removed, and the folder if it is empty and was made here; with a Tg4mmError inside
+        the record too, where nothing else was made. Raises RunError if
         another process holds it (busy: what that does), and as `check`: a folder of somebody else's gets no lock.
         """
         self.check()
@@ -47,7 +48,7 @@ class WorkFolder:
         except ModuleNotFoundError:
             yield
             return
-        made = not self.path.exists()
+        made, is_new = not self.path.exists(), not self._file.exists()
         self.path.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.path / LOCK)
         try:
@@ -58,6 +59,13 @@ class WorkFolder:
             ) from None
         try:
             yield
+        except Tg4mmError:
+            if is_new and {p.name for p in self.path.iterdir()} <= {
+                self.record,
+                LOCK,
+            }:  # refused before any work
+                self._file.unlink(missing_ok=True)
+            raise
         finally:
             give_back(lock)
             if made and not any(self.path.iterdir()):
@@ -102,11 +110,15 @@ class WorkFolder:
         """
         self.check()
         if (found := self.read()) is None:
+            made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
             try:
                 self.path.mkdir(parents=True, exist_ok=True)
                 write_json(self._file, dict(asked if record is None else record))
             except OSError as error:
-                raise self.error(f"{self.path} cannot be written: {error.strerror}") from error
+                for folder in made:
+                    with suppress(OSError):
+                        folder.rmdir()
+                raise self.error(f"{self.path} cannot be written: {system_says(error)}") from error
             return
         self._check_same(flat(asked_of(found)), flat(json.loads(json.dumps(asked))))
         remove_leftovers(self.path)

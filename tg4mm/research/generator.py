@@ -11,6 +11,7 @@ from types import FrameType
 
 from dataset_gen.errors import blender_remedy
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.parent import ending_with_this
 
 
 def run_generator(arguments: Sequence[str]) -> int:
@@ -20,6 +21,8 @@ def run_generator(arguments: Sequence[str]) -> int:
     """
     if importlib.util.find_spec("bpy") is None:
         raise Tg4mmError(f"generate needs the Python package bpy, which is not installed: {blender_remedy()}")
+    if wrong := [text for text in arguments if "\0" in text]:
+        raise Tg4mmError(f"generate: {wrong[0]!r} holds a null character, which no file name can")
     status = run_child([sys.executable, "-m", "dataset_gen", *arguments])
     if status < 0:
         print(
@@ -31,8 +34,11 @@ def run_generator(arguments: Sequence[str]) -> int:
 
 
 def run_child(command: Sequence[str]) -> int:
-    """Run a program and return its exit status. A signal to this process alone ends it, too: KeyboardInterrupt."""
-    with _passing_signals_on() as children, subprocess.Popen(command) as child:
+    """Run a program and return its exit status. A signal to this process alone ends it, too: KeyboardInterrupt.
+
+    A program of ours ends as well where this process is killed.
+    """
+    with _passing_signals_on() as children, subprocess.Popen(command, env=ending_with_this()) as child:
         children.append(child)
         try:
             return child.wait()

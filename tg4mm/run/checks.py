@@ -107,12 +107,17 @@ def check_frequencies(file: Path, freqs_hz: Tensor) -> None:
         raise RunError(f"{file}: freqs_hz is {freqs_hz.tolist()!r:.60}, expected a list of Hz, none below 0")
 
 
-def check_uncertainty(file: Path, found: Tensor | None, n: int) -> Tensor:
-    """[n] float32."""
-    if found is None or found.dtype != torch.float32 or tuple(found.shape) != (n,):
-        shown = "absent" if found is None else f"{found.dtype} {tuple(found.shape)}"
-        raise RunError(f"{file}: displacement is {shown}, expected float32 ({n},)")
-    return found
+def check_uncertainty(file: Path, tensors: Mapping[str, Tensor], n: int) -> None:
+    """float32: standard deviations `displacement` [n], and if there, `noise` [n] and `covariance` [n, 3, 3]."""
+    for name, shape in (("displacement", (n,)), ("noise", (n,)), ("covariance", (n, 3, 3))):
+        found = tensors.get(name)
+        if found is None and name != "displacement":
+            continue
+        if found is None or found.dtype != torch.float32 or tuple(found.shape) != shape:
+            shown = "absent" if found is None else f"{found.dtype} {tuple(found.shape)}"
+            raise RunError(f"{file}: {name} is {shown}, expected float32 {shape}")
+        if len(shape) == 1 and bool((found < 0).any()):
+            raise RunError(f"{file}: {name} holds {float(found.min()):g}, expected at least 0")
 
 
 _MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes

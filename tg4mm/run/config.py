@@ -16,6 +16,7 @@ from tg4mm.core.work_folder import WorkFolder
 FORMAT = "tg4mm"
 VERSION = 1
 _FORM = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
+_STAGES = ("space", "motion", "paper")
 
 
 def work_folder(path: Path | str) -> WorkFolder:
@@ -58,6 +59,8 @@ def read_config(path: Path) -> dict[str, Any]:
         raise RunError(f"{file} has version {config.get('version')!r}; this program reads {VERSION}")
     for key, rule in _FORM.items():
         require(f"{file}: {key}", config.get(key), rule, RunError)
+    for stage in _STAGES:
+        require(f"{file}: settings of {stage}", config["settings"].get(stage, {}), dict, RunError)
     return config
 
 

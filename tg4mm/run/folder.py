@@ -25,6 +25,7 @@ from torch import Tensor
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json, write_json
+from tg4mm.core.settings import of_file
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
@@ -195,13 +196,19 @@ class Run:
         check_finite(file, tensors, also)
         return tensors, header
 
-    def load_uncertainty(self) -> np.ndarray | None:
-        """[N] float32: standard deviation of each Gaussian's displacement, rms over time, scene units; None where the
-        run does not say it. Raises RunError."""
+    def load_uncertainties(self) -> dict[str, np.ndarray]:
+        """What the run knows of its motion's errors, by name (`check_uncertainty`); {} if it does not say it. Raises
+        RunError."""
         if not self.has_part(UNCERTAINTY):
-            return None
-        found = self.load_part(UNCERTAINTY)[0].get("displacement")
-        return check_uncertainty(self._file(UNCERTAINTY), found, len(self.load_space())).numpy()
+            return {}
+        tensors = self.load_part(UNCERTAINTY)[0]
+        check_uncertainty(self._file(UNCERTAINTY), tensors, len(self.load_space()))
+        return {name: tensor.numpy() for name, tensor in tensors.items()}
+
+    def load_uncertainty(self) -> np.ndarray | None:
+        """[N] float32: the standard deviation of each Gaussian's displacement, scene units; None if the run does not
+        say it. Raises RunError."""
+        return self.load_uncertainties().get("displacement")
 
     def load_fit(self) -> MotionFit:
         """The Gaussians, their motion and what is known of it. Raises RunError if absent, torn or foreign."""
@@ -209,16 +216,16 @@ class Run:
         if motion is None:
             raise RunError(f"{self.path} has no motion.safetensors: its training is not finished")
         figures = self.log().get("motion", {})
-        uncertainty: dict[str, np.ndarray] = {}
-        if self.load_uncertainty() is not None:  # and so checked
-            uncertainty = {k: v.numpy() for k, v in self.load_part(UNCERTAINTY)[0].items()}
-        config = MotionConfig(**self.settings.get("motion", {}))
-        return MotionFit(self.load_space(), motion, uncertainty, figures, figures.get("notes", []), config)
+        config = of_file(
+            MotionConfig, self.settings.get("motion", {}), f"{self.path / 'config.json'}: motion", RunError
+        )
+        return MotionFit(
+            self.load_space(), motion, self.load_uncertainties(), figures, figures.get("notes", []), config
+        )
 
     def load_noise(self) -> np.ndarray | None:
         """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
-        found = self.load_part(UNCERTAINTY)[0].get("noise") if self.has_part(UNCERTAINTY) else None
-        return None if found is None else found.numpy()
+        return self.load_uncertainties().get("noise")
 
     def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
         """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""

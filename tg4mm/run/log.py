@@ -9,9 +9,23 @@ import numpy as np
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json
 from tg4mm.core.records import read_formed
-from tg4mm.core.values import NOT_NEGATIVE, Just, Maybe, check_form
+from tg4mm.core.values import NOT_NEGATIVE, Just, Maybe, Number, check_form
 
-_LOG = {str: {"seconds?": NOT_NEGATIVE, "peak_memory_mib?": NOT_NEGATIVE}}
+_HZ = [NOT_NEGATIVE]
+# of the figures those that something is computed from
+_LOG = {
+    str: {
+        **dict.fromkeys(("seconds?", "peak_memory_mib?", "readout_s?", "picture_gain?"), NOT_NEGATIVE),
+        "asked_share?": float,
+        "noise_to_motion?": Maybe(NOT_NEGATIVE),
+        "duration_s?": Maybe(Number(0, 1e9)),
+        **dict.fromkeys(("frequencies_hz?", "lower_bound_hz?", "undetermined_hz?"), _HZ),
+        "reliability?": [float],
+        "notes?": [str],
+        "nuisance?": [str],
+        "clip_phases_deg?": {str: {float: float}},
+    }
+}
 
 
 def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:

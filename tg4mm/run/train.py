@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture import Capture, load_capture, nerf_synthetic
-from tg4mm.capture.cameras import check_depth_observable
+from tg4mm.capture.cameras import check_depth_observable, check_picture_size
 from tg4mm.capture.readers import READERS
 from tg4mm.capture.transforms import train_command, whole_dataset
 from tg4mm.core.errors import CaptureError, Tg4mmError
@@ -20,7 +20,6 @@ from tg4mm.run.config import work_folder
 from tg4mm.run.preset import asked_masks, preset_named
 
 _LOG = logging.getLogger("tg4mm")
-_SMALLEST = 8  # pixels along a side: fewer hold no texture that motion is told by
 _BOOLEANS = {"true": True, "false": False}
 
 
@@ -94,11 +93,7 @@ def _capture(dataset: Path) -> Capture:
             raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")
     capture = load_capture(dataset, split="train")
     check_depth_observable(capture)
-    if min(capture.width, capture.height) < _SMALLEST:
-        raise CaptureError(
-            f"{dataset}: pictures are {capture.width}×{capture.height} pixels, expected {_SMALLEST} or more along each "
-            "side"
-        )
+    check_picture_size(dataset, capture.width, capture.height)
     return capture
 
 

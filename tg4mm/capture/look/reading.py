@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.look.cells import Grid, Template
 from tg4mm.core.errors import CaptureError
 
@@ -76,6 +77,8 @@ def read_cells(
             raise CaptureError(
                 f"{where}: picture {len(times)} has {_size(picture.grey.shape)} pixels, the first {_size(shape)}"
             )
+        if shape is None:
+            check_picture_size(where, *picture.grey.shape[::-1])
         shape = picture.grey.shape
         first = np.array(picture.grey).astype(np.uint8) if first is None else first
         times.append(picture.time_s)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,8 @@ class Work:
     out: Path
     owned: WorkFolder
     settings: dict[str, Any]
+    is_new: bool = False  # begun by this call
+    made_out: bool = False
 
     @property
     def folder(self) -> Path:
@@ -112,6 +115,13 @@ class Work:
     def scene_only(self) -> dict[str, Any]:
         """The settings that change scene.json and the frames' times alone."""
         return {key: self.settings[key] for key in SCENE_ONLY if key in self.settings}
+
+    def forget(self) -> None:
+        """Remove what this call made: its input is refused, and another request takes no folder that it left."""
+        if self.is_new:
+            shutil.rmtree(self.folder)
+        if self.made_out and not any(self.out.iterdir()):
+            self.out.rmdir()
 
     def finished(self) -> dict[str, Any] | None:
         """What scene.json says of the reconstruction; None if the dataset is not complete, or of another scale."""
@@ -132,7 +142,8 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
         others={"pictures": "of other pictures, or they have changed"},
         free=SCENE_ONLY,
     )
-    if not (work.path / NAME).is_file():
+    made, is_new = not out.exists(), not (work.path / NAME).is_file()
+    if is_new:
         work.check()
         others = [p.name for p in out.iterdir() if p != work.path] if out.is_dir() else []
         if others or (out.exists() and not out.is_dir()):
@@ -146,7 +157,7 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
         lambda found: {"pictures": found.get("pictures"), **_dict(found.get("settings"))},
     )
     remove_leftovers(out)
-    return Work(out, work, asked["settings"])
+    return Work(out, work, asked["settings"], is_new, made)
 
 
 def _given(asked: Any) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 import importlib.util
 import os
+import signal
+import threading
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -33,6 +35,8 @@ def colmap(what: str) -> ModuleType:
     except ImportError as error:
         raise Tg4mmError(f"{what} needs pycolmap ({error}): {install('sfm')}") from None
     pycolmap.logging.minloglevel = 3  # what goes wrong is said in one line of our own
+    if threading.current_thread() is threading.main_thread():  # its own handler prints a trace of C++
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     return pycolmap
 
 

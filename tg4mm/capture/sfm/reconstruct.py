@@ -71,8 +71,9 @@ def reconstruct(
 ) -> dict[str, Any]:
     """Poses, sparse points and times of what lies in `images`, written to the folder `out` as a dataset.
 
-    Goes on where it was stopped. threads: −1 for all cores; with 1 the result repeats bit for bit on one machine, with
-    more only to the last digits. name: of the scene; None: the folder's. Returns what scene.json says under "sfm".
+    Goes on where it was stopped; where the input is refused nothing stays. threads: −1 for all cores; with 1 the
+    result repeats bit for bit on one machine, with more only to the last digits. name: of the scene; None: the
+    folder's. Returns what scene.json says under "sfm".
     Raises Tg4mmError (CaptureError) on bad input: damaged recordings, too few pictures, no overlap, pictures that could
     not be placed.
     """
@@ -86,8 +87,12 @@ def reconstruct(
     done = work.finished()
     if done is not None:
         return done
-    with work.owned.held("makes this dataset"):
-        return _made(images, work, sources, config, threads, name or out.resolve().name)
+    try:
+        with work.owned.held("makes this dataset"):
+            return _made(images, work, sources, config, threads, name or out.resolve().name)
+    except CaptureError:
+        work.forget()
+        raise
 
 
 def _made(

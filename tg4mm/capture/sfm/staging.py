@@ -10,6 +10,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
+from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.sfm.clip import Clip
 from tg4mm.capture.sfm.engine import colmap, opened
 from tg4mm.capture.sfm.sources import SWEEP
@@ -86,6 +87,7 @@ def check_sizes(taken: list[Shot]) -> None:
         headers = list(pool.map(image_header, [shot.path for shot in taken]))
     first: dict[str, int] = {}
     for i, (shot, header) in enumerate(zip(taken, headers, strict=True)):
+        check_picture_size(shot.path, header.width, header.height)
         k = first.setdefault(shot.group, i)
         if (header.width, header.height) != (headers[k].width, headers[k].height):
             raise CaptureError(

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import laplace
 
+from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import (
     Clip,
@@ -187,6 +188,8 @@ class _Look:
         self._novelty = NoveltyMeter()
 
     def add(self, frame: Frame) -> None:
+        if not self.times:
+            check_picture_size(self.clip.path, frame.pixels.shape[1], frame.pixels.shape[0])
         pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 8).astype(np.uint8)
         if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all():
             pixels = pixels[..., :3]

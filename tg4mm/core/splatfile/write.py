@@ -10,7 +10,7 @@ import numpy as np
 from tg4mm.core.splatfile import model
 
 from .. import temporary
-from ..errors import SplatFileError
+from ..errors import SplatFileError, system_says
 from .model import SplatFile
 
 ROWS_AT_ONCE = 8192  # keeps the block being interleaved in the processor's cache
@@ -43,7 +43,7 @@ def replacing(path: Path) -> Iterator[Path]:
         with temporary.replacing(path, path.suffix) as name:
             yield name
     except OSError as error:
-        raise SplatFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise SplatFileError(f"{path}: cannot be written: {system_says(error)}") from error
     except SplatFileError as error:
         raise SplatFileError(f"{path}: {error}") from error
 

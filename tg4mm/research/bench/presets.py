@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.values import require
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.methods.known import DEFAULT, checked_names, methods_of, parse_external
 from tg4mm.research.generator import run_child
@@ -194,6 +195,8 @@ def choices_from(config: Mapping[str, Any]) -> Choices:
         several = isinstance(field.default, tuple)
         if value is None:
             continue
+        if str(value).startswith("-"):
+            raise BenchError(f"configuration: {field.name} is {value!r}, expected no option")
         if several and isinstance(value, list) and all(isinstance(one, str) for one in value):
             found[field.name] = tuple(value)
         elif not several and isinstance(value, str | int | float):  # `alphas: 20` is a number in YAML
@@ -236,14 +239,15 @@ def main() -> int:
 
     try:
         config: Any = parse_json(sys.stdin.read())
-        wanted = {"preset": str, "out": str}
-        for key, kind in wanted.items():
-            if not isinstance(config.get(key), kind) or not config[key]:
-                raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
+        require("configuration", config, dict, BenchError)
+        config = {"python": sys.executable, **config}
+        for key in ("preset", "out", "python"):
+            value = config.get(key)
+            if not (isinstance(value, str) and value and value.isprintable() and value[0] != "-"):
+                raise BenchError(f"configuration: {key} is {value!r}, expected a text that is no option")
         choices = choices_from(config)
         choices.check()
-        python = config.get("python", sys.executable)
-        steps = steps_of(preset_from(config), config["out"].rstrip("/"), python, choices)
+        steps = steps_of(preset_from(config), config["out"].rstrip("/"), config["python"], choices)
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -1,5 +1,7 @@
 """USD: a ParticleField3DGaussianSplat (OpenUSD 26.03 and later) whose values are sampled at every timestep."""
 
+import errno
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -37,12 +39,20 @@ def write_usd(path: str | Path, frames: Iterable[tuple[int, SplatFile]], fps: fl
     cannot be written or OpenUSD lacks the schema.
     """
     Usd, UsdGeom, UsdVol, Vt = usd_modules()
+    from pxr import Tf
+
     with replacing(Path(path)) as temporary:
         temporary.touch()  # OpenUSD's own message for a folder that is not there names its source files
         temporary.unlink()
-        stage = Usd.Stage.CreateNew(str(temporary))
-        _fill(stage, UsdGeom, UsdVol, Vt, frames, fps)
-        stage.GetRootLayer().Save()
+        try:
+            stage = Usd.Stage.CreateNew(str(temporary))
+            _fill(stage, UsdGeom, UsdVol, Vt, frames, fps)
+            stage.GetRootLayer().Save()
+        except Tf.ErrorException as error:
+            full = os.strerror(errno.ENOSPC)
+            if full in str(error):  # among names of source files
+                raise OSError(errno.ENOSPC, full, str(path)) from None
+            raise SplatFileError("OpenUSD could not write it") from error
 
 
 def _fill(

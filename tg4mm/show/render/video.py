@@ -1,7 +1,9 @@
 """H.264 video that browsers play: yuv420p, even sizes, BT.709, repeated so that it lasts some seconds."""
 
 import contextlib
+import errno
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -12,7 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from tg4mm.core.errors import RunError
+from tg4mm.core.errors import ROOM, RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.core.progress import progress
@@ -117,9 +119,11 @@ def _encode(
         except BaseException:
             encoder.kill()
             raise
-        if status or _errors(said):
+        errors = _errors(said)
+        if status or errors:
+            remedy = f"; {ROOM}" if os.strerror(errno.ENOSPC) in errors else ""
             raise RunError(
-                f"{path.parent}: no video could be written, ffmpeg ended with {status}: {_errors(said)}"
+                f"{path.parent}: no video could be written, ffmpeg ended with {status}: {errors}{remedy}"
             )
 
 

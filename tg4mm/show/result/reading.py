@@ -15,7 +15,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.picture_gain import LACKING
-from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.model import Length
@@ -35,7 +35,7 @@ def reading_of(run: Run) -> "Reading":
         of_run, of_dataset = (motion.fps, motion.n_timesteps), (capture.fps, capture.n_timesteps)
         check_times(run.path, run.dataset, of_run, of_dataset)
         check_readout(run.path, run.dataset, run.log().get("motion", {}), capture.rows_s)
-    uncertainty = _uncertainty(run) if motion is not None else {}
+    uncertainty = run.load_uncertainties() if motion is not None else {}
     return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
 
 
@@ -126,9 +126,3 @@ class Reading:
         told = worth_keeping(self.motion, self.uncertainty.get("noise"))
         noise_px, is_decoded = self.noise()[1], self.run.preset != "modal"
         return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
-
-
-def _uncertainty(run: Run) -> dict[str, np.ndarray]:
-    if not run.has_part(UNCERTAINTY):
-        return {}
-    return {name: tensor.numpy() for name, tensor in run.load_part(UNCERTAINTY)[0].items()}
