@@ -3,6 +3,7 @@
     python -m benchmarks.calibration DIR [--films 60] [--first 0] [--jobs 2] [--stages look whole baselines]
                                          [--python FILE]
     python -m benchmarks.calibration DIR --kinds [--films 12]
+    python -m benchmarks.calibration DIR --plain [--films 60]
 
 Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
 goes on. Stages: `look` is one pass over the video (`tg4mm.capture.look`); `whole` is sfm, train and measure with a
@@ -10,6 +11,7 @@ sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase
 (--python: one that has pyidi). Each stage has its own table: how many errors lie within 1 and 2 of their ±, false
 lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
+With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`).
 """
 
 import argparse
@@ -24,6 +26,7 @@ from pathlib import Path
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import make_film
 from benchmarks.calibration.kinds import kinds_stage, kinds_table
+from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Score, compared, table
 
 STAGES: dict[str, Callable[..., dict[str, Score]]] = {
@@ -33,9 +36,11 @@ STAGES: dict[str, Callable[..., dict[str, Score]]] = {
 }
 
 
-def scored(seed: int, folder: Path, wanted: tuple[str, ...], python: str) -> dict[str, Score]:
+def scored(
+    seed: int, folder: Path, wanted: tuple[str, ...], python: str, plain: bool = False
+) -> dict[str, Score]:
     """A film's scores by method; made where they are not there."""
-    truth = make_film(seed, folder)
+    truth = (make_plain_film if plain else make_film)(seed, folder)
     out: dict[str, Score] = {}
     for stage in wanted:
         run = partial(STAGES[stage], folder / f"{seed:04d}.mp4", truth, python)
@@ -66,8 +71,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=["look"])
     parser.add_argument("--python", default=sys.executable, help="a Python that has pyidi, for `baselines`")
     parser.add_argument("--kinds", action="store_true", help="sets of our generator, instead of films")
+    parser.add_argument("--plain", action="store_true", help="still films with a plain wall, of `look` alone")
     given = parser.parse_args(arguments)
-    job = partial(scored, folder=given.folder, wanted=tuple(given.stages), python=given.python)
+    wanted = ("look",) if given.plain else tuple(given.stages)
+    job = partial(scored, folder=given.folder, wanted=wanted, python=given.python, plain=given.plain)
     if given.kinds:
         job = partial(scored_kind, folder=given.folder)
     by_method: dict[str, list[Score]] = {}

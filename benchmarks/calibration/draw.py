@@ -88,7 +88,7 @@ def make_film(seed: int, folder: Path) -> Truth:
     if video.exists() and notes.exists():
         return read_truth(notes)
     folder.mkdir(parents=True, exist_ok=True)
-    film, coding, truth = _Draw(seed).film()
+    film, coding, truth = Draw(seed).film()
     write_video(video, film.pictures(), truth.fps, coding)
     unfinished = notes.with_suffix(".part")
     unfinished.write_text(json.dumps(asdict(truth), indent=1))
@@ -107,7 +107,7 @@ def read_truth(path: Path) -> Truth:
     return Truth(**values)
 
 
-class _Draw:
+class Draw:
     """One film's random numbers, and what they have placed so far."""
 
     def __init__(self, seed: int) -> None:
@@ -128,25 +128,25 @@ class _Draw:
 
     def film(self) -> tuple[Film, Coding, Truth]:
         rng = self.rng
-        layers = [Layer(self._texture(), None, [], self.blur)]
-        layers += [Layer(self._texture(), self._box(), [], self.blur) for _ in range(rng.integers(0, 3))]
+        layers = [Layer(self.surface(), None, [], self.blur)]
+        layers += [Layer(self.surface(), self.box(), [], self.blur) for _ in range(rng.integers(0, 3))]
         for _ in range(int(rng.choice([0, 0, 0, 1, 1, 1, 1, 2, 2, 2]))):
             region = self._free_box()
             if region is not None:
-                layers.append(Layer(self._texture(), region, list(self._modes(region)), self.blur))
-        light, sway = self._light(), self._sway()
+                layers.append(Layer(self.surface(), region, list(self._modes(region)), self.blur))
+        light, sway = self.light(), self.sway()
         for draw, chance in ((self._wheel, 0.25), (self._leaves, 0.25), (self._passer, 0.2)):
             if rng.random() < chance:
                 draw()
         film = Film(layers, self.fps, self.frames, self.truth.noise, light, sway, self.painters, self.seed)
         return film, self.coding, self.truth
 
-    def _texture(self) -> np.ndarray:
+    def surface(self) -> np.ndarray:
         rng = self.rng
         sizes = np.array([1.3, 3.0, 9.0]) * rng.uniform(0.9, 2.2)
         return texture(self.height, self.width, rng, rng.uniform(0.12, 0.45), rng.uniform(0.08, 0.5), sizes)
 
-    def _box(self) -> Region:
+    def box(self) -> Region:
         rng = self.rng
         w, h = (
             min(int(rng.integers(40, 131)), self.width - 10),
@@ -163,7 +163,7 @@ class _Draw:
         )
 
     def _free_box(self, gap: int = 0) -> Region | None:
-        boxes = (self._box() for _ in range(_TRIES))
+        boxes = (self.box() for _ in range(_TRIES))
         return next((box for box in boxes if self._is_free(box, gap)), None)
 
     def _modes(self, region: Region) -> Iterator[Mode]:
@@ -194,7 +194,7 @@ class _Draw:
         damping = float(np.clip(rng.uniform(0.5, 2) / (np.pi * rng.uniform(3, 30)), max(least, 0.002), 0.06))
         return TrueVibration(hz, amplitude, region, tilted, 0.0, damping, start)
 
-    def _light(self) -> Motion:
+    def light(self) -> Motion:
         rng = self.rng
         if rng.random() >= 0.45:
             return lambda t: 1.0
@@ -207,7 +207,7 @@ class _Draw:
             * (1 + drift * np.sin(2 * np.pi * t / 9 + phase))
         )
 
-    def _sway(self) -> object:
+    def sway(self) -> object:
         rng = self.rng
         if rng.random() >= 0.3:
             return lambda t: np.zeros(2)

@@ -71,3 +71,5 @@ def test_three_films_from_nothing_to_scores(tmp_path):
     again = read_truth(tmp_path / "0000.json")
     assert again == make_film(0, tmp_path)
     assert "films on which nothing vibrates with a line: 0" in table(scores)
+    still = scored(3, tmp_path / "plain", ("look",), "", plain=True)["look"]
+    assert (still.is_still, still.false) == (True, [])

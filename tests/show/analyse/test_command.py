@@ -102,7 +102,8 @@ def test_a_hammer_beside_the_film(tmp_path, capsys):
         (None, ["--with", "FILM", "--input", "z"], "is no column of"),
         (None, ["--with", "FILM", "--input", "tip/x", "--sync", "z"], "is no column of"),
         (None, ["--with", "FILM", "--input", "tip/y", "--lag", "100"], "share 0 samples"),
-        (None, ["--against", "nowhere"], "neither a CSV file nor a folder"),
+        (None, ["--against", "nowhere"], "nowhere does not exist"),
+        (None, ["--against", "."], "neither a CSV file nor a folder"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line_and_nothing_is_written(film, tmp_path, capsys, content, words, message):

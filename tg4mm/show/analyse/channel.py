@@ -98,6 +98,8 @@ def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     A measurement's are called SENSOR/AXIS; axes ten times as uncertain as the best one are left out unless named.
     Raises AnalyseError for anything else, and for a name that is none.
     """
+    if not path.exists():
+        raise AnalyseError(f"{path} does not exist")
     found = _of_csv(path) if path.is_file() else _of_folder(path, bool(names))
     by_name = {c.name: c for c in found}
     for name in names:
