@@ -95,7 +95,7 @@ def drawn(found: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
 
     from tg4mm.research.bench.pages.plots import COLOURS, svg
 
-    figure = Figure(figsize=(11, 3 * len(found)), layout="constrained")
+    figure = Figure(figsize=(11, 3.2 * len(found)), layout="constrained")
     for row, (varied, points) in zip(
         figure.subplots(len(found), len(_PANELS), squeeze=False), found.items(), strict=True
     ):
@@ -111,7 +111,11 @@ def drawn(found: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
                 )
             panel.set_xlabel(f"{varied} of a picture" if varied == "pixels" else varied)
             panel.set_ylabel(title)
-            panel.grid(alpha=0.25, which="both")
+            panel.set_xticks(x[::2], [f"{value:,.0f}" for value in x[::2]], minor=False)
+            panel.set_xticks([], minor=True)
+            for formatted in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+                formatted("{x:g}")
+            panel.grid(alpha=0.25)
             panel.legend(frameon=False)
     return svg(figure)
 
