@@ -9,6 +9,7 @@ import pytest
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
 from tg4mm.show.measure import measure, parse_sensor, sep005
+from tg4mm.show.measure.tables import _cell
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])
 
@@ -229,6 +230,19 @@ def test_a_measurement_is_analysed_in_its_unit(out, tmp_path, capsys):
     assert abs(level["rms"]["value"] - true) < 4 * level["rms"]["deviation"] < true
     assert not any(c["changed"] for c in found["changes"])
     assert "ends at 15 Hz of 10 to 1000 Hz" in capsys.readouterr().out
+
+
+def test_a_sheets_cells_are_numbers_where_numbers_are_and_names_stay_texts():
+    cells = [
+        ("1.5", False),
+        ("nan", False),
+        ("", False),
+        ("=1+1", False),
+        ("1e3", True),
+        ("nan", True),
+        ("-a", True),
+    ]
+    assert [_cell(*cell) for cell in cells] == [1.5, None, "", "'=1+1", "1e3", "nan", "'-a"]
 
 
 def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys):

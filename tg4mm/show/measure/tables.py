@@ -75,18 +75,24 @@ def write_xlsx(found: Measurement, path: Path, settings: Iterable[Sequence[Any]]
             name = names.get(table.name, table.name)
             sheet = book.create_sheet(name if part == 1 else f"{name} {part}")
             sheet.freeze_panes = "A2"
-            for row in chain([table.head], block):
-                sheet.append([_cell(value) for value in row])
+            sheet.append(list(table.head))
+            for row in block:
+                sheet.append([_cell(v, head in _TEXTS) for head, v in zip(table.head, row, strict=True)])
             part += 1
     write_atomic(path, book.save)
 
 
-def _cell(value: Any) -> Any:
+_TEXTS = {"sensor", "clock", "axis", "name", "unit"}  # columns: a sensor may be called 1e3
+
+
+def _cell(value: Any, is_text: bool = False) -> Any:
     """A number where a text is one; what is not finite is left empty; a text that begins as a formula is text."""
     if isinstance(value, str):
         try:
-            value = float(value)
+            value = value if is_text else float(value)
         except ValueError:
+            is_text = True
+        if is_text:
             return f"'{value}" if value[:1] in ("=", "+", "-", "@") else value
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
