@@ -13,13 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures_tables import five_tables, mic_table, number
+from benchmarks.figures_tables import five_tables, mic_table, number, over_alpha
 from tg4mm.research.bench.intervals import half_width
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = {"--results": "", "--five": "", "--mic": ""}
+OPTIONS = {"--results": "", "--five": "", "--mic": "", "--rivals": ""}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -117,6 +117,8 @@ def run(options: argparse.Namespace) -> None:
         figures["tables"] |= five_tables(_read(options.five))
     if options.mic:
         figures["tables"] |= mic_table(_read(options.mic))
+    if options.rivals:
+        figures["tables"]["rivals"] = over_alpha(_read(options.rivals))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")

@@ -36,7 +36,7 @@ def number(form: str, value: float | None, half: float | None = None) -> str:
 
 def five_tables(results: Results) -> Made:
     """SSIM of every method over α, error and MAC of every set, and what the methods cost."""
-    return {"five_ssim": _over_alpha(results), "five_sets": _by_set(results), "five_cost": _cost(results)}
+    return {"five_ssim": over_alpha(results), "five_sets": _by_set(results), "five_cost": _cost(results)}
 
 
 def mic_table(results: Results) -> Made:
@@ -54,7 +54,8 @@ def _named(row: str) -> str:
     return row if row in {STATIC, CEILING} else f"`{name}`{colon}{way}"
 
 
-def _over_alpha(results: Results) -> dict[str, Any]:
+def over_alpha(results: Results) -> dict[str, Any]:
+    """SSIM of every row over α."""
     means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
     alphas = sorted(means[0]["alphas"], key=float)
     rows = []
