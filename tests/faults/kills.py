@@ -1,10 +1,10 @@
 """Commands that are killed, at random moments or after a rename, and given again: nothing is lost or half-written.
 
-    python -m tests.faults.kills --kills 60 [--command train|train-paper-tuned|render|…] [--renames 40] [--seed 0]
+    python -m tests.faults.kills --kills 60 [--command train|render|…] [--renames 40] [--disks 8] [--seed 0]
 
 After each kill every file is as an undisturbed command leaves it, or it is a temporary one; a file that was whole
 before stays. In the end the command is given once more, and leaves what an undisturbed one does, bit for bit, and
-nothing besides: no checkpoint, no temporary file.
+nothing besides: no checkpoint, no temporary file. --disks: the same on a disk that fills while the command writes.
 """
 
 import argparse
@@ -17,8 +17,6 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -30,67 +28,13 @@ import tg4mm.research.paper.motion
 import tg4mm.research.paper.space
 import tg4mm.show.measure
 import tg4mm.show.render
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.faults.commands import COMMANDS
+from tests.faults.tmpfs import fill, mounted
 from tg4mm.cli import main as program
 from tg4mm.core.temporary import is_temporary
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds
 _REPLACE = os.replace
-
-
-@dataclass(frozen=True)
-class Command:
-    """`prepare(folder)` makes what is given to the command; of its words, F is the folder. It writes there, too."""
-
-    prepare: Callable[[Path], object]
-    words: str
-    passing: tuple[str, ...] = ()  # patterns of files that are not what they will be while it works
-
-
-def _dataset(folder):
-    make_synthetic_dataset(
-        folder / "set", n_views=3, n_timesteps=6, size=24, freqs=(5.0,), amplitude=0.03, alphas=(), n_test=0
-    )
-
-
-def _run(folder):
-    from tests.show.measure.filmed import modes, of_parts, run_of, sine
-
-    run_of(folder, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 8), n_timesteps=8, n_views=3)
-
-
-def _video(folder):
-    from tests.capture.sfm.videos import still, write_video
-
-    write_video(folder / "a.mp4", still(12))
-
-
-def _photographs(folder):
-    from tests.capture.sfm.scenes import intrinsics, orbit, picture, save
-
-    (folder / "in").mkdir()
-    for i, viewmat in enumerate(orbit(8, turn=1.8)):
-        shown = picture(viewmat, intrinsics(240, 180, 250.0), (240, 180), 0.0, False)
-        save(folder / "in" / f"p_{i}.png", shown)
-
-
-TRAIN = "train F/set --out F/out --set space.max_gaussians=300 --set "
-PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
-GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
-STAGES = ("out/*.safetensors", "out/*.json")
-COMMANDS = {
-    "train": Command(_dataset, f"{TRAIN}space.iterations=120 --set motion.iterations=3", STAGES),
-    "train-paper-tuned": Command(_dataset, f"{TRAIN}paper.{PAPER} --preset paper-tuned", STAGES),
-    "render": Command(_run, "render F/run --alpha 0 --split train --out F/out"),
-    "measure": Command(_run, "measure F/run --out F/out --sensor all"),
-    "sfm": Command(_video, "sfm F/a.mp4 --out F/out"),
-    "sfm-photographs": Command(
-        _photographs,
-        "sfm F/in --out F/out",
-        ("out/sfm/*.tmp*", "out/sfm/.*", "out/sfm/sparse/.*", "out/sfm/database.db*"),
-    ),
-    "generate": Command(lambda folder: None, f"generate mic --out F/out {GENERATE}", ("*/.parts/*",)),
-}
 
 
 def in_child(work, said, kill_after_s=None):
@@ -169,8 +113,11 @@ class Trial:
                 os.kill(os.getpid(), signal.SIGKILL)
 
         os.replace = replace
-        status = program([word.replace("F/", f"{folder}/") for word in self.command.words.split()])
+        status = self._program(folder)
         assert status == 0, f"exit status {status}"
+
+    def _program(self, folder):
+        return program([word.replace("F/", f"{folder}/") for word in self.command.words.split()])
 
     def random_kills(self, kills, seed):
         """Kills at random moments, up to three in one folder. Returns how many struck before the end."""
@@ -195,6 +142,27 @@ class Trial:
                 return i
             self.check_finished(folder, self.check_whole(folder, before, f"killed after rename {n}"))
         return len(numbers)
+
+    def full_disks(self, count):
+        """Disks with less and less room than the command needs, down to none. Returns how many were full."""
+        needed, full = sum(map(len, self.expected.values())), 0
+        for i in range(count):
+            with mounted(self.root / "disk", 2 * needed + (1 << 20)) as disk:
+                folder = disk / "f"
+                shutil.copytree(self.root / "given", folder)
+                before = contents(folder)
+                fill(disk, needed * i // count)
+                status = os.waitstatus_to_exitcode(
+                    in_child(lambda f=folder: os._exit(self._program(f)), self.said)
+                )
+                said = self.said.read_text()
+                if status not in (0, 2) or (status == 2 and "No space left" not in said.splitlines()[-1]):
+                    raise AssertionError(f"{self.name}, disk {i} of {count}: exit {status}, {said[-2000:]}")
+                full += status == 2
+                before = self.check_whole(folder, before, f"on disk {i} of {count}")
+                (disk / "filler").unlink()
+                self.check_finished(folder, before)
+        return full
 
     def check_finished(self, folder, before):
         """Let the command finish, and compare. Raises AssertionError."""
@@ -240,6 +208,7 @@ def main():
     )
     parser.add_argument("--kills", type=int, default=10, help="at random moments (10)")
     parser.add_argument("--renames", type=int, default=0, help="kills after a rename, at most (0)")
+    parser.add_argument("--disks", type=int, default=0, help="disks that fill while it writes (0)")
     parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next folder's (1)")
     parser.add_argument("--command", choices=list(COMMANDS), help="one of them (default: all)")
     parser.add_argument("--seed", type=int, default=0)
@@ -249,7 +218,8 @@ def main():
             trial = Trial(Path(folder), name)
             renames = trial.kills_after_renames(args.renames, args.step)
             struck = trial.random_kills(args.kills, args.seed)
-            kinds = f"{renames} kills after a rename, {struck} at random moments, seed {args.seed}"
+            full = trial.full_disks(args.disks)
+            kinds = f"{renames} kills after a rename, {struck} at random moments, {full} full disks, seed {args.seed}"
             print(f"{name}, {trial.seconds:.1f} s: {kinds}: nothing lost", flush=True)
     return 0
 

@@ -17,21 +17,20 @@ import torch
 
 from tests.capture.conftest import write_tree
 from tests.faults.readers import READERS
+from tests.faults.tmpfs import fill
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.core.errors import RunError
+from tg4mm.core.errors import RunError, SplatFileError
 from tg4mm.core.files import write_json
 from tg4mm.core.memory import mapped_zeros
+from tg4mm.core.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile.spz import write_spz
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
+from tg4mm.show.export.gltf import write_glb
+from tg4mm.show.export.usd import write_usd
 from tg4mm.show.render.video import write_mp4
 
 TMPFS = ("-t", "tmpfs", "-o")
-
-
-def fill(folder):
-    """Fill the file system."""
-    room = os.statvfs(folder)
-    (folder / "filler").write_bytes(b"\1" * (room.f_bavail * room.f_frsize))
 
 
 def mount(*arguments):
@@ -81,6 +80,34 @@ def test_no_video_is_left_that_does_not_play(disk, kib):
     ):
         write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
     assert os.listdir(folder) == []
+
+
+WRITERS = {
+    "a.ply": write_splat,
+    "a.spz": write_spz,
+    "a.glb": lambda path, splat: write_glb(path, splat, np.zeros(splat.n_modes)),
+    "a.usdc": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
+    "a.usda": lambda path, splat: write_usd(path, [(0, splat), (1, splat)], 30.0),
+}
+
+
+@pytest.mark.parametrize("left", [0, 4096])
+@pytest.mark.parametrize("name", WRITERS)
+def test_no_export_is_left_half_written_and_the_error_says_what_to_do(name, left, disk, tmp_path):
+    if name.startswith("a.usd"):
+        pytest.importorskip("pxr")
+    splat = SplatFile.static(*many())
+    folder = disk(64)
+    fill(folder, left)
+    with pytest.raises(SplatFileError, match=f"{name}: cannot be written: No space left.*; make room there"):
+        WRITERS[name](folder / name, splat)
+    assert os.listdir(folder) == ["filler"]
+
+
+def many():
+    """Arrays of 4,000 Gaussians that no packing makes small."""
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (4000, 14)).astype(np.float32)
+    return values[:, :3], values[:, 3:7], values[:, 7:10], values[:, 10], values[:, None, 11:]
 
 
 def test_what_was_there_stays_whole(disk):
@@ -143,7 +170,7 @@ def test_training_on_a_full_disk_is_one_line(disk, tmp_path):
 FULL_IN = """
 import sys
 from pathlib import Path
-from tests.faults.test_disk import fill
+from tests.faults.tmpfs import fill
 from tg4mm.cli import main
 from tg4mm.run import Run
 import tg4mm.fit.space.train

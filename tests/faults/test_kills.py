@@ -9,7 +9,16 @@ RENAMES = {
     "train": ("40", "1"),
     "train-paper-tuned": ("40", "5"),
 }  # kills after a rename, and the step between two
-COMMANDS = (*RENAMES, "render", "measure", "sfm", "sfm-photographs", "generate")
+COMMANDS = (
+    *RENAMES,
+    "render",
+    "measure",
+    "sfm",
+    "sfm-photographs",
+    "generate",
+    "export-usd",
+    "convert-colmap",
+)
 
 
 @pytest.mark.slow
