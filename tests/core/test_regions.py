@@ -54,6 +54,8 @@ def test_a_file_read_back_is_what_was_written(tmp_path):
         ({"kind": "look"}, "expected 'regions'"),
         ({"size": [480]}, "size: 1 given, expected 2"),
         ({"regions": [{"name": "a"}]}, "has 0 shapes"),
+        ({"scale": {"metres": 1}}, "unknown entry 'scale', expected format, kind"),
+        ({"regions": [A_BOX | {"boxes": []}]}, "region 'a': unknown entry 'boxes'"),
         ({"regions": [{"name": "a", "box": [1, 2, 3]}]}, "a box of 3 numbers"),
         ({"regions": [{"name": "a", "box": [60, 10, 10, 50]}]}, "has no area"),
         ({"regions": [{"name": "a", "box": [500, 10, 600, 50]}]}, "outside the picture of 480×272"),

@@ -27,15 +27,14 @@ POINT_RADIUS = 12.0  # pixels around a point that says no other
 _COUNT = {"box": 4, "point": 3}
 _LARGEST = 65_536  # pixels, a side
 _PIXEL = [Number(-_LARGEST, _LARGEST)]
+_REGION = {"name": str, "box?": _PIXEL, "polygon?": [_PIXEL], "point?": _PIXEL, "camera?": str}
 _FORM = {
     "format": Just("tg4mm"),
     "kind": Just("regions"),
     "version": Just(1),
     "size": [Number(1, _LARGEST, whole=True)],
     "source?": str,
-    "regions": [
-        {"name": str, "box?": _PIXEL, "polygon?": [_PIXEL], "point?": _PIXEL, "camera?": str}
-    ],
+    "regions": [_REGION],
     "lengths?": [{"points": [_PIXEL], "metres": POSITIVE}],
     "rectangle?": {"corners": [_PIXEL], "metres": [POSITIVE]},
 }  # fmt: skip
@@ -145,7 +144,15 @@ def read_regions(path: Path) -> Regions:
         raise RegionError(f"{path}: {error}") from None
 
 
+def _check_known(entry: dict[str, Any], form: dict[str, Any], what: str) -> None:
+    """A hand writes these files: an entry by another name would not count, and nobody would know."""
+    known = [name.removesuffix("?") for name in form]
+    if other := [name for name in entry if name not in known]:
+        raise RegionError(f"{what}: unknown entry {other[0][:60]!r}, expected {', '.join(known)}")
+
+
 def _regions(values: dict[str, Any]) -> Regions:
+    _check_known(values, _FORM, "the file")
     scale = None
     if values.get("lengths") or values.get("rectangle"):
         box = values.get("rectangle") or {"corners": [], "metres": (0.0, 0.0)}
@@ -161,6 +168,7 @@ def _regions(values: dict[str, Any]) -> Regions:
 
 
 def _region(entry: dict[str, Any]) -> Region:
+    _check_known(entry, _REGION, f"region {entry['name']!r}")
     shapes = [key for key in ("box", "polygon", "point") if key in entry]
     if len(shapes) != 1:
         raise RegionError(
