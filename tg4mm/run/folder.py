@@ -102,8 +102,6 @@ class Run:
         """The dataset's folder: where it was, or at the same place relative to the run if both were moved."""
         return dataset_folder(self.path, self.config)
 
-    # The two results.
-
     @property
     def has_space(self) -> bool:
         """Whether the scene at rest is finished."""
@@ -280,8 +278,6 @@ class Run:
         if not any(self.path.iterdir()):
             self.path.rmdir()
 
-    # The log.
-
     def record(self, stage: str, info: Mapping[str, Any]) -> None:
         """Add figures of a stage to log.json, by the rules of `with_figures`."""
         write_json(self.path / "log.json", with_figures(self.log(), stage, info))
@@ -290,8 +286,6 @@ class Run:
         """{stage: figures}; {} before anything was recorded. Raises RunError if torn or of another form."""
         file = self.path / "log.json"
         return checked_log(read_json(file), str(file)) if file.exists() else {}
-
-    # Files.
 
     def _file(self, kind: str) -> Path:
         return self.path / f"{kind}.safetensors"

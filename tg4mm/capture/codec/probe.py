@@ -10,6 +10,7 @@ import numpy as np
 from tg4mm.capture.planes import TURNS
 from tg4mm.capture.video import ALONE, BETWEEN, av_module, file_url
 
+_REGULAR = 0.8  # of the distances, that one must have to be a period
 _PIXELS = ("yuv420p", "yuvj420p", "yuv420p10le")  # what the encoders are given
 # Options that x264 and x265 write into the file, by the names under which they take them.
 _OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", "keyint", "scenecut", "rc-lookahead",
@@ -110,3 +111,12 @@ def rate_options(made: Probe) -> dict[str, str]:
     quiet = {} if made.encoder == "libx264" else {"log-level": "none", "pools": "none", "frame-threads": "1"}
     joined = ":".join(f"{key}={value}" for key, value in (options | quiet).items())
     return rate | ({which: joined} if joined else {})
+
+
+def codec_period(is_between: np.ndarray) -> int | None:
+    """The distance of two frames that are predicted forward, if nearly all have one; is_between [T]: all others."""
+    steps = np.diff(np.flatnonzero(~is_between))
+    if not len(steps):
+        return None
+    period = int(np.bincount(steps).argmax())
+    return period if period > 1 and (steps == period).mean() > _REGULAR else None

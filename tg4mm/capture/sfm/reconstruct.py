@@ -263,8 +263,7 @@ def _why_moving(job: _Job) -> str:
     """What to say beside an error where the kind was told and not given."""
     if job.config.kind is not None:
         return ""
-    other = next(kind for kind in possible_kinds(job.sources) if kind.fixed)
-    why = motion_of(job.surveys[0])
+    other, why = next(kind for kind in possible_kinds(job.sources) if kind.fixed), motion_of(job.surveys[0])
     return f"; taken for a moving camera as {why}: for one that stays put use --kind {other}"
 
 

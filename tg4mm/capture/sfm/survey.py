@@ -15,6 +15,7 @@ from PIL import Image
 from scipy.ndimage import laplace
 
 from tg4mm.capture.cameras import check_picture_size
+from tg4mm.capture.codec.probe import codec_period
 from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import (
     Clip,
@@ -38,7 +39,6 @@ BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows 
 NOTHING = -1  # the part of such a frame
 FASTEST = 10**9  # frames a second
 _EVERY = 8  # pixels in each direction of which one tells the light
-_REGULAR = 0.8  # of the distances, that one must have to be a period
 
 
 @dataclass(frozen=True)
@@ -292,12 +292,3 @@ class _Look:
             return None, None
         fps = frame_rate(self.clip.path, times, info.rates, info.tick)
         return fps, regular_times(times, fps, info.tick)
-
-
-def codec_period(is_between: np.ndarray) -> int | None:
-    """The distance of two frames that are predicted forward, if nearly all have one; is_between [T]: all others."""
-    steps = np.diff(np.flatnonzero(~is_between))
-    if not len(steps):
-        return None
-    period = int(np.bincount(steps).argmax())
-    return period if period > 1 and (steps == period).mean() > _REGULAR else None
