@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,6 +96,17 @@ def test_a_capture_of_one_timestep_has_a_report(tmp_path):
     check(text)
     assert "has no motion to magnify" in words(text)
     assert "<video " not in text
+
+
+def test_a_run_without_vibrations_has_a_report(bare_run, tmp_path):
+    found = bare_run.load_motion()
+    none = replace(
+        found, freqs_hz=found.freqs_hz[:0], displacement=found.displacement[:0], rotation=found.rotation[:0]
+    )
+    bare_run.save_motion(none, {})
+    text = report(bare_run, tmp_path)
+    check(text)
+    assert "No vibration stands out of the noise" in words(text)
 
 
 def test_a_camera_that_moves_is_shown_from_its_own_poses(tmp_path):

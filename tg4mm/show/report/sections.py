@@ -63,7 +63,7 @@ def _columns(n: int) -> int:
 def motion_section(m: Material) -> Section:
     """Slices, maps and spectrum; of a capture without motion one sentence."""
     if m.model.motion is None:
-        return Section("The motion", [Text("One timestep was captured, so this model has no motion.")])
+        return Section("The motion", [Text(m.why_still)])
     blocks: list[Block] = [slices(m), *vibrations_table(m), _maps(m), model_spectrum(m)]
     if m.orbit is not None:
         blocks.append(_orbit(m.orbit))

@@ -35,7 +35,7 @@ class Model:
     """The trained model and how much each Gaussian counts."""
 
     gaussians: Gaussians
-    motion: ModalMotion | None
+    motion: ModalMotion | None  # None: one timestep, or no mode
     weights: np.ndarray  # [N] blending weight summed over the training views
     main: int  # index of the in-band frequency with most motion
     uncertainty: np.ndarray | None = None  # [N] standard deviation of the displacement, rms, scene units
@@ -44,6 +44,8 @@ class Model:
 def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Model:
     """The run's Gaussians and motion with blending weights. Raises RunError."""
     gaussians, motion = reading.gaussians, reading.motion
+    if motion is not None and not len(motion.freqs_hz):
+        motion = None
     weights = blending_weights(gaussians, train)
     main = strongest(motion, weights, magnified) if motion is not None else -1
     return Model(gaussians, motion, weights, main, reading.uncertainty.get("displacement"))
@@ -55,7 +57,7 @@ def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnificat
     Where there is ground truth, the largest α of it that is no larger than that. noise_px: the noise's amplitude in the
     pictures, also where no mode stands out of it; None: not known.
     """
-    if reading.motion is None:
+    if reading.motion is None or not len(reading.motion.freqs_hz):
         return 0.0, ""
     gains = (magnified.inside(reading.motion.freqs_hz) & reading.motion.is_magnified()).astype(float)
     reach = reading.reach(gains)

@@ -35,6 +35,13 @@ class Material:
     orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
 
     @property
+    def why_still(self) -> str:
+        """Of a model without motion."""
+        if self.train.n_timesteps == 1:
+            return "A capture of one timestep has no motion to magnify."
+        return "No vibration stands out of the noise, so there is nothing to magnify."
+
+    @property
     def band(self) -> tuple[float, float] | None:
         """That is magnified, Hz; None: all frequencies."""
         return next(iter(self.view.magnified.limits), None)
@@ -111,7 +118,7 @@ def summary(m: Material) -> str:
     seen = f"{views} {what}{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
     seen += "s" if m.train.n_timesteps != 1 else ""
     if m.model.motion is None:
-        return f"A static model from {seen}. A capture of one timestep has no motion to magnify."
+        return f"A static model from {seen}. {m.why_still}"
     shown = f"shown here {1 + m.view.alpha:g} times larger"
     if m.main is None:
         where = "" if m.band is None else f" from {m.band[0]:g} to {m.band[1]:g} Hz"
@@ -142,7 +149,7 @@ def stats(m: Material) -> list[Stat]:
 
 def _motion_stats(m: Material) -> list[Stat]:
     if m.model.motion is None:
-        return [Stat("Motion", "none", note="one timestep was captured")]
+        return [Stat("Motion", "none", note=m.why_still)]
     found = _vibration_stats(m) if m.main is not None else [Stat("Vibration", "none", note="none was found")]
     if m.result.noise is not None:
         value, unit = length(m.result.noise, m.result.unit_scale_m, digits=2)
