@@ -6,6 +6,8 @@
   const font = "12px " + css("--sans");
   const short = (value) => value == null ? "–" : String(Number(value.toPrecision(4)));
   const axis = (label, more) => ({label, stroke: () => css("--muted"), font, labelFont: font, grid: {stroke: () => css("--rule"), width: 1}, ticks: {stroke: () => css("--rule")}, values: (u, at) => at.map((v) => v == null ? "" : short(v)), labelSize: 20, size: 32, ...more});
+  const wide = (u, texts) => 20 + 7 * Math.max(3, ...(texts || []).map((text) => (text || "").length));
+  const decades = (u, at) => at.map((v) => v == null || Math.abs(Math.log10(v) - Math.round(Math.log10(v))) > 1e-6 ? "" : v < 1e-3 ? v.toExponential(0) : short(v));
   const meshes = (u, chart) => {
     for (const mesh of chart.levels) {
       for (const [row, steps] of mesh.steps.entries()) {
@@ -68,10 +70,10 @@
     panel.append(box, bar);
     const set = (u, to) => u.batch(() => { for (const key of ["x", "y"]) u.setScale(key, {min: to[key][0], max: to[key][1]}); });
     const scale = (key, more) => ({time: false, auto: false, min: ranges[key][0], max: ranges[key][1], range: (u, low, high) => [low ?? ranges[key][0], high ?? ranges[key][1]], ...more});
-    const grid = {show: !chart.levels.length}, axes = [axis(chart.xLabel, grid.show ? {} : {grid}), axis(chart.yLabel, {size: 62, ...(grid.show ? {} : {grid})})], scales = {x: scale("x"), y: scale("y", {distr: chart.log ? 3 : 1})};
+    const grid = {show: !chart.levels.length}, axes = [axis(chart.xLabel, grid.show ? {} : {grid}), axis(chart.yLabel, {size: wide, ...(chart.log ? {values: decades} : {}), ...(grid.show ? {} : {grid})})], scales = {x: scale("x"), y: scale("y", {distr: chart.log ? 3 : 1})};
     if (chart.second && box.clientWidth > 420) {
       scales.second = {from: "y", auto: false, range: (u, low, high) => [low * chart.second[1], high * chart.second[1]], distr: chart.log ? 3 : 1};
-      axes.push(axis(chart.second[0], {side: 1, scale: "second", grid: {show: false}}));
+      axes.push(axis(chart.second[0], {side: 1, scale: "second", size: wide, ...(chart.log ? {values: decades} : {}), grid: {show: false}}));
     }
     const plot = new uPlot({
       ...size(), series, bands, axes, scales, legend: {live: !chart.levels.length, show: !chart.levels.length},
