@@ -180,7 +180,7 @@ def test_evaluate_refuses_a_band_without_motion(run_path, tmp_path, capsys):
 
 def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch, capsys):
     class Killed:
-        def __init__(self, command): ...
+        def __init__(self, command, **options): ...
         def __enter__(self):
             return self
 

@@ -114,10 +114,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return result if isinstance(result, int) else 0
 
 
+_NONE_AT_ALL = "--methods"  # empty, it asks for none of ours: docs/protocol.md
+
+
 def _check_filled(arguments: Sequence[str]) -> None:
     """An empty one, as an unset variable of a shell leaves it, would be taken for the folder one is in."""
     for before, word in zip(("", *arguments), arguments, strict=False):
-        if not word or (word.startswith("--") and word.endswith("=")):
+        is_empty = not word or (word.startswith("--") and word.endswith("="))
+        if is_empty and _NONE_AT_ALL not in (before, word[:-1]):
             after = f"what follows {before}" if before.startswith("-") else "an argument"
             raise Tg4mmError(f"{word.rstrip('=') or after} is empty")
 

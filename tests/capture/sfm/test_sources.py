@@ -135,12 +135,12 @@ def test_training_on_them_says_the_command_in_one_line(tmp_path, capsys):
 
 
 def test_sizes_may_differ_only_where_intrinsics_do(tmp_path):
-    fill(tmp_path, 2)
-    fill(tmp_path / "other", 1, (8, 6))
+    fill(tmp_path, 2, (12, 16))
+    fill(tmp_path / "other", 1, (16, 12))
     (tmp_path / "other" / "f_0.png").rename(tmp_path / "g.png")
     photographs = find_sources_of(tmp_path)
     check_sizes(photograph_shots(photographs, each=True))
-    with pytest.raises(CaptureError, match=r"g\.png: is 6×8 pixels, but .* is 8×6; .*--intrinsics each"):
+    with pytest.raises(CaptureError, match=r"g\.png: is 12×16 pixels, but .* is 16×12; .*--intrinsics each"):
         check_sizes(photograph_shots(photographs, each=False))
 
 

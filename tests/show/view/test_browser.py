@@ -109,9 +109,10 @@ def test_a_click_on_a_peak_sets_the_band(opened):
 
 def test_over_the_spectrum_the_pointer_reads_and_a_drag_sets_the_band(opened):
     chart = opened.page.locator('svg[aria-label^="spectrum: peak"]').first
-    box = chart.bounding_box()
+    until(lambda: chart.bounding_box() is not None, "the spectrum is drawn")
 
     def place(hz):
+        box = chart.bounding_box()
         share = (LEFT + hz / (opened.session.scene.motion.fps / 2) * (WIDTH - LEFT - RIGHT)) / WIDTH
         return box["x"] + share * box["width"], box["y"] + 0.4 * box["height"]
 
