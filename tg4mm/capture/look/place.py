@@ -36,6 +36,7 @@ _SEEN = 0.04  # of the region's information squared that a picture must have
 _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P pictures' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
+_AROUND = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,8 @@ class _Placing:
         seed, size = self._seed()
         region, is_rim = self._inner(self._grown(seed, size))
         amplitude, deviation, direction, phase = self._amplitude(region, is_rim)
+        if len(region) == 1:
+            deviation = float(np.hypot(deviation, self._unlike_beside(int(region[0]), amplitude)))
         size_of = np.trace(self.weights[region], axis1=1, axis2=2)[:, None]
         x, y = (size_of * self.cells.pool.centre[region]).sum(0) / size_of.sum()
         sure = max(1, int((statistic > _READOUT_STATISTIC).sum())) / len(statistic)
@@ -154,12 +157,23 @@ class _Placing:
         row, column = self.cells.pool.corner[cell]
         return [self.at.get((row + a, column + b)) for a, b in reach]
 
+    def _unlike_beside(self, cell: int, amplitude: float) -> float:
+        """Half of how far one cell's amplitude is from that of the cells around it which show the line too, px.
+
+        Of all cells the largest amplitude is taken, so that of one alone the error is rather up than down.
+        """
+        around = [n for n in self._neighbours(cell, _AROUND) if n is not None and n != cell]
+        moving = np.array([n for n in around if self.cells.statistic[n] > _READOUT_STATISTIC], int)
+        if not len(moving):
+            return 0.0
+        beside = _along(self._common(moving), np.zeros((2, 2)), np.linalg.inv(self.products))[0]
+        return abs(amplitude - beside) / 2
+
     def _grown(self, seed: list[int], size: int) -> np.ndarray:
-        block = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
         grown = set(seed)
         for _ in range(_GROWS - (size > 1)):
             common = self._common(np.array(sorted(grown)))
-            ring = set(seed) | {n for cell in grown for n in self._neighbours(cell, block) if n is not None}
+            ring = set(seed) | {n for cell in grown for n in self._neighbours(cell, _AROUND) if n is not None}
             new = {c for c in ring if self._distance(c, common) < _ALIKE and self._moves(c, common)}
             if not new or new == grown:
                 break
