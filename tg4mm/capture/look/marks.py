@@ -14,7 +14,7 @@ _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
-_SHOWS = 3  # cells in which a line shows that is no accident of one
+_SHOWS, _SURE = 3, 3.0  # cells in which a line shows, and deviations of it, that are no accident of one cell
 
 
 def marked(
@@ -50,7 +50,8 @@ def _mark(
     patterns: tuple[int, ...],
     confused_hz: Mapping[float, str],
 ) -> str:
-    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and line.cells.sum() < _SHOWS:
+    is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
+    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
     for hz, what in confused_hz.items():
         if abs(hz - line.hz) < 1 / duration_s:

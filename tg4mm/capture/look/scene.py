@@ -49,7 +49,6 @@ class Scene:
     nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
     light: list[tuple[float, float, float]]  # frequency, ±, relative amplitude
     lost: float  # share of detail that B pictures lack
-    by_position: bool  # B pictures count by their distance from the one before that is none, too
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
     shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, taken off `own`
@@ -95,14 +94,7 @@ class Scene:
     @property
     def confused_hz(self) -> dict[float, str]:
         """Frequencies of what is taken off every shift, and what they are."""
-        out = {hz: "the light" for hz, _, _ in self.light}
-        if self.by_position:
-            steps = np.bincount(np.diff(np.flatnonzero(~self.between)))
-            out |= {
-                j / (int(steps.argmax()) * self.dt): "the codec's pattern"
-                for j in range(1, len(steps) // 2 + 1)
-            }
-        return out
+        return {hz: "the light" for hz, _, _ in self.light}
 
     @property
     def treats_apart(self) -> bool:
@@ -121,8 +113,8 @@ def scene_of(series: CellSeries) -> Scene:
     usable &= information[:, [0, 1], [0, 1]].max(1) > LEAST_INFORMATION
     information = np.where(usable[:, None, None], information, 0)
     gain = np.where(~masks.hidden & usable, series.gain, np.nan)
-    nuisance, light, by_position = _nuisance(series, gain)
-    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series), by_position)
+    nuisance, light = _nuisance(series, gain)
+    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series))
     return against_background(scene, usable)
 
 
@@ -203,27 +195,25 @@ def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 
 
-def _nuisance(
-    series: CellSeries, gain: np.ndarray
-) -> tuple[np.ndarray, list[tuple[float, float, float]], bool]:
-    """What is no vibration in every cell, the lines of light, and whether the codec's order of pictures makes some.
+def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[tuple[float, float, float]]]:
+    """What is no vibration in every cell, and the lines of light.
 
-    Encoders give B pictures quantisers by their distance from the last that is none, which changes brightness as well.
+    Encoders give B pictures quantisers by their distance from the last that is none: what that does to brightness is no
+    line of light.
     """
     t = series.times_s / max(float(series.times_s[-1]), 1e-12)
     columns = [np.ones_like(t), t - 0.5, (t - 0.5) ** 2]
     columns += [(series.kinds == k) * 1.0 for k in np.unique(series.kinds)[1:]]
     columns += [(series.place == k) * 1.0 for k in np.unique(series.place)[1:]]
     plain = np.stack(columns, 1)
-    light, by_position = _light(gain, series, plain), False
+    light = _light(gain, series, plain)
     if light and (positions := _positions(series.kinds)).any():
         ordered = np.concatenate([plain, positions], 1)
         fewer = _light(gain, series, ordered)
-        by_position = len(fewer) < len(light)
-        plain, light = (ordered, fewer) if by_position else (plain, light)
+        light = fewer if len(fewer) < len(light) else light
     strongest = max((line[2] for line in light), default=0.0)
     major = [tone(series.times_s, line[0]) for line in light if line[2] > _MINOR_LIGHT * strongest]
-    return np.concatenate([plain, *major], 1), light, by_position
+    return np.concatenate([plain, *major], 1), light
 
 
 def _positions(kinds: np.ndarray) -> np.ndarray:
