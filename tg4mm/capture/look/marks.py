@@ -1,8 +1,7 @@
 """Which lines may be made of a stronger one: by the codec, or as its multiples."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -22,14 +21,14 @@ def marked(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...] = PATTERNS,
-    confused_hz: Mapping[float, str] = MappingProxyType({}),
+    light_hz: Sequence[float] = (),
 ) -> list[LookLine]:
     """The same lines, each with why it may be none of its own.
 
-    patterns: of the codec's kinds of pictures. confused_hz: of flicker and the like, which is taken off the shifts, and
-    with it what is no further from it than the record tells apart.
+    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts with all that the
+    record does not tell apart from it.
     """
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, confused_hz)) for line in lines]
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
 
 
 @dataclass(frozen=True)
@@ -48,14 +47,14 @@ def _mark(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...],
-    confused_hz: Mapping[float, str],
+    light_hz: Sequence[float],
 ) -> str:
     is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
     if line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
-    for hz, what in confused_hz.items():
+    for hz in light_hz:
         if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to {what}'s {hz:.4g} Hz than the record tells apart"
+            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
     near = _Near(line, 1 / duration_s)
     for other in lines:
         if other.amplitude_px >= _LARGER * line.amplitude_px:

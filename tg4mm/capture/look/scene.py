@@ -92,9 +92,9 @@ class Scene:
         return tuple(found)
 
     @property
-    def confused_hz(self) -> dict[float, str]:
-        """Frequencies of what is taken off every shift, and what they are."""
-        return {hz: "the light" for hz, _, _ in self.light}
+    def light_hz(self) -> list[float]:
+        """Frequencies of the light."""
+        return [hz for hz, _, _ in self.light]
 
     @property
     def treats_apart(self) -> bool:
@@ -155,9 +155,8 @@ def _compared(series: CellSeries, typical: np.ndarray) -> np.ndarray:
     if np.median(typical) > QUANTISED:
         return np.ones(len(typical), bool)
     noisy = typical > QUANTISED
-    beside = (
-        ndimage.binary_dilation(series.grid.picture(noisy), _BLOCK).ravel() & ~noisy
-    )  # it has their slopes
+    # A plain cell beside one with noise has some of its slopes.
+    beside = ndimage.binary_dilation(series.grid.picture(noisy), _BLOCK).ravel() & ~noisy
     tells = QUANTISED * np.einsum("cii->ci", series.covariance).min(1) < 1 / LEAST_INFORMATION
     compared = tells & ~beside
     return compared if compared.any() else np.ones(len(typical), bool)
