@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures_tables import five_tables, mic_table, number, over_alpha
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.intervals import half_width
 
 ROOT = Path(__file__).parents[1]
@@ -91,9 +92,12 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def filled(page: str, made: Mapping[str, str]) -> str:
-    """The page with each table in its place."""
-    part = re.compile(r"(<!-- figures: (\w+) -->\n).*?(\n<!-- end -->)", re.DOTALL)
-    return part.sub(lambda found: found[1] + made[found[2]] + found[3], page)
+    """The page with each table in its place. Raises Tg4mmError for a mark without its end."""
+    part = re.compile(r"(<!-- figures: (\w+) -->\n)(?:(?!<!-- figures).)*?(?<=\n)(<!-- end -->)", re.DOTALL)
+    text, n = part.subn(lambda found: f"{found[1]}{made[found[2]]}\n{found[3]}", page)
+    if n != page.count("<!-- figures: "):
+        raise Tg4mmError(f"of {page.count('<!-- figures: ')} marks of figures {n} have an end")
+    return text
 
 
 def _markdown(header: list[str], rows: list[list[str]]) -> str:

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
 from benchmarks.figures_tables import five_tables, mic_table
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
 
 
@@ -16,6 +17,14 @@ def test_a_page_prints_the_figures_of_the_file(page):
     assert filled(text, tables(figures)) == text
     figures["scenes"]["mic"]["displacement_error"] += 0.1  # in every table but that of SSIM
     assert filled(text, tables(figures)) != text
+
+
+def test_marks_with_nothing_between_are_filled_and_leave_the_next_section():
+    a, b, end = "<!-- figures: a -->\n", "<!-- figures: b -->\n", "<!-- end -->\n"
+    made = {"a": "| 1 |", "b": "| 2 |"}
+    assert filled(f"{a}{end}words\n{b}old\n{end}", made) == f"{a}| 1 |\n{end}words\n{b}| 2 |\n{end}"
+    with pytest.raises(Tg4mmError, match="of 2 marks of figures 1 have an end"):
+        filled(f"{a}words\n{b}old\n{end}", made)
 
 
 def test_figures_are_those_of_a_benchmarks_results():
