@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures_tables import five_tables, mic_table, number, over_alpha
+from benchmarks.figures_tables import five_tables, mic_table, number, rivals_tables
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.intervals import half_width
 
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> None:
     if options.mic:
         figures["tables"] |= mic_table(_read(options.mic))
     if options.rivals:
-        figures["tables"]["rivals"] = over_alpha(_read(options.rivals))
+        figures["tables"] |= rivals_tables(_read(options.rivals))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")

@@ -54,16 +54,22 @@ def _named(row: str) -> str:
     return row if row in {STATIC, CEILING} else f"`{name}`{colon}{way}"
 
 
-def over_alpha(results: Results) -> dict[str, Any]:
-    """SSIM of every row over α."""
+def rivals_tables(results: Results) -> Made:
+    """SSIM and LPIPS of every method over α, error and MAC of every set."""
+    lpips = over_alpha(results, "lpips")
+    return {"rivals": over_alpha(results), "rivals_lpips": lpips, "rivals_sets": _by_set(results)}
+
+
+def over_alpha(results: Results, key: str = "ssim") -> dict[str, Any]:
+    """A score of every row over α."""
     means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
     alphas = sorted(means[0]["alphas"], key=float)
     rows = []
     for m in means:
         halves = m.get("half", {})
-        cells = (number("{:.4f}", m["alphas"][a]["ssim"], halves.get(a, {}).get("ssim")) for a in alphas)
+        cells = (number("{:.4f}", m["alphas"][a][key], halves.get(a, {}).get(key)) for a in alphas)
         rows.append([_named(m["row"]), *cells])
-    return {"header": ["SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
+    return {"header": [key.upper(), *(f"α = {a}" for a in alphas)], "rows": rows}
 
 
 def _by_set(results: Results) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
-from benchmarks.figures_tables import five_tables, mic_table
+from benchmarks.figures_tables import five_tables, mic_table, rivals_tables
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
 
@@ -48,7 +48,12 @@ def test_the_other_tables_are_of_results_too():
         "seconds": {"space": 19.0, "motion": 16.0, "total": 35.0}, "rows": {}, "ways": ["modal"], "preset": "modal",
     }  # fmt: skip
     lines = [
-        {"set": run["set"], "row": row, "alphas": {"20": {"ssim": 0.952}}, "frames_per_s": 158.2}
+        {
+            "set": run["set"],
+            "row": row,
+            "alphas": {"20": {"ssim": 0.952, "lpips": 0.05}},
+            "frames_per_s": 158.2,
+        }
         for row in ("nothing moves", "modal", "linear-2d", "ceiling")
     ]
     groups = {run["set"]: "all"}
@@ -60,4 +65,5 @@ def test_the_other_tables_are_of_results_too():
     assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
     assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
     assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
+    assert rivals_tables(results)["rivals_lpips"]["rows"][1] == ["`modal`", ".0500"]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]

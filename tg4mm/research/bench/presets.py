@@ -55,6 +55,17 @@ PRESETS = {
         ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
     ),
 }
+_TINY = ("--size", "64", "--timesteps", "15", "--views", "8", "--test-views", "1", "--samples", "8")
+PRESETS |= {
+    f"tiny-{name}": replace(
+        split,
+        scenes=tuple(scene for scene in split.scenes if scene.startswith("mic")),
+        options=(*split.options, *_TINY),
+        methods=("modal", "linear-2d"),
+    )
+    for name, split in PRESETS.items()
+    if split.seeds
+}
 
 
 @dataclass(frozen=True)
