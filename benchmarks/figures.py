@@ -47,7 +47,7 @@ def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tables(figures: Mapping[str, Any]) -> dict[str, str]:
-    """{name: Markdown}: every scene, SSIM over α, what is lost of it in words, and the short table of README."""
+    """{name: Markdown}: every scene, SSIM over α, and the short table of README."""
     scenes, ssim = figures["scenes"], figures["ssim"]
     mean = {key: sum(values[key] for values in scenes.values()) / len(scenes) for key in _MOTION}
     half = {key: half_width([values[key] for values in scenes.values()], list(scenes)) for key in _MOTION}
@@ -77,8 +77,6 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
     return others | {
         "scenes": _markdown(["set", *(title for title, _, _ in _MOTION.values())], motion),
         "ssim": _markdown(["SSIM, mean", *(f"α = {a}" for a in next(iter(ssim.values())))], scores),
-        "lost": f"So SSIM lies below that of the exact motion by {lost[0]} at α = {_LOST_AT[0]} and {lost[1]} at "
-        f"α = {_LOST_AT[1]}.",
         "short": "\n".join(
             [
                 "| eight generated scenes, 128×128, 30 cameras, 0.2 pixels of motion "

@@ -13,6 +13,7 @@ _MEANS = (  # of the table of sets: name, key of `scalars`, factor and format
     ("mean leak", "static_leak", 100, "{:.1f}"),
     ("mean amplitude ratio", "amplitude_ratio", 1, "{:.3f}"),
 )
+_OF_RIVALS = ("5", "20", "50")  # α
 _OF_MIC = (  # row of line_means, key, title, format
     (STATIC, "ssim", "SSIM, nothing moves", "{:.4f}"),
     ("modal", "ssim", "SSIM, `modal`", "{:.4f}"),
@@ -20,8 +21,6 @@ _OF_MIC = (  # row of line_means, key, title, format
     ("modal", "closure", "closure", "{:.2f}"),
     ("modal", "ssim_moving", "SSIM where it moves, `modal`", "{:.4f}"),
     (CEILING, "ssim_moving", "the same, ceiling", "{:.4f}"),
-    ("modal", "psnr_moving_db", "PSNR where it moves, `modal`, dB", "{:.2f}"),
-    (CEILING, "psnr_moving_db", "the same, ceiling, dB", "{:.2f}"),
 )
 
 
@@ -55,21 +54,32 @@ def _named(row: str) -> str:
 
 
 def rivals_tables(results: Results) -> Made:
-    """SSIM and LPIPS of every method over α, error and MAC of every set."""
-    lpips = over_alpha(results, "lpips")
-    return {"rivals": over_alpha(results), "rivals_lpips": lpips, "rivals_sets": _by_set(results)}
+    """SSIM and LPIPS of every row on every set, and displacement errors."""
+    lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
+    sets, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
+    names.sort(key=lambda row: (row == CEILING) - (row == STATIC))
+    places = [(label, a) for label in sets for a in _OF_RIVALS]
+    rows = []
+    for row in names:
+        scores = (lines.get((label, row), {}).get(a, {}) for label, a in places)
+        cells = ("/".join(number("{:.4f}", s[key]) for key in ("ssim", "lpips")) if s else "" for s in scores)
+        rows.append([_named(row), *cells])
+    header = ["SSIM/LPIPS at α", *(f"{label.partition('_')[0]}, {a}" for label, a in places)]
+    errors = _by_set(results)
+    errors["rows"] = errors["rows"][: len(sets)]
+    return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
 
 
-def over_alpha(results: Results, key: str = "ssim") -> dict[str, Any]:
-    """A score of every row over α."""
+def over_alpha(results: Results) -> dict[str, Any]:
+    """SSIM of every row over α."""
     means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
     alphas = sorted(means[0]["alphas"], key=float)
     rows = []
     for m in means:
         halves = m.get("half", {})
-        cells = (number("{:.4f}", m["alphas"][a][key], halves.get(a, {}).get(key)) for a in alphas)
+        cells = (number("{:.4f}", m["alphas"][a]["ssim"], halves.get(a, {}).get("ssim")) for a in alphas)
         rows.append([_named(m["row"]), *cells])
-    return {"header": [key.upper(), *(f"α = {a}" for a in alphas)], "rows": rows}
+    return {"header": ["SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
 
 
 def _by_set(results: Results) -> dict[str, Any]:

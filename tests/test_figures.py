@@ -65,5 +65,5 @@ def test_the_other_tables_are_of_results_too():
     assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
     assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
     assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
-    assert rivals_tables(results)["rivals_lpips"]["rows"][1] == ["`modal`", ".0500"]
+    assert rivals_tables(results)["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]
