@@ -112,6 +112,10 @@ def test_the_wheel_alone_reads_and_says_what_it_lacks(installed, data, tmp_path)
     assert "tg4mm 0" in run(folder / "tg4mm", "--version", cwd=tmp_path)
     for command, message in (
         (["train", data[1], "--out", "run"], 'pip install "tg4mm[core]"'),
+        (["sfm", data[1], "--out", "set"], 'pip install "tg4mm[sfm]"'),
+        (["process", data[1], "--out", "all"], 'pip install "tg4mm[core,sfm]"'),
+        (["view", data[1]], 'pip install "tg4mm[core,view]"'),
+        (["demo"], 'pip install "tg4mm[core,generate]"'),
         (
             ["generate", "mic", "--out", "set"],
             'tg4mm[generate]"' if version in ("3.11", "3.13") else "3.11 (Blender 4.5) and 3.13",

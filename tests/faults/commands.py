@@ -1,9 +1,12 @@
 """Commands that can be killed: tiny inputs, and what of the files is not final while they work."""
 
+import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.helpers.snakemake_program import FARM
 from tests.helpers.synthetic import make_synthetic_dataset, moving_run
 from tg4mm.cli import main as program
 
@@ -23,6 +26,17 @@ def _dataset(folder):
     )
 
 
+def _scored(folder):
+    make_synthetic_dataset(
+        folder / "sway_5Hz_0_03", n_views=5, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=1
+    )
+
+
+def _farm(folder):
+    config = {"python": sys.executable, "parts": 2, "options": GENERATE, "sets": {"mic": None}}
+    (folder / "config.json").write_text(json.dumps(config))
+
+
 def _run(folder):
     from tests.show.measure.filmed import modes, of_parts, run_of, sine
 
@@ -40,7 +54,7 @@ def _moving(folder):
 
 
 def _measured(folder):
-    _moving(folder)
+    moving_run(folder, n_views=3, n_timesteps=24, size=24, freqs=(5.0,), amplitude=0.03, n_test=0, alphas=())
     assert (
         program(["measure", str(folder / "run"), "--out", str(folder / "measured"), "--sensor", "all"]) == 0
     )
@@ -62,6 +76,9 @@ def _photographs(folder):
 
 
 TRAIN = "train F/set --out F/out --set space.max_gaussians=300 --set "
+BENCH = " --set ".join(
+    ("", "space.iterations=60", "space.max_gaussians=300", "motion.iterations=4", "motion.components=2")
+)
 PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
 GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
 EXPORTS = {
@@ -94,5 +111,16 @@ COMMANDS = {
         f"convert-{k}": Command(_dataset, f"convert F/set --to {k} --out F/out")
         for k in ("nerfstudio", "colmap")
     },
+    "bench": Command(
+        _scored,
+        f"bench scenes F/sway_5Hz_0_03 --out F/out --same-time never --methods modal,linear-2d --alphas 5{BENCH}",
+        ("out/.warm-up-*", "out/results*", "out/*.svg", "out/tables/*", "out/runs/*"),
+    ),
+    "demo": Command(lambda folder: None, "demo --out F/out --size 16", ("out/demo.json", "out/run/*")),
+    "farm": Command(
+        _farm,
+        f"snakemake -s {FARM}/Snakefile --configfile F/config.json --config out=F/out --profile {FARM}/profiles/local",
+        ("out/*/.parts/*", "out/.log/*", "out/index.html", "out/*/report/*"),
+    ),
     "generate": Command(lambda folder: None, f"generate mic --out F/out {GENERATE}", ("*/.parts/*",)),
 }

@@ -17,6 +17,8 @@ def demo(
     Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground truth,
     exports a splat file, and writes OUT/report.html.
     """
+    import torch  # noqa: F401  # what lacks is said before a minute of rendering
+
     from tg4mm.research.demo import run_demo
 
     run_demo(out, size, typer.echo)

@@ -27,7 +27,7 @@ from tg4mm.cli.train import train
 from tg4mm.cli.view import view
 from tg4mm.core import events
 from tg4mm.core.errors import Tg4mmError, one_line, system_says
-from tg4mm.core.extras import EXTRA_OF, install
+from tg4mm.core.extras import EXTRA_OF, EXTRAS_OF_COMMAND, install
 from tg4mm.core.parent import end_with_parent
 from tg4mm.fit.precompile import enable
 
@@ -103,7 +103,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (extra := EXTRA_OF.get((error.name or "").split(".")[0])) is None:
             raise
-        return _fail(f"this command needs {error.name}: {install(extra)}")
+        extras = EXTRAS_OF_COMMAND.get(next(iter(arguments), ""), (extra,))
+        return _fail(f"this command needs {error.name}: {install(*extras)}")
     except Exception as error:
         # Usage errors as typer reports them; their class has moved between its versions.
         if not hasattr(error, "format_message"):

@@ -11,7 +11,6 @@ import typer
 
 from tg4mm.cli.magnify import BandOption, parse_bands
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.extras import install
 
 if TYPE_CHECKING:
     from tg4mm.show.view.session import Session
@@ -59,10 +58,6 @@ def view(
         raise Tg4mmError(f"--alpha {alpha}: expected a finite number")
     if len(bands) > 1:
         raise Tg4mmError(f"--band is given {len(bands)} times: the view magnifies one band at a time")
-    try:
-        import viser  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise Tg4mmError(f"this command needs {error.name}: {install('core', 'view')}") from None
     from tg4mm.show.view.app import App
     from tg4mm.show.view.local_server import browsed
 

@@ -19,6 +19,13 @@ EXTRA_OF = {
     "pyoma2": "modal",
     "sdypy": "modal",
 }
+# All that a command needs, where that is more than `core` or less.
+EXTRAS_OF_COMMAND = {
+    "demo": ("core", "generate"),
+    "process": ("core", "sfm"),
+    "sfm": ("sfm",),
+    "view": ("core", "view"),
+}
 
 
 def install(*extras: str) -> str:
