@@ -116,7 +116,11 @@ COMMANDS = {
         f"bench scenes F/sway_5Hz_0_03 --out F/out --same-time never --methods modal,linear-2d --alphas 5{BENCH}",
         ("out/.warm-up-*", "out/results*", "out/*.svg", "out/tables/*", "out/runs/*"),
     ),
-    "demo": Command(lambda folder: None, "demo --out F/out --size 16", ("out/demo.json", "out/run/*")),
+    "demo": Command(
+        lambda folder: None,
+        "demo --out F/out --size 16",
+        ("out/demo.json", "out/run/*", "*/.parts/*", "*/.points/*"),
+    ),
     "farm": Command(
         _farm,
         f"snakemake -s {FARM}/Snakefile --configfile F/config.json --config out=F/out --profile {FARM}/profiles/local",

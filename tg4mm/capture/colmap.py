@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 MODELS = dict(enumerate([
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
     ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16), ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4),
+    ("EUCM", 6), ("EQUIRECTANGULAR", 2),
 ]))  # fmt: skip
 COUNTS = dict(MODELS.values())
 T = TypeVar("T")
@@ -237,8 +239,7 @@ def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
     if not model.images:
         raise CaptureError(f"{folder}: holds no registered image")
     used = {image.camera_id for image in model.images} & set(model.cameras)
-    bent = any(_bends(model.cameras[i]) for i in used)
-    lenses = _lenses(model, used) if bent else {}
+    lenses = _lenses(model, used) if any(_bends(model.cameras[i]) for i in used) else {}
     return [_view(root, model, image, lenses) for image in model.images], model.points
 
 
@@ -261,15 +262,15 @@ def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
     from tg4mm.capture.sfm.undistort import lenses
 
     known = {}
-    for i in sorted(used):
-        camera = model.cameras[i]
+    for i, camera in ((i, model.cameras[i]) for i in sorted(used)):
         try:
             known[i, 0] = colmap("undistortion").Camera(
                 model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
             )
+            known[i, 0].calibration_matrix()  # a panorama has none
         except (ValueError, RuntimeError) as error:
             raise CaptureError(
-                f"{model.folder}: camera {i} is {camera.model}, which pycolmap does not know: {REMEDY}"
+                f"{model.folder}: camera {i} is {camera.model}, of which pycolmap makes no pinhole: {REMEDY}"
             ) from error
     return {i: lens for (i, _), lens in lenses(known).items()}
 

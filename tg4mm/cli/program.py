@@ -1,6 +1,8 @@
 """The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
 
 import logging
+import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -91,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _show_log()
     enable()
     try:
-        arguments = list(sys.argv[1:] if argv is None else argv)
+        arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
         _check_filled(arguments)
         result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
     except Tg4mmError as error:
@@ -113,6 +115,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
         return _interrupted()
     return result if isinstance(result, int) else 0
+
+
+def _as_path(word: str) -> str:
+    """A file's name that starts with -, as -x.mp4 or --x.mp4, with ./ before it, which no option has."""
+    is_option = not word.startswith("-") or word == "-h" or (word.startswith("--") and "." not in word)
+    return word if is_option or re.fullmatch(r"-[\d.e]+", word) or not os.path.lexists(word) else f"./{word}"
 
 
 _NONE_AT_ALL = "--methods"  # empty, it asks for none of ours: docs/protocol.md

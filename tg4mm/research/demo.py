@@ -76,7 +76,11 @@ def demo_steps(places: Places, size: int) -> list[Step]:
 def _generate(places: Places, size: int) -> None:
     from tg4mm.research.generator import run_generator
 
-    status = run_generator(["mic", "--out", str(places.data), "--size", str(size)])
+    shown = [
+        "--alphas",
+        f"{ALPHA:g}",
+    ]  # ground truth of another α would be rendered and scored for nothing here
+    status = run_generator(["mic", "--out", str(places.data), "--size", str(size), *shown])
     if status != 0:
         raise Tg4mmError(f"the dataset generator ended with status {status}; see its message above")
 

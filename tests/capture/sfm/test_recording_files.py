@@ -197,14 +197,23 @@ def test_other_containers_give_their_frames(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    "name", ["12:30:00.mp4", "http:o.mp4", "alpha:20.mp4", "-x.mp4", "file:a.mp4", "a%03d.mp4", "ü ?#1.mp4"]
+    "name",
+    [
+        "12:30:00.mp4",
+        "http:o.mp4",
+        "alpha:20.mp4",
+        "-x.mp4",
+        "--x.mp4",
+        "file:a.mp4",
+        "a%03d.mp4",
+        "ü ?#1.mp4",
+    ],
 )
 def test_a_name_is_a_file_and_nothing_else(tmp_path, monkeypatch, name):
     write_video(tmp_path / "a.mp4", still(40))
     shutil.copy(tmp_path / "a.mp4", tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    argument = f"./{name}" if name.startswith("-") else name
-    assert main(["sfm", argument, "--kind", "flat", "--out", "alpha:20"]) == 0
+    assert main(["sfm", name, "--kind", "flat", "--out", "alpha:20"]) == 0
     assert load_capture("alpha:20").n_timesteps == 40
     assert load_images(load_capture("alpha:20")).rgb(39).std() > 0.05
 

@@ -149,7 +149,7 @@ class Search:
         left = (series - columns @ np.linalg.lstsq(columns[seen], series[seen], rcond=None)[0]) * seen
         around = (np.abs(self.hz - vibration.hz) < _WANDER_BINS / self.scene.duration) & self.allowed
         power = np.abs(spectrum(left[:, None], self.times)[1][around, 0]) ** 2
-        return float(power.mean() / seen.mean())
+        return float(power.mean() / seen.mean()) if len(power) else np.inf  # fitted outside what is searched
 
     def _is_image(self, hz: float, statistic: float) -> bool:
         """Of a much stronger line, by the codec's pattern of pictures: j rate / n ± f for every n-th picture."""
