@@ -84,12 +84,13 @@ docs: install
 
 # The demo as a splat file, a .blend and a page that plays: dist/tg4mm-sample.*
 sample: demo
-	mkdir -p dist && cp $(DEMO)/splat.ply dist/tg4mm-sample.ply
+	mkdir -p dist && rm -f dist/tg4mm-sample.* && cp $(DEMO)/splat.ply dist/tg4mm-sample.ply
 	$(BIN)/python examples/sample_blend.py dist/tg4mm-sample.ply dist/tg4mm-sample.blend
 	$(BIN)/tg4mm export $(DEMO)/run --format html --out dist/tg4mm-sample.html
 
 # All that a release offers, in dist/: wheel, sources, extension, samples, and checksums.
 release: sample
+	rm -f dist/tg4mm-[0-9]*
 	$(BIN)/python -m pip install --quiet build
 	$(BIN)/python -m build
 	$(BIN)/python addon/make_extension.py

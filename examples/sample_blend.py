@@ -5,6 +5,7 @@
 Needs pip's Blender (the extra generate) and a clone.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -25,3 +26,5 @@ def main(splat, out, alpha="20"):
 
 if __name__ == "__main__":
     main(*sys.argv[1:])
+    sys.stdout.flush()
+    os._exit(0)  # pip's Blender may hang where Python ends
