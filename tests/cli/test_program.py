@@ -180,6 +180,16 @@ def test_missing_core_package_says_how_to_install_it():
     assert refused(done) == 'tg4mm: this command needs torch: pip install "tg4mm[core]"'
 
 
+@pytest.mark.parametrize(
+    ("package", "words", "extras"),
+    [("viser", "view a.mp4", "core,view"), ("scipy", "sfm a.mp4 --out b", "sfm")],
+)
+def test_all_that_a_command_needs_is_named_at_once(package, words, extras):
+    code = f"import sys; sys.modules['{package}'] = None; from tg4mm.cli import main; sys.exit(main({words.split()}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    assert refused(done) == f'tg4mm: this command needs {package}: pip install "tg4mm[{extras}]"'
+
+
 def test_interrupt_exits_with_130_and_says_how_to_go_on():
     code = (
         "import sys, time; from tg4mm.cli import program\n"

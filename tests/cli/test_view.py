@@ -62,9 +62,3 @@ def test_bad_options_are_one_line(run_path, options, message, capsys):
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
-
-
-def test_without_viser_it_says_what_to_install(run_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["view", str(run_path), "--no-open"]) == 2
-    assert 'pip install "tg4mm[core,view]"' in capsys.readouterr().err

@@ -103,10 +103,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except ModuleNotFoundError as error:
-        if (extra := EXTRA_OF.get((error.name or "").split(".")[0])) is None:
+        package = (error.name or "").split(".")[0]
+        if (extra := EXTRA_OF.get(package)) is None:
             raise
         extras = EXTRAS_OF_COMMAND.get(next(iter(arguments), ""), (extra,))
-        return _fail(f"this command needs {error.name}: {install(*extras)}")
+        return _fail(f"this command needs {package}: {install(*extras)}")
     except Exception as error:
         # Usage errors as typer reports them; their class has moved between its versions.
         if not hasattr(error, "format_message"):
