@@ -36,11 +36,11 @@ test: lint
 test-slow: install
 	$(PYTEST) -m slow || [ $$? -eq 5 ]
 
-# What runs inside Blender, in the versions for Python 3.13, each in an environment of its own without torch. The
-# generator's tests that never name bpy are left out: `make test` runs them.
+# What runs inside Blender, in the versions for Python 3.13, each in an environment of its own without torch, and what of
+# the core needs none, by numpy 2. The generator's tests that never name bpy are left out: `make test` runs them.
 test-52 test-53: test-%: .venv%/.installed
 	OMP_NUM_THREADS=1 .venv$*/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" \
-		tests/addon $$(grep -lw bpy tests/dataset_gen/test_*.py)
+		tests/addon $$(grep -lw bpy tests/dataset_gen/test_*.py) $$(grep -Lw torch tests/core/test_*.py tests/core/splatfile/test_*.py)
 
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500

@@ -101,6 +101,7 @@ def test_what_cannot_be_is_one_line_with_the_files_name(tmp_path, changes, said)
     ],
 )
 def test_process_refuses_regions_that_are_not_there(tmp_path, monkeypatch, capsys, asked, said):
+    pytest.importorskip("torch")
     monkeypatch.chdir(tmp_path)
     write_regions(tmp_path / "r.json", Regions(SIZE, (Region("a", "box", (10, 20, 60, 50)),)))
     assert main(["process", "film.mp4", "--out", "out", *asked]) == 2
