@@ -1,5 +1,7 @@
 """Levels, spectra, zones, lags, transfer functions, modes and comparisons of systems whose answer is known."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from tg4mm.show.analyse import (
     mac,
     operational,
     phases_of,
+    read_channels,
     transfer_of,
     waterfall_of,
     zone_of,
@@ -269,3 +272,18 @@ def test_modes_of_a_free_decay_are_those_of_the_system():
             assert abs(mode.frequency_hz.value - f) < 3 * mode.frequency_hz.deviation < 0.05
             assert abs(mode.damping.value - z) < 3 * mode.damping.deviation < 0.005
             assert mac(mode.shape, shape) > 0.99
+
+
+@pytest.mark.parametrize(("amplitude", "kept"), [(0.0, ["a/right"]), (0.05, ["a/right", "a/up"])])
+def test_a_noisy_axis_is_left_out_unless_it_moves(tmp_path, amplitude, kept):
+    noise = np.array([0.001, 0.011])
+    moved = noise * np.random.default_rng(0).normal(size=(len(T), 2))
+    moved[:, 1] += amplitude * np.sin(2 * np.pi * 4 * T)
+    series = {
+        "axes": {"right": 0, "up": 0}, "clock": "", "times_s": T.tolist(), "displacement": moved.tolist(),
+        "noise": noise.tolist(), "model_share": [0, 0],
+    }  # fmt: skip
+    sensor = {"name": "a", "px_per_unit": 1, "peaks": [], "series": [series]}
+    content = {"printed_unit": "px", "unit_scale_m": None, "sensors": [sensor]}
+    (tmp_path / "measure.json").write_text(json.dumps(content), encoding="utf-8")
+    assert [c.name for c in read_channels(tmp_path)] == kept

@@ -95,7 +95,8 @@ def unit_of(quantity: str, base: str) -> str:
 def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     """Those of a folder that `tg4mm measure` wrote, or of a CSV file with a column of times; `names`: these alone.
 
-    A measurement's are called SENSOR/AXIS; axes ten times as uncertain as the best one are left out unless named.
+    A measurement's are called SENSOR/AXIS. An axis ten times as uncertain as the best one, of which no motion stands
+    out, is left out unless named.
     Raises AnalyseError for anything else, and for a name that is none.
     """
     if not path.exists():
@@ -141,10 +142,12 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
     base = str(content["printed_unit"])
     factor = factor_of(content, sensor)
     noise = np.array([np.inf if v is None else v for v in series["noise"]], float)
-    keep = np.isfinite(noise) if every else noise <= _RESOLVED * noise.min()
     values = np.array([[0 if v is None else v for v in row] for row in series["displacement"]], float)
+    # of noise alone the mean power scatters by √(2/T)
+    moves = values.var(axis=0) > noise**2 * (1 + 5 * np.sqrt(2 / max(len(values), 1)))
+    keep = np.isfinite(noise) & (every | moves | (noise <= _RESOLVED * noise.min()))
     clock, out = series["clock"], []
-    for k in np.flatnonzero(keep & np.isfinite(noise)):
+    for k in np.flatnonzero(keep):
         name = "/".join(filter(None, [sensor["name"], clock, list(series["axes"])[k]]))
         times = _even(np.array(series["times_s"], float), name)
         share = float(np.hypot(series["model_share"][k], _taken(sensor["peaks"], k)))
