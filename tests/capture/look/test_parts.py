@@ -97,7 +97,7 @@ def test_key_frames_with_more_noise_do_not_look_like_something_that_passes():
     series = CellSeries(
         *(np.arange(frames) / FPS, kinds, np.zeros((*empty.shape, 2)), empty + 1, misfit),
         *(np.tile(np.eye(2), (rows * columns, 1, 1)), np.zeros(frames, int), Grid(rows, columns, 16)),
-        *((128, 96), np.zeros((96, 128), np.uint8), np.ones((frames, 96))),
+        *((128, 96), np.zeros((96, 128), np.uint8), np.ones((frames, 96)), np.zeros(rows * columns, bool)),
     )
     assert find_masks(series).hidden.mean() < 0.01
     misfit[40:50, :6] *= 4

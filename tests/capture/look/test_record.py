@@ -35,3 +35,22 @@ def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_
     for amplitude, region, is_marked in cases:
         own = replace(line, amplitude_px=amplitude, region=region)
         assert bool(marked([own], 30.0, 6.0)[0].mark) == is_marked
+
+
+def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
+    line = replace(found().lines[0], hz=7.4)
+    assert (
+        "the codec's turns at 7.5 Hz"
+        in marked([line], 30.0, 6.0, taken_off={7.5: "the codec's turns at"})[0].mark
+    )
+    assert not marked([line], 30.0, 6.0, taken_off={7.7: "the light's"})[0].mark
+
+
+def test_an_image_by_the_codec_is_where_its_line_is():
+    strong = replace(found().lines[0], hz=2.0, amplitude_px=1.0)
+    weak = replace(strong, hz=13.0, amplitude_px=0.2)
+    assert "image of 2.000 Hz" in marked([strong, weak], 30.0, 6.0)[1].mark
+    elsewhere = np.zeros((6, 8), bool), np.zeros((6, 8), bool)
+    elsewhere[0][:2, :2] = elsewhere[1][4:, 6:] = True
+    pair = [replace(line, cells=cells) for line, cells in zip((strong, weak), elsewhere, strict=True)]
+    assert not marked(pair, 30.0, 6.0)[1].mark

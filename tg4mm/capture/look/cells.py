@@ -30,6 +30,7 @@ class Grid:
     rows: int
     columns: int
     size: int  # pixels
+    edge: int = 0  # pixels of the picture before the first row and column
 
     @classmethod
     def of(cls, width: int, height: int, size: int) -> "Grid":
@@ -41,7 +42,8 @@ class Grid:
     def cut(self, pictures: np.ndarray) -> np.ndarray:
         """[C, F, S²] float32 of pictures [F, H, W]."""
         n, size = len(pictures), self.size
-        inside = pictures[:, : self.rows * size, : self.columns * size]
+        rows, columns = (slice(self.edge, self.edge + n * size) for n in (self.rows, self.columns))
+        inside = pictures[:, rows, columns]
         tiles = inside.reshape(n, self.rows, size, self.columns, size).transpose(1, 3, 0, 2, 4)
         return np.ascontiguousarray(tiles, np.float32).reshape(len(self), n, size * size)
 
@@ -52,13 +54,13 @@ class Grid:
     def centres(self) -> np.ndarray:
         """[C, 2] pixels right and down."""
         row, column = np.divmod(np.arange(len(self)), self.columns)
-        return (np.stack([column, row], 1) + 0.5) * self.size
+        return (np.stack([column, row], 1) + 0.5) * self.size + self.edge
 
     def box(self, cells: np.ndarray) -> tuple[int, int, int, int]:
         """Left, upper, right and lower edge, pixels, of cells [C] bool or their indices."""
         row, column = np.divmod(np.flatnonzero(cells) if cells.dtype == bool else cells, self.columns)
         edges = (column.min(), row.min(), column.max() + 1, row.max() + 1)
-        left, upper, right, lower = (int(edge) * self.size for edge in edges)
+        left, upper, right, lower = (int(edge) * self.size + self.edge for edge in edges)
         return left, upper, right, lower
 
 

@@ -80,7 +80,7 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.light_hz)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off)
     swings = tuple(swings_of(scene))
     lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
     found = _result(

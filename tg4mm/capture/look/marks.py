@@ -1,13 +1,16 @@
 """Which lines may be made of a stronger one: by the codec, or as its multiples."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
+from scipy import ndimage
 
 from tg4mm.capture.look.model import LookLine
 from tg4mm.capture.look.scene import PATTERNS
 from tg4mm.capture.look.search import images
+from tg4mm.capture.look.usual import BLOCK
 
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
@@ -21,14 +24,14 @@ def marked(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...] = PATTERNS,
-    light_hz: Sequence[float] = (),
+    taken_off: Mapping[float, str] = MappingProxyType({}),
 ) -> list[LookLine]:
     """The same lines, each with why it may be none of its own.
 
-    patterns: of the codec's kinds of pictures. light_hz: of flicker, which is taken off the shifts with all that the
-    record does not tell apart from it.
+    patterns: of the codec's kinds of pictures. taken_off: frequencies in Hz of what is taken off the shifts, with all
+    that the record does not tell apart from it, and whose they are.
     """
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, light_hz)) for line in lines]
+    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, taken_off)) for line in lines]
 
 
 @dataclass(frozen=True)
@@ -47,14 +50,14 @@ def _mark(
     rate: float,
     duration_s: float,
     patterns: tuple[int, ...],
-    light_hz: Sequence[float],
+    taken_off: Mapping[float, str],
 ) -> str:
     is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
     if line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure:
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
-    for hz in light_hz:
+    for hz, whose in taken_off.items():
         if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to the light's {hz:.4g} Hz than the record tells apart"
+            return f"nearer to {whose} {hz:.4g} Hz than the record tells apart"
     near = _Near(line, 1 / duration_s)
     for other in lines:
         if other.amplitude_px >= _LARGER * line.amplitude_px:
@@ -62,7 +65,8 @@ def _mark(
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
                     return f"{n} × {other.hz:.3f} Hz"
-            if any(near(image, other) for image in images(other.hz, rate, patterns)):
+            is_there = bool((line.cells & ndimage.binary_dilation(other.cells, BLOCK)).any())
+            if is_there and any(near(image, other) for image in images(other.hz, rate, patterns)):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
     for other in lines:
         if other.statistic > _WEAK * line.statistic:

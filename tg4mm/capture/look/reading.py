@@ -8,6 +8,8 @@ import numpy as np
 
 from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.look.cells import Grid, Template
+from tg4mm.capture.look.matching import Patch, matched, patches_of
+from tg4mm.capture.look.usual import usual_of
 from tg4mm.core.errors import CaptureError
 
 FEWEST = 24  # pictures: fewer hold no spectrum
@@ -15,6 +17,9 @@ SMALL = 400_000  # pixels of a picture up to which cells are
 CELL, LARGE_CELL = 16, 48  # pixels a side; above it
 MEAN_OF = 256  # pictures, at most, that the mean is of
 _FIRST_BYTES = 512 << 20  # and bytes
+_MATCHED_BYTES = 1 << 30  # of the pixels around cells that move by more than a pixel
+_FAR_PX = 0.5  # from the whole picture's shift, that third order in a shift does not hold
+_CLEAR = 4.0  # deviations of a shift's noise that it must exceed, too
 _AT_ONCE = 32  # pictures whose cells fit a cache
 _KNOCK_PX = 0.5  # a step of the whole picture that stays
 _SHORTEST = 8  # pictures of a resting place
@@ -48,6 +53,7 @@ class CellSeries:
     size: tuple[int, int]  # width and height, pixels
     first: np.ndarray  # [H, W] uint8: the first picture
     row_means: np.ndarray  # [F, H] grey levels
+    matched: np.ndarray  # [C] bool: found by whole pixels first (`matching.py`)
 
     def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> "CellSeries":
         """Those pictures alone, with these times."""
@@ -97,21 +103,19 @@ def read_cells(
     if waiting:
         reader.add(np.stack(waiting))
     shift, gain, misfit = reader.solved()
+    covariance, grid = reader.templates[0].covariance, reader.grid
+    is_matched = np.zeros(len(grid), bool)
+    usual = usual_of(misfit, covariance, grid)
+    for patch in reader.patches:
+        found = matched(patch, usual)
+        if found is not None:
+            cells = found.cells
+            shift[:, cells], gain[:, cells], misfit[:, cells] = found.shift, found.gain, found.misfit
+            covariance[cells], is_matched[cells] = found.covariance, True
     return CellSeries(
-        *(
-            np.array(times) - times[0],
-            np.array(kinds),
-            shift.astype(float),
-            gain.astype(float),
-            misfit.astype(float),
-        ),
-        *(
-            reader.templates[0].covariance.astype(float),
-            np.array(reader.place),
-            reader.grid,
-            (shape[1], shape[0]),
-        ),
-        *(first, np.stack(row_means)),
+        *(np.array(times) - times[0], np.array(kinds), shift.astype(float), gain.astype(float)),
+        *(misfit.astype(float), covariance.astype(float), np.array(reader.place), grid),
+        *((shape[1], shape[0]), first, np.stack(row_means), is_matched),
     )
 
 
@@ -126,6 +130,7 @@ class _Reader:
         self._small = small_cells
         self.templates: list[Template] = []
         self.place: list[int] = []
+        self.patches: list[Patch] = []  # of cells that may move by more than a pixel
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
 
     @property
@@ -137,6 +142,20 @@ class _Reader:
             self._keep(pictures, self.templates[-1], len(self.templates) - 1)
         else:
             self._begin(pictures)
+            self.patches = patches_of(self._far(), self.grid, pictures.shape[1:])
+        for patch in self.patches:
+            patch.keep(pictures)
+        if sum(patch.size_bytes for patch in self.patches) > _MATCHED_BYTES:
+            self.patches = []
+
+    def _far(self) -> np.ndarray:
+        """[C] bool: cells that no small shift explains, or whose shift is far from the whole picture's."""
+        shift, _, misfit = self.solved()
+        covariance = self.templates[0].covariance
+        own = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
+        usual = usual_of(misfit, covariance, self.grid)
+        noise = np.sqrt(np.einsum("cii->c", covariance) * usual.typical)
+        return usual.stand_out() | (np.percentile(own, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise))
 
     def solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Shifts [F, C, 2], gains [F, C] and misfits [F, C]."""

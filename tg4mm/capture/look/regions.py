@@ -10,8 +10,9 @@ from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
 from tg4mm.capture.look.place import SYSTEMATIC
 from tg4mm.capture.look.reading import MEAN_OF
-from tg4mm.capture.look.scene import LEAST_INFORMATION, Scene
+from tg4mm.capture.look.scene import Scene
 from tg4mm.capture.look.spectra import without
+from tg4mm.capture.look.usual import LEAST_INFORMATION
 from tg4mm.core.errors import RegionError
 from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.regions import Region
@@ -65,7 +66,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     remarks = [] if is_inside else ["its cells reach beyond it"]
     if not told.all():
         remarks.append(f"an edge: told along {axes[0, 0]:+.2f} right {-axes[1, 0]:+.2f} up alone")
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.light_hz)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off)
     return RegionLook(region, tuple(lines), float(values[0] ** -0.5), "; ".join(remarks).replace("-", "−"))
 
 

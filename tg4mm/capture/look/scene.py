@@ -8,15 +8,12 @@ from scipy import ndimage
 from tg4mm.capture.look.cells import Grid
 from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, whole_shift
 from tg4mm.capture.look.spectra import step, tone, tones_of
+from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, QUANTISED, usual_of
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 
-QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
-_BLOCK = np.ones((3, 3))
-_CORE, _BESIDE = 2.5, 1.5  # times the typical misfit: what moves by itself, and its rim
-_CORE_SPREADS, _BESIDE_SPREADS = 6, 3  # and so many deviations of the cells' scatter
+_BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the usual misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
-LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
 _FEWEST_OTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
@@ -85,21 +82,28 @@ class Scene:
         """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular."""
         found = dict.fromkeys(PATTERNS)
         for kind in (self.series.kinds == INTRA, ~self.between):
-            steps = np.diff(np.flatnonzero(kind))
-            usual = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
-            if 1 < usual <= _LONGEST_PATTERN * len(self.times_s) and (steps == usual).mean() >= _REGULAR:
-                found[usual] = None
+            if 1 < (period := _period(kind)) <= _LONGEST_PATTERN * len(self.times_s):
+                found[period] = None
         return tuple(found)
 
     @property
-    def light_hz(self) -> list[float]:
-        """Frequencies of the light."""
-        return [hz for hz, _, _ in self.light]
+    def taken_off(self) -> dict[float, str]:
+        """Frequencies of what is taken off the shifts, and whose they are: the light's, and of B pictures' turns."""
+        period = _period(~self.between) if self.between.any() else 0
+        turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
+        return turns | {hz: "the light's" for hz, _, _ in self.light}
 
     @property
     def treats_apart(self) -> bool:
         """Whether B pictures lack detail, and enough others are there."""
         return self.lost > _LOST and int((~self.between).sum()) > _FEWEST_OTHERS and bool(self.between.any())
+
+
+def _period(kind: np.ndarray) -> int:
+    """Pictures from one of a kind [F] bool to the next, 0 where that is not regular."""
+    steps = np.diff(np.flatnonzero(kind))
+    usual = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
+    return usual if usual and (steps == usual).mean() >= _REGULAR else 0
 
 
 def scene_of(series: CellSeries) -> Scene:
@@ -126,16 +130,13 @@ def shift_covariance(series: CellSeries) -> np.ndarray:
 
 def find_masks(series: CellSeries) -> Masks:
     """Cells whose misfit stands out among the others all the time, and those whose misfit stands out at times."""
-    grid, typical = series.grid, np.maximum(np.median(series.misfit, 0), QUANTISED)
-    compared = _compared(series, typical)
-    excess = np.log(typical / np.median(typical[compared]))
-    spread = 1.4826 * float(np.median(np.abs(excess[compared])))
-    core = excess > max(np.log(_CORE), _CORE_SPREADS * spread)
-    around = ndimage.binary_dilation(grid.picture(core), _BLOCK).ravel()
+    grid, usual = series.grid, usual_of(series.misfit, series.covariance, series.grid)
+    core, excess = usual.stand_out() & ~series.matched, usual.excess
+    around = ndimage.binary_dilation(grid.picture(core), BLOCK).ravel() & ~series.matched
     relative = series.misfit / typical_by_kind(series)
-    quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * spread))))
-    usual = quiet & compared
-    scatter = 1.4826 * float(np.median(np.abs(relative[:, usual] - 1))) if usual.any() else 0.1
+    quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread))))
+    tells = quiet & usual.compared
+    scatter = 1.4826 * float(np.median(np.abs(relative[:, tells] - 1))) if tells.any() else 0.1
     unlike = grid.picture(relative > 1 + _PASSING * max(0.1, scatter))
     clustered = (
         np.stack([ndimage.uniform_filter(u.astype(float), 3, mode="nearest") for u in unlike]) > _CLUSTER
@@ -146,29 +147,13 @@ def find_masks(series: CellSeries) -> Masks:
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
 
 
-def _compared(series: CellSeries, typical: np.ndarray) -> np.ndarray:
-    """[C] bool: cells whose typical misfits [C] tell what is usual: all, or those that tell a shift if most are plain.
-
-    Most cells of a picture with an overexposed or rendered background hold no noise but rounding, which says nothing of
-    the others'.
-    """
-    if np.median(typical) > QUANTISED:
-        return np.ones(len(typical), bool)
-    noisy = typical > QUANTISED
-    # A plain cell beside one with noise has some of its slopes.
-    beside = ndimage.binary_dilation(series.grid.picture(noisy), _BLOCK).ravel() & ~noisy
-    tells = QUANTISED * np.einsum("cii->ci", series.covariance).min(1) < 1 / LEAST_INFORMATION
-    compared = tells & ~beside
-    return compared if compared.any() else np.ones(len(typical), bool)
-
-
 def typical_by_kind(series: CellSeries) -> np.ndarray:
     """[F, C] grey levels²: the median misfit of each cell in pictures of the same kind, as key frames hold more noise.
 
     Where a kind has few pictures, the median of all of them times what most cells then have more or less.
     """
-    every = np.maximum(np.median(series.misfit, 0), QUANTISED)
-    compared, out = _compared(series, every), np.empty_like(series.misfit)
+    usual, out = usual_of(series.misfit, series.covariance, series.grid), np.empty_like(series.misfit)
+    every, compared = usual.typical, usual.compared
     for kind in np.unique(series.kinds):
         rows = series.kinds == kind
         if rows.sum() >= _FEWEST_OF_KIND:
@@ -189,7 +174,7 @@ def _lost(series: CellSeries) -> float:
 
 def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     """The share of detail that pictures `some` [F] bool lack beside `others`, neither of which is empty."""
-    compared = _compared(series, np.maximum(np.median(series.misfit, 0), QUANTISED))
+    compared = usual_of(series.misfit, series.covariance, series.grid).compared
     typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 
@@ -277,8 +262,8 @@ def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """[C] bool: cells that scatter no more than their noise against the median of those that are `still`."""
     covariance = shift_covariance(scene.series)
     first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)
-    axis = np.linalg.eigh(scene.information)[1][:, :, -1]
-    along = np.einsum("kci,ci->kc", shift - first[:, None], axis)
-    noise = np.einsum("ci,cij,cj->c", axis, covariance, axis)
+    axes = np.linalg.eigh(scene.information)[1]
+    along = np.einsum("kci,cia->kca", shift - first[:, None], axes)
+    noise = np.einsum("cia,cij,cja->ca", axes, covariance, axes)
     ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / np.maximum(noise, 1e-12)
-    return np.asarray(ratio < _AGREES * np.median(ratio[still]))
+    return np.asarray((ratio < _AGREES * np.median(ratio[still], 0)).all(1))

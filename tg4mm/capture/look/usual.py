@@ -1,0 +1,58 @@
+"""Which cells' misfits are usual in a picture, and which stand out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from tg4mm.capture.look.cells import Grid
+
+QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
+LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
+BLOCK = np.ones((3, 3))
+_CORE, _CORE_SPREADS = 2.5, 6  # times the usual misfit, and deviations of the cells' scatter: what stands out
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Cells' typical misfits beside what is usual."""
+
+    typical: np.ndarray  # [C] grey levels²
+    compared: np.ndarray  # [C] bool: cells that tell what is usual
+    level: float  # grey levels²
+    spread: float  # of the logarithm
+
+    @property
+    def excess(self) -> np.ndarray:
+        """[C]: logarithm of the typical misfit over the usual one."""
+        return np.asarray(np.log(self.typical / self.level))
+
+    def stand_out(self, typical: np.ndarray | None = None) -> np.ndarray:
+        """Bool: misfits that are far from usual, the cells' own [C] if none are given."""
+        excess = self.excess if typical is None else np.log(typical / self.level)
+        return np.asarray(excess > max(np.log(_CORE), _CORE_SPREADS * self.spread))
+
+
+def usual_of(misfit: np.ndarray, covariance: np.ndarray, grid: Grid) -> Usual:
+    """Of misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1."""
+    typical = np.maximum(np.median(misfit, 0), QUANTISED)
+    compared = _compared(typical, covariance, grid)
+    level = float(np.median(typical[compared]))
+    spread = 1.4826 * float(np.median(np.abs(np.log(typical[compared] / level))))
+    return Usual(typical, compared, level, spread)
+
+
+def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.ndarray:
+    """[C] bool: cells whose typical misfits [C] tell what is usual: all, or those that tell a shift if most are plain.
+
+    Most cells of a picture with an overexposed or rendered background hold no noise but rounding, which says nothing of
+    the others'.
+    """
+    if np.median(typical) > QUANTISED:
+        return np.ones(len(typical), bool)
+    noisy = typical > QUANTISED
+    # A plain cell beside one with noise has some of its slopes.
+    beside = ndimage.binary_dilation(grid.picture(noisy), BLOCK).ravel() & ~noisy
+    tells = QUANTISED * np.einsum("cii->ci", covariance).min(1) < 1 / LEAST_INFORMATION
+    compared = tells & ~beside
+    return compared if compared.any() else np.ones(len(typical), bool)
