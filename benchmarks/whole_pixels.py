@@ -1,15 +1,16 @@
-"""Plates that move by .05 to 3 px in one film: found over true amplitude, by the linear answer and iterated.
+"""Plates that move by .05 to 3 px in one film: found over true amplitude by `look` and by `measure`, which iterates.
 
 python -m benchmarks whole_pixels DIR --codec libx264    # keeps the film, its dataset and its run in DIR
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
-from benchmarks.calibration.film import FINE, Coding, texture, write_video
+from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture, write_video
+from tg4mm.capture.look import look
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, SensorResult, prepare
@@ -24,37 +25,20 @@ _HALF, _RADIUS = 48, 28  # pixels, of a plate's window, and of the sensor in it
 _CENTRES = [(82 + 158 * (i % 3), 68 + 136 * (i // 3)) for i in range(len(SIZES_PX))]
 
 
-def moves(k: int, times_s: np.ndarray) -> np.ndarray:
-    """[F, 2] pixels right and down of plate k."""
-    return SIZES_PX[k] * np.cos(2 * np.pi * HZ[k] * times_s + 0.7)[:, None] * DIRECTION
+def moves(k: int, times_s: float | np.ndarray) -> np.ndarray:
+    """[..., 2] pixels right and down of plate k."""
+    return SIZES_PX[k] * np.cos(2 * np.pi * HZ[k] * np.asarray(times_s) + 0.7)[..., None] * DIRECTION
 
 
-def pictures(seed: int) -> np.ndarray:
-    """[F, H, W] uint8: band-limited textures, shifted exactly (Fourier) behind windows that stand still."""
-    rng = np.random.default_rng(seed)
-    back = _pixels(texture(HEIGHT, WIDTH, rng, 0.25, 0.35, [2.0, 6.0, 20.0]))
-    side = 2 * _HALF + 32
-    fine = [texture(side, side, rng, 0.4, 0.4, [1.3, 3.0, 9.0]) for _ in SIZES_PX]
-    spectra = [np.fft.rfft2(gaussian_filter(own, 0.55 * FINE, mode="wrap")) for own in fine]
-    down, right = np.fft.fftfreq(side * FINE)[:, None], np.fft.rfftfreq(side * FINE)[None]
-    window = gaussian_filter(np.pad(np.ones((side - 32, side - 32)), 16), 1.0)
-    out = np.empty((FRAMES, HEIGHT, WIDTH), np.uint8)
-    for f in range(FRAMES):
-        picture = back.copy()
-        for k, (x, y) in enumerate(_CENTRES):
-            u = FINE * moves(k, np.array([f / FPS]))[0]
-            turned = spectra[k] * np.exp(-2j * np.pi * (right * u[0] + down * u[1]))
-            box = slice(y - side // 2, y + side // 2), slice(x - side // 2, x + side // 2)
-            picture[box] += window * (_pixels(np.fft.irfft2(turned, (side * FINE,) * 2)) - picture[box])
-        light = 255 * np.clip(picture, 0, 1) ** (1 / 2.2)
-        out[f] = np.clip(np.rint(light + NOISE * rng.normal(size=light.shape)), 0, 255)
-    return out
-
-
-def _pixels(fine: np.ndarray) -> np.ndarray:
-    """Means over squares."""
-    height, width = (n // FINE for n in fine.shape)
-    return np.asarray(fine.reshape(height, FINE, width, FINE).mean((1, 3)))
+def film(seed: int) -> Film:
+    """Band-limited textures, shifted exactly behind windows that stand still."""
+    rng, side = np.random.default_rng(seed), 2 * _HALF + 32
+    back = texture(HEIGHT, WIDTH, rng, 0.25, 0.35, [2.0, 6.0, 20.0])
+    plates = [
+        sliding(texture(side, side, rng, 0.4, 0.4, [1.3, 3.0, 9.0]), centre, partial(moves, k))
+        for k, centre in enumerate(_CENTRES)
+    ]
+    return Film([Layer(back, None, [], 0.55)], FPS, FRAMES, NOISE, painters=plates, seed=seed)
 
 
 def figures(result: SensorResult, k: int) -> str:
@@ -74,13 +58,16 @@ def run(options: Any) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     video, data = options.out / f"{options.codec}.mp4", options.out / "set"
     if not video.exists():
-        write_video(video, pictures(options.seed), FPS, Coding(options.codec, BITS_PER_S, None))
+        write_video(video, film(options.seed).pictures(), FPS, Coding(options.codec, BITS_PER_S, None))
+    lines = look(video).lines
     reconstruct(video, data)
     scene = prepare(train(data, options.out / "run"), is_once=True)
-    print("| true, px | linear | iterated |\n|---:|---:|---:|")
+    print("| true, px | look | linear | iterated |\n|---:|---:|---:|---:|")
     for k, (x, y) in enumerate(_CENTRES):
+        own = [n.amplitude_px / SIZES_PX[k] for n in lines if abs(n.hz - HZ[k]) < 0.5 * FPS / FRAMES]
         linear = measure_one(scene, Sensor(f"{SIZES_PX[k]} px", "pixel", (x, y, _RADIUS), video.stem))
         again = iterated(scene, linear)
         print(
-            f"| {SIZES_PX[k]} | {figures(linear, k)} | {'as it is' if again is linear else figures(again, k)} |"
+            f"| {SIZES_PX[k]} | {own[0] if own else np.nan:.2f} | {figures(linear, k)}"
+            f" | {'as it is' if again is linear else figures(again, k)} |"
         )

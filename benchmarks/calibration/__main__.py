@@ -3,7 +3,7 @@
     python -m benchmarks.calibration DIR [--films 60] [--first 0] [--jobs 2] [--stages look whole baselines]
                                          [--python FILE]
     python -m benchmarks.calibration DIR --kinds [--films 12]
-    python -m benchmarks.calibration DIR --plain [--films 60]
+    python -m benchmarks.calibration DIR --plain|--large [--films 60]
 
 Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
 goes on. Stages: `look` is one pass over the video (`tg4mm.capture.look`); `whole` is sfm, train and measure with a
@@ -11,7 +11,8 @@ sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase
 (--python: one that has pyidi). Each stage has its own table: how many errors lie within 1 and 2 of their ±, false
 lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
-With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`).
+With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`); with --large: plates of
+which one or two move by .8 to 4 px (`large.py`).
 """
 
 import argparse
@@ -24,8 +25,9 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.calibration import stages
-from benchmarks.calibration.draw import make_film
+from benchmarks.calibration.draw import Truth, make_film
 from benchmarks.calibration.kinds import kinds_stage, kinds_table
+from benchmarks.calibration.large import make_large_film
 from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Score, compared, table
 
@@ -37,10 +39,14 @@ STAGES: dict[str, Callable[..., dict[str, Score]]] = {
 
 
 def scored(
-    seed: int, folder: Path, wanted: tuple[str, ...], python: str, plain: bool = False
+    seed: int,
+    folder: Path,
+    wanted: tuple[str, ...],
+    python: str,
+    make: Callable[[int, Path], Truth] = make_film,
 ) -> dict[str, Score]:
     """A film's scores by method; made where they are not there."""
-    truth = (make_plain_film if plain else make_film)(seed, folder)
+    truth = make(seed, folder)
     out: dict[str, Score] = {}
     for stage in wanted:
         run = partial(STAGES[stage], folder / f"{seed:04d}.mp4", truth, python)
@@ -72,9 +78,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--python", default=sys.executable, help="a Python that has pyidi, for `baselines`")
     parser.add_argument("--kinds", action="store_true", help="sets of our generator, instead of films")
     parser.add_argument("--plain", action="store_true", help="still films with a plain wall, of `look` alone")
+    parser.add_argument("--large", action="store_true", help="films of plates that move by whole pixels")
     given = parser.parse_args(arguments)
     wanted = ("look",) if given.plain else tuple(given.stages)
-    job = partial(scored, folder=given.folder, wanted=wanted, python=given.python, plain=given.plain)
+    make = make_plain_film if given.plain else make_large_film if given.large else make_film
+    job = partial(scored, folder=given.folder, wanted=wanted, python=given.python, make=make)
     if given.kinds:
         job = partial(scored_kind, folder=given.folder)
     by_method: dict[str, list[Score]] = {}

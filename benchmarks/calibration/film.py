@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 FINE = 3  # fine pixels a pixel
 ORDER = 6
+_LENS_PX = 0.55  # blur of a surface that slides
 _TICK = Fraction(1, 90_000)  # seconds, of time stamps
 _HLG = (9, 18, 9, 1)  # primaries of BT.2020, curve, matrix, limited range, as FFmpeg numbers them
 _MARGIN = 8  # pixels beside a mask that a layer reaches into
@@ -116,6 +118,27 @@ class Coding:
 
 
 Painter = Callable[[np.ndarray, float, int], np.ndarray]  # picture, time, number → picture
+
+
+def sliding(surface: np.ndarray, centre: tuple[int, int], motion: Callable[[float], np.ndarray]) -> Painter:
+    """A window in which a surface [3 h, 3 w], periodic, slides by any distance, exactly.
+
+    motion: pixels right and down at a time. The window is smaller than the surface by 16 pixels on each side.
+    """
+    spectrum = np.fft.rfft2(ndimage.gaussian_filter(surface, _LENS_PX * FINE, mode="wrap"))
+    h, w = (n // FINE for n in surface.shape)
+    down, right = np.fft.fftfreq(h * FINE)[:, None], np.fft.rfftfreq(w * FINE)[None]
+    window = ndimage.gaussian_filter(np.pad(np.ones((h - 32, w - 32)), 16), 1.0)
+    left, upper = centre[0] - w // 2, centre[1] - h // 2
+    box = slice(upper, upper + h), slice(left, left + w)
+
+    def paint(picture: np.ndarray, time_s: float, number: int) -> np.ndarray:
+        x, y = FINE * motion(time_s)
+        moved = np.fft.irfft2(spectrum * np.exp(-2j * np.pi * (right * x + down * y)), surface.shape)
+        picture[box] += window * (_down(moved) - picture[box])
+        return picture
+
+    return paint
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.calibration.film import FINE, Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.calibration.film import Coding, Film, Layer, Mode, sliding, texture, write_video
 from tg4mm.capture.look import Picture, look, look_at_pictures
 from tg4mm.core.errors import CaptureError
 
@@ -166,18 +166,8 @@ def test_a_picture_without_texture_or_light_names_nothing():
 def test_a_plate_that_moves_by_pixels_is_found_with_its_amplitude(size_px):
     """Its mean picture is smeared: by small shifts it moves "by itself", at twice its frequency."""
     rng, hz, towards = np.random.default_rng(8), 4.13, np.array([0.8, 0.6])
-    left, upper, right, lower = PLATE
-    fine = np.fft.rfft2(texture(lower - upper + 32, right - left + 32, rng, 0.4, 0.4, (1.2, 3.0)))
-    shape = FINE * (lower - upper + 32), FINE * (right - left + 32)
-    waves = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
-
-    def plate(picture, t, k):
-        x, y = FINE * size_px * np.cos(2 * np.pi * hz * t + 0.7) * towards
-        moved = np.fft.irfft2(fine * np.exp(-2j * np.pi * (waves[1] * x + waves[0] * y)), shape)
-        pixels = moved.reshape(shape[0] // FINE, FINE, shape[1] // FINE, FINE).mean((1, 3))
-        picture[upper:lower, left:right] = pixels[16:-16, 16:-16]
-        return picture
-
+    surface = texture(48 + 32, 64 + 32, rng, 0.4, 0.4, (1.2, 3.0))
+    plate = sliding(surface, (80, 56), lambda t: size_px * np.cos(2 * np.pi * hz * t + 0.7) * towards)
     still = film((0.0, 0.0), lambda t: 0.0, seed=8)
     line = seen(replace(still, painters=[plate])).vibrations[0]
     assert abs(line.hz - hz) < 3 * line.hz_deviation < 0.01

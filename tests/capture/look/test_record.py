@@ -47,10 +47,10 @@ def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
 
 
 def test_an_image_by_the_codec_is_where_its_line_is():
-    strong = replace(found().lines[0], hz=2.0, amplitude_px=1.0)
+    strong = replace(found().lines[0], hz=2.0, amplitude_px=0.5)
     weak = replace(strong, hz=13.0, amplitude_px=0.2)
     assert "image of 2.000 Hz" in marked([strong, weak], 30.0, 6.0)[1].mark
-    elsewhere = np.zeros((6, 8), bool), np.zeros((6, 8), bool)
-    elsewhere[0][:2, :2] = elsewhere[1][4:, 6:] = True
+    elsewhere = np.zeros((2, *strong.cells.shape), bool)
+    elsewhere[0, 0, 0] = elsewhere[1, -1, -1] = True
     pair = [replace(line, cells=cells) for line, cells in zip((strong, weak), elsewhere, strict=True)]
     assert not marked(pair, 30.0, 6.0)[1].mark

@@ -70,9 +70,9 @@ class Template:
     def __init__(self, mean: np.ndarray, grid: Grid) -> None:
         """mean: [H, W] float32."""
         self.mean, self.grid = mean, grid
-        dx, dy = _slope(mean, 1), _slope(mean, 0)
-        dxx, dxy, dyy = _slope(dx, 1), _slope(dx, 0), _slope(dy, 0)
-        higher = (dxx, dxy, dyy, _slope(dxx, 1), _slope(dxx, 0), _slope(dyy, 1), _slope(dyy, 0))
+        dx, dy = slope(mean, 1), slope(mean, 0)
+        dxx, dxy, dyy = slope(dx, 1), slope(dx, 0), slope(dy, 0)
+        higher = (dxx, dxy, dyy, slope(dxx, 1), slope(dxx, 0), slope(dyy, 1), slope(dyy, 0))
         self._rest = self._cells(mean)
         contrast = self._rest - self._rest.mean(1, keepdims=True)
         model = np.stack([np.ones_like(contrast), contrast, -self._cells(dx), -self._cells(dy)], 2)
@@ -125,7 +125,8 @@ def false_information(size: int) -> float:
     return float(np.linalg.inv(covariance)[:, [0, 1], [0, 1]].mean())
 
 
-def _slope(picture: np.ndarray, axis: int) -> np.ndarray:
+def slope(picture: np.ndarray, axis: int) -> np.ndarray:
+    """Of a picture along an axis, grey levels a pixel."""
     return np.asarray(ndimage.correlate1d(picture, _DERIVATIVE, axis, mode="nearest"))
 
 

@@ -52,15 +52,14 @@ def _mark(
     patterns: tuple[int, ...],
     taken_off: Mapping[float, str],
 ) -> str:
-    is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
-    if line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure:
+    if _is_inexact(line):
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
     for hz, whose in taken_off.items():
         if abs(hz - line.hz) < 1 / duration_s:
             return f"nearer to {whose} {hz:.4g} Hz than the record tells apart"
     near = _Near(line, 1 / duration_s)
     for other in lines:
-        if other.amplitude_px >= _LARGER * line.amplitude_px:
+        if other.amplitude_px >= _LARGER * line.amplitude_px and not _is_inexact(other):
             for n in _MULTIPLES:
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
@@ -72,3 +71,9 @@ def _mark(
         if other.statistic > _WEAK * line.statistic:
             return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
     return ""
+
+
+def _is_inexact(line: LookLine) -> bool:
+    """Whether it is of one cell alone, and large."""
+    is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
+    return bool(line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure)

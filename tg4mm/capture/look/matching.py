@@ -28,7 +28,11 @@ _BEYOND = 0.05  # at most, at the end of the reach
 _SOME = 0.25  # of a patch that small shifts do not explain, where it is told from what turns
 _LEFT = 0.15  # of what they leave, in a quarter of those cells: plates leave up to .11, wheels and leaves .19 or more
 _UNEXPLAINED = 0.05  # of a cell's own, where it is more than usual: an amplitude is wrong by half of it
-_ROUNDS, _NEAR_PX = 3, 0.1  # of a cell, fewer where less than that is left of a shift
+_ROUNDS, _NEAR_PX, _FAR_PX = (
+    3,
+    0.1,
+    0.5,
+)  # of a cell, fewer where little is left of a shift; more has come to no rest
 
 
 @dataclass
@@ -98,7 +102,7 @@ def matched(patch: Patch, usual: Usual) -> Matched | None:
         unlike.any() and np.percentile(shares, 25) > _LEFT and unlike.mean() > _SOME
     ):
         return None
-    own = ~usual.stand_out(left) | (left < _UNEXPLAINED * before)
+    own = (~usual.stand_out(left) | (left < _UNEXPLAINED * before)) & np.array([part[4] for part in parts])
     covariance = np.stack([part[3] for part in parts])
     return Matched(patch.cells[own], shift[:, own], gain[:, own], misfit[:, own], covariance[own])
 
@@ -139,7 +143,8 @@ def _widest(picture: np.ndarray, inside: np.ndarray) -> tuple[slice, slice]:
 
 
 def _cell(pictures: np.ndarray, place: np.ndarray, size: int, start: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Shifts [F, 2], gains [F], misfits [F] and the covariance [2, 2] of the cell at a place, from offsets [F, 2]."""
+    """Of the cell at a place, from offsets [F, 2]: shifts [F, 2], gains [F], misfits [F], the covariance [2, 2], and
+    whether the rounds came to rest."""
     around = _EDGE + _TAPS
     side = size + 2 * around
     windows = np.lib.stride_tricks.sliding_window_view(pictures, (1, side, side))[:, :, :, 0]
@@ -152,9 +157,10 @@ def _cell(pictures: np.ndarray, place: np.ndarray, size: int, start: np.ndarray)
         template = Template(tiles.mean(0), grid)
         left, gain, misfit = (part[0] for part in template.solved(*template.products(tiles)))
         shift = before + left
-        if np.nanpercentile(np.abs(left), 95) < _NEAR_PX:
+        furthest = np.nanpercentile(np.abs(left), 95)
+        if furthest < _NEAR_PX:
             break
-    return shift, gain, misfit, template.covariance[0]
+    return shift, gain, misfit, template.covariance[0], furthest < _FAR_PX
 
 
 def _sampled(tiles: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -17,13 +17,16 @@ variables, Fuller 1987). With e the scene at rest less the mean picture, a motio
 change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
 
     F_kl  =  E_k·JᵀW (motion_l·∇e)
+
+Of a flat capture, whose scene at rest is fitted to that mean picture, (A − F) u = b is solved: E J is the instrument.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tg4mm.capture.look.cells import slope
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import optical_flow
 from tg4mm.fit.motion.observation_model import later
@@ -70,7 +73,7 @@ class Equations:
     normals: np.ndarray  # [2, F or 1, K, K] A
     noise: np.ndarray  # [2, F or 1, K, K] B
     sides: np.ndarray  # [2, F, K]
-    false: np.ndarray  # [K, K] F, of both halves together; 0 of a moving camera, which has no mean picture
+    false: np.ndarray  # [2, K, K] F; 0 of a moving camera, which has no mean picture
     delay_s: float = 0.0  # after the frames' times: when the rows that tell of the body are read
 
     def along(self, axes: np.ndarray) -> "Equations":
@@ -78,6 +81,10 @@ class Equations:
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
         return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T, self.delay_s)
+
+    def by_the_pictures(self) -> "Equations":
+        """(A − F) u = b, by what the mean picture itself shows of a motion; the scene at rest is the instrument."""
+        return replace(self, normals=self.normals - self.false[:, None])
 
 
 def equations_of(
@@ -102,7 +109,7 @@ def equations_of(
     n_frames, count, unknowns = series.shape[1], len(views) if is_moving else 1, len(motions[0])
     normals, noise = np.zeros((2, len(bodies), HALVES, count, unknowns, unknowns))
     known = np.zeros((len(bodies), HALVES, n_frames, unknowns))
-    false = np.zeros((len(bodies), unknowns, unknowns))
+    false = np.zeros((len(bodies), HALVES, unknowns, unknowns))
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
     delays = np.zeros(len(bodies))
     for k, view in enumerate(views):
@@ -118,7 +125,7 @@ def equations_of(
             for half, model in halves:
                 if changes is not None:
                     back = model.adjoint(changes).reshape(unknowns, -1)
-                    false[b] += e.reshape(unknowns, -1).astype(np.float64) @ back.T
+                    false[b, half] += e.reshape(unknowns, -1).astype(np.float64) @ back.T
                 flat = model.normal(e).reshape(unknowns, -1)
                 at = b, half, k if is_moving else 0
                 normals[at] += flat @ trials[b].reshape(unknowns, -1).T
@@ -152,7 +159,7 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
 def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
     """[K, H, W, 3]: what of the pictures' change by motions D [K, N, 6] the scene at rest has and the mean lacks."""
     rest = view.view.over_white
-    down, right = np.gradient(rest - view.mean, axis=(0, 1))
+    down, right = (slope(rest - view.mean, axis) for axis in (0, 1))
     flow = optical_flow(view.view, trials, Buffers())
     # a motion to the right by a pixel takes away the slope to the right
     return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))

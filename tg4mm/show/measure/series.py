@@ -73,8 +73,11 @@ def series_of(
     slow: np.ndarray | None = None,
 ) -> Series:
     """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
-    shifts = slice(len(axes))
-    dof = len(equations.false) if _tells_rotation(equations, len(axes)) else len(axes)
+    shifts, is_flat = slice(len(axes)), len(axes) == 2
+    dof = equations.false.shape[-1] if _tells_rotation(equations, len(axes)) else len(axes)
+    false = _false_share(equations, dof, len(axes))
+    if is_flat:
+        equations, false = equations.by_the_pictures(), false**2  # what a share of the first order leaves
     normals, noise, sides = equations.normals, equations.noise, equations.sides
     answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
     whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
@@ -95,8 +98,7 @@ def series_of(
         deviation = np.sqrt(factor * variance)
     deviation[np.isnan(deviation)] = np.inf
     out = np.where(np.isfinite(deviation), out, 0.0)
-    false, turned = _false_share(equations, dof, len(axes)), slice(len(axes), None)
-    turns = turn_deviation = None
+    turned, turns, turn_deviation = slice(len(axes), None), None, None
     if dof > len(axes):
         turns, turn_deviation = out[:, turned] / radius, deviation[:, turned] / radius
     return Series(
@@ -140,7 +142,7 @@ def _false_share(equations: Equations, dof: int, shifts: int) -> np.ndarray:
     By how much the answer along an axis misses a motion of unit length in a direction that is told or hidden alike.
     """
     a = equations.normals.sum(0).mean(0)[:dof, :dof]
-    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false[:dof, :shifts])[:shifts]
+    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false.sum(0)[:dof, :shifts])[:shifts]
     return np.minimum(np.sqrt((share**2).sum(1)), 1.0)
 
 

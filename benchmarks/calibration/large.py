@@ -1,0 +1,61 @@
+"""Films of two plates, one of which, or both, move by whole pixels."""
+
+import json
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.calibration.draw import Draw, TrueVibration, Truth, read_truth
+from benchmarks.calibration.film import Film, Layer, sliding, texture, write_video
+
+_SEEDS = 70_000  # of these films on
+_LARGE_PX, _SMALL_PX = (0.8, 4.0), (0.05, 0.1, 0.3)
+_HALF_PX = 18, 52  # of a plate's side
+_MOST = 240  # pictures
+
+
+def make_large_film(seed: int, folder: Path) -> Truth:
+    """folder/SEED.mp4 and SEED.json; those there are kept."""
+    video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
+    if video.exists() and notes.exists():
+        return read_truth(notes)
+    folder.mkdir(parents=True, exist_ok=True)
+    draw = Draw(_SEEDS + seed)
+    rng, frames, width, height = draw.rng, min(draw.frames, _MOST), 320, 192
+    plates, painters = [_plate(draw, frames, 80, True), _plate(draw, frames, 240, rng.random() < 0.5)], []
+    for plate in plates:
+        left, upper, right, lower = plate.region
+        surface = texture(
+            lower - upper + 32, right - left + 32, rng, rng.uniform(0.2, 0.45), 0.4, _sizes(rng)
+        )
+        painters.append(sliding(surface, ((left + right) // 2, height // 2), partial(_moved, plate)))
+    wall = texture(height, width, rng, rng.uniform(0.15, 0.4), 0.35, [2.0, 6.0, 20.0])
+    film = Film(
+        [Layer(wall, None, [], 0.55)], draw.fps, frames, draw.truth.noise, painters=painters, seed=seed
+    )
+    truth = replace(draw.truth, width=width, height=height, frames=frames, vibrations=plates)
+    bits = round(truth.bits_per_pixel * width * height * draw.fps)
+    write_video(video, film.pictures(), draw.fps, replace(draw.coding, bits_per_second=bits))
+    notes.write_text(json.dumps(asdict(truth), indent=1))
+    return truth
+
+
+def _sizes(rng: np.random.Generator) -> list[float]:
+    finest = rng.uniform(0.8, 2.5)
+    return [finest, 3 * finest, 9.0]
+
+
+def _plate(draw: Draw, frames: int, x: int, is_large: bool) -> TrueVibration:
+    rng, half = draw.rng, int(draw.rng.integers(*_HALF_PX))
+    size = float(np.exp(rng.uniform(*np.log(_LARGE_PX)))) if is_large else float(rng.choice(_SMALL_PX))
+    angle, hz = rng.uniform(0, 2 * np.pi), float(rng.uniform(2.5 / frames, 0.45) * draw.fps)
+    region = x - half, 96 - half, x + half, 96 + half
+    return TrueVibration(
+        hz, (size * np.cos(angle), size * np.sin(angle)), region, False, rng.uniform(0, 2 * np.pi)
+    )
+
+
+def _moved(plate: TrueVibration, time_s: float) -> np.ndarray:
+    return plate.motion()(time_s) * np.array(plate.amplitude_px)
