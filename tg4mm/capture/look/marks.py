@@ -64,11 +64,12 @@ def _mark(
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
                     return f"{n} × {other.hz:.3f} Hz"
-            is_there = bool((line.cells & ndimage.binary_dilation(other.cells, BLOCK)).any())
-            if is_there and any(near(image, other) for image in images(other.hz, rate, patterns)):
+            if _is_there(line, other) and any(
+                near(image, other) for image in images(other.hz, rate, patterns)
+            ):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
     for other in lines:
-        if other.statistic > _WEAK * line.statistic:
+        if other.statistic > _WEAK * line.statistic and _is_there(line, other):
             return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
     return ""
 
@@ -77,3 +78,8 @@ def _is_inexact(line: LookLine) -> bool:
     """Whether it is of one cell alone, and large."""
     is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
     return bool(line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure)
+
+
+def _is_there(line: LookLine, other: LookLine) -> bool:
+    """Whether one is where the other is: what a codec makes of a line, it makes there."""
+    return bool((line.cells & ndimage.binary_dilation(other.cells, BLOCK)).any())

@@ -23,6 +23,7 @@ _LONGEST_PATTERN = 1 / 8  # of the pictures: images of a line by a longer one ar
 _MINOR_LIGHT = 0.3  # of the strongest light line: what is weaker is an image of it by the codec
 _EVERYWHERE = 0.4  # of the median amplitude that every quarter of the picture must show of a light line
 _AGREES = 1.5  # times the typical ratio of scatter to noise: cells that do not move
+_FAR_OFF = 16.0  # times more: cells that no line moves, and that are yet no background
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ def against_background(scene: Scene, still: np.ndarray, all_still: bool = False)
     """The scene with the common shift of the cells `still` [C] taken off every cell's, and the camera's zoom and roll.
 
     Cells count by area, as far as they have texture: weighted by texture, one that vibrates would be the background.
-    all_still: otherwise those that scatter more than their noise against the others' median are left out.
+    Those that scatter more than their noise against the others' median are left out; all_still: much more.
     """
     shift = np.where(scene.masks.hidden[..., None], 0.0, np.nan_to_num(scene.series.shift))
     if not still.any():
@@ -250,20 +251,20 @@ def against_background(scene: Scene, still: np.ndarray, all_still: bool = False)
     places, picture = scene.grid.centres(), scene.series.size
     shapes = camera_shapes(places, picture, weights, counts, shift, scene.nuisance)
     design = designs(places, picture, shapes)
-    if not all_still:
-        known = fitted(design, weights, counts, shift)[:, 2:] if shapes else np.zeros((len(shift), 0))
-        counts = counts * _agrees(scene, still, shift - np.einsum("cip,kp->kci", design[..., 2:], known))
+    known = fitted(design, weights, counts, shift)[:, 2:] if shapes else np.zeros((len(shift), 0))
+    most = _AGREES * (_FAR_OFF if all_still else 1)
+    counts = counts * _agrees(scene, still, shift - np.einsum("cip,kp->kci", design[..., 2:], known), most)
     found = fitted(design, weights, counts, shift)
     own = shift - np.einsum("cip,kp->kci", design, found)
     return replace(scene, own=own, whole=found[:, :2], shapes=shapes, courses=found[:, 2:])
 
 
-def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """[C] bool: cells that scatter no more than their noise against the median of those that are `still`."""
+def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray, most: float) -> np.ndarray:
+    """[C] bool: cells whose scatter, over their noise, is at most so many times that of those that are `still`."""
     covariance = shift_covariance(scene.series)
     first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)
     axes = np.linalg.eigh(scene.information)[1]
     along = np.einsum("kci,cia->kca", shift - first[:, None], axes)
     noise = np.einsum("cia,cij,cja->ca", axes, covariance, axes)
     ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / np.maximum(noise, 1e-12)
-    return np.asarray((ratio < _AGREES * np.median(ratio[still], 0)).all(1))
+    return np.asarray((ratio < most * np.median(ratio[still], 0)).all(1))

@@ -23,6 +23,7 @@ _WANDER_BINS = 6  # neighbourhood that a line must explain
 _LEFT, _LEFT_SHARE = 2.5, 0.15  # what may stay there, times the noise or of half the statistic
 _SUPPORT = 7.0  # statistic of the place without its strongest cell: one of 140 of noise is above
 _TRIES = 2  # at one frequency
+_CLEAR = 4.0  # times what noise exceeds: a place at a rim has little support, one beside it more
 _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
 
 
@@ -112,8 +113,12 @@ class Search:
             return
         explains = wander <= max(_LEFT, _LEFT_SHARE * statistic / 2) and statistic >= peak.cut * wander
         support = self._support(peak, vibration, row)
-        if not explains or self._is_near(vibration) or support < _least_support(peak):
+        if not explains or self._is_near(vibration):
             self._raise(peak, vibration.hz, max(wander, 2.0))
+            return
+        if support < _least_support(peak):
+            self._tries[key] -= int(statistic > _CLEAR * peak.cut)
+            self._raise(peak, vibration.hz, max(wander, 2.0), statistic > _CLEAR * peak.cut)
             return
         self.lines.append(Line(vibration, statistic, peak.cut, peak.pool, shape, noise))
         self._take_off()
@@ -170,14 +175,15 @@ class Search:
             abs(vibration.hz - o.hz) < max(resolution, (vibration.decay + o.decay) / np.pi) for o in others
         )
 
-    def _raise(self, peak: Peak, hz: float, factor: float) -> None:
-        """What wanders is noise: that much higher around this place and frequency."""
+    def _raise(self, peak: Peak, hz: float, factor: float, alone: bool = False) -> None:
+        """What wanders is noise: that much higher around this frequency and place, or at the place alone."""
         around = np.flatnonzero((np.abs(self.hz - hz) < _WANDER_BINS / self.scene.duration) & self.allowed)
         here = self.pools[peak.pool]
         for pool in self.pools:
             reach = self.scene.grid.size * (1.5 + max(pool.size, here.size) / 2)
             far = np.linalg.norm(pool.centre - here.centre[peak.place], axis=1)
-            columns = np.flatnonzero(np.repeat(far < reach, 2))
+            near = (far == 0) & (pool is here) if alone else far < reach
+            columns = np.flatnonzero(np.repeat(near, 2))
             pool.raised[np.ix_(around, columns)] *= factor
             pool.floor[np.ix_(around, columns)] *= factor
 
