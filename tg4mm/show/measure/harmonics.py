@@ -45,7 +45,8 @@ def harmonics_of(
         for j in sorted(range(len(hz)), key=lambda j: -size[j]):
             for order in _ORDERS if size[j] > size[k] else ():
                 error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
-                if abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
+                is_told = SURE * deviation[j] < resolution  # else many a peak would be near
+                if is_told and abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
                     return Harmonic(order, hz[j])
         return None
 
