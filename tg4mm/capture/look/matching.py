@@ -17,10 +17,8 @@ from tg4mm.capture.look.usual import BLOCK, Usual
 
 REACH = 8  # pixels, of an offset
 FEWEST_CELLS = 4  # of a patch
-_EDGE, _TAPS = (
-    10,
-    7,
-)  # pixels around a cell that slopes of its mean need, and around these for points between pixels
+_EDGE = 10  # pixels around a cell that slopes of its mean need,
+_TAPS = 7  # and around these, for points between pixels
 _MARGIN = REACH + _EDGE + _TAPS
 _WIDEST = 256  # pixels a side of what offsets are sought by
 _MOVES = 0.2  # share of pictures, at least, that lie at another offset than most
@@ -28,11 +26,9 @@ _BEYOND = 0.05  # at most, at the end of the reach
 _SOME = 0.25  # of a patch that small shifts do not explain, where it is told from what turns
 _LEFT = 0.15  # of what they leave, in a quarter of those cells: plates leave up to .11, wheels and leaves .19 or more
 _UNEXPLAINED = 0.05  # of a cell's own, where it is more than usual: an amplitude is wrong by half of it
-_ROUNDS, _NEAR_PX, _FAR_PX = (
-    3,
-    0.1,
-    0.5,
-)  # of a cell, fewer where little is left of a shift; more has come to no rest
+_ROUNDS = 3  # of a cell,
+_NEAR_PX = 0.1  # fewer where less is left of most shifts
+_FAR_PX = 0.5  # more has come to no rest
 
 
 @dataclass
@@ -116,7 +112,7 @@ def _offsets(pictures: np.ndarray, patch: Patch) -> np.ndarray:
     box = _widest(first, inside)
     inside, first = inside[box], first[box]
     inside[:REACH] = inside[-REACH:] = inside[:, :REACH] = inside[:, -REACH:] = 0
-    level = float(first[inside > 0].mean())
+    level = float(first.mean(where=inside > 0)) if inside.any() else 0.0
     first = (first - level) * inside
     shape = inside.shape
     of_first, of_inside = np.conj(fft.rfft2(first)), np.conj(fft.rfft2(inside))
