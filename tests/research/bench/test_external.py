@@ -141,11 +141,21 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(data, tmp_path, caps
     monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
     monkeypatch.setattr("tg4mm.research.bench.jobs.score_pictures", forbidden)
     monkeypatch.setattr("tg4mm.research.bench.measure.train", forbidden)
-    arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "modal,linear-2d", "--collect"]
+    arguments = [
+        "bench",
+        "scenes",
+        str(data),
+        "--out",
+        str(out),
+        "--methods",
+        "modal,3dmm,linear-2d",
+        "--collect",
+    ]
     assert main(arguments) == 1
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
     assert [(f["method"], f["why"]) for f in results["failed"]] == [
-        ("modal", f"modal on {data.name} is not finished, or is of other settings or pictures")
+        (method, f"{method} on {data.name} is not finished, or is of other settings or pictures")
+        for method in ("modal", "3dmm")
     ]
     assert [line["row"] for line in results["lines"]] == ["linear-2d"]
     assert (out / "results.html").is_file()

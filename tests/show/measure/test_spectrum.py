@@ -123,7 +123,9 @@ def test_two_and_three_times_a_stronger_frequency(hz, size, expected):
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
-    assert harmonics_of([7.0, 14.5], [0.2, 0.001], [1.0, 0.1], FPS, RESOLUTION)[1] is None  # of what has hardly one
+    assert (
+        harmonics_of([7.0, 14.5], [0.2, 0.001], [1.0, 0.1], FPS, RESOLUTION)[1] is None
+    )  # of what has hardly one
 
 
 def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():

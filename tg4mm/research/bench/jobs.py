@@ -63,6 +63,10 @@ def run_job(
     Tg4mmError of the first where none succeeds.
     """
     place = job_folder(out, data, method)
+    if collect and not _Kept(place / SCORES).entries:
+        raise BenchError(
+            f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
+        )
     claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
     figures = method.fit(data, place, plan)
     if isinstance(method, External) and not method.has_pictures(data):
