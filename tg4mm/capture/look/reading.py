@@ -20,7 +20,7 @@ _FIRST_BYTES = 512 << 20  # and bytes
 _MATCHED_BYTES = 1 << 30  # of the pixels around cells that move by more than a pixel
 _FAR_PX = 0.5  # from the whole picture's shift, that third order in a shift does not hold
 _CLEAR = 4.0  # deviations of a shift's noise that it must exceed, too
-_AT_ONCE = 32  # pictures whose cells fit a cache
+_AT_ONCE, _PIXELS_AT_ONCE = 32, 1 << 26  # pictures that are compared with the mean, at most
 _KNOCK_PX = 0.5  # a step of the whole picture that stays
 _SHORTEST = 8  # pictures of a resting place
 _NEAR_PX = 0.25  # of a resting place's median, pictures that its mean is of
@@ -92,7 +92,9 @@ def read_cells(
         row_means.append(picture.grey.mean(1, dtype=np.float32))
         waiting.append(picture.grey.copy())
         if len(waiting) == (
-            _AT_ONCE if reader.templates else max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
+            _at_once(picture.grey.size)
+            if reader.templates
+            else max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
         ):
             reader.add(np.stack(waiting))
             waiting = []
@@ -199,8 +201,13 @@ class _Reader:
 
 
 def _products_of(template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    parts = [template.products(pictures[k : k + _AT_ONCE]) for k in range(0, len(pictures), _AT_ONCE)]
+    step = _at_once(pictures[0].size)
+    parts = [template.products(pictures[k : k + step]) for k in range(0, len(pictures), step)]
     return np.concatenate([p for p, _ in parts], 1), np.concatenate([e for _, e in parts], 1)
+
+
+def _at_once(pixels: int) -> int:
+    return max(1, min(_AT_ONCE, _PIXELS_AT_ONCE // pixels))
 
 
 def _mean_without(
