@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.__main__ import scored
+from benchmarks.calibration.large import make_large_film
+from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.draw import TrueVibration, Truth, make_film, read_truth
 from benchmarks.calibration.film import Layer, Mode, texture
 from benchmarks.calibration.score import Named, score, smallest_found, table
@@ -71,5 +73,9 @@ def test_three_films_from_nothing_to_scores(tmp_path):
     again = read_truth(tmp_path / "0000.json")
     assert again == make_film(0, tmp_path)
     assert "films on which nothing vibrates with a line: 0" in table(scores)
-    still = scored(3, tmp_path / "plain", ("look",), "", plain=True)["look"]
+    still = scored(3, tmp_path / "plain", ("look",), "", make_plain_film)["look"]
     assert (still.is_still, still.false) == (True, [])
+    large = scored(6, tmp_path / "large", ("look",), "", make_large_film)["look"]  # 2.7 and 1.3 px
+    assert len(large.amplitudes) == 2
+    assert max(map(abs, large.amplitudes)) < 2
+    assert large.false == []
