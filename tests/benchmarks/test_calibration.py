@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.__main__ import scored
-from benchmarks.calibration.large import make_large_film
-from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.draw import TrueVibration, Truth, make_film, read_truth
 from benchmarks.calibration.film import Layer, Mode, texture
+from benchmarks.calibration.large import make_large_film
+from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Named, score, smallest_found, table
 
 TRUTH = Truth(320, 180, 30, 300, 3.0, "libx264", 1.0)
