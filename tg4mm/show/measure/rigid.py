@@ -121,7 +121,7 @@ def equations_of(
             said, delays = summed(sides, view, halves, pictures, shown, series)
             known += said
         for b, e in enumerate(motions):
-            changes = None if is_moving else _false_changes(view, trials[b])
+            changes = None if is_moving else _false_changes(view, trials[b], len(bodies[b].axes) == 2)
             for half, model in halves:
                 if changes is not None:
                     back = model.adjoint(changes).reshape(unknowns, -1)
@@ -156,10 +156,15 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
     return np.maximum(body.weights, np.clip(alike, 0, 1)).astype(np.float32)
 
 
-def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
-    """[K, H, W, 3]: what of the pictures' change by motions D [K, N, 6] the scene at rest has and the mean lacks."""
+def _false_changes(view: MeasuredView, trials: np.ndarray, is_flat: bool) -> np.ndarray:
+    """[K, H, W, 3]: what of the pictures' change by motions D [K, N, 6] the scene at rest has and the mean lacks.
+
+    Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
+    calibration has central differences.
+    """
     rest = view.view.over_white
-    down, right = (slope(rest - view.mean, axis) for axis in (0, 1))
+    error = rest - view.mean
+    down, right = ((slope(error, axis) if is_flat else np.gradient(error, axis=axis)) for axis in (0, 1))
     flow = optical_flow(view.view, trials, Buffers())
     # a motion to the right by a pixel takes away the slope to the right
     return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
