@@ -1,7 +1,7 @@
 """Random films: texture, lens, noise, codec, motion and rate are drawn by a seed; what vibrates has exact truth."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -83,12 +83,17 @@ class Truth:
 
 
 def make_film(seed: int, folder: Path) -> Truth:
+    """Of `Draw`."""
+    return kept_film(seed, folder, lambda: Draw(seed).film())
+
+
+def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[Film, Coding, Truth]]) -> Truth:
     """folder/SEED.mp4 and SEED.json; those there are kept."""
     video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
     if video.exists() and notes.exists():
         return read_truth(notes)
     folder.mkdir(parents=True, exist_ok=True)
-    film, coding, truth = Draw(seed).film()
+    film, coding, truth = drawn()
     write_video(video, film.pictures(), truth.fps, coding)
     unfinished = notes.with_suffix(".part")
     unfinished.write_text(json.dumps(asdict(truth), indent=1))

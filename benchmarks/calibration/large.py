@@ -1,14 +1,13 @@
 """Films of two plates, one of which, or both, move by whole pixels."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.draw import Draw, TrueVibration, Truth, read_truth
-from benchmarks.calibration.film import Film, Layer, sliding, texture, write_video
+from benchmarks.calibration.draw import Draw, TrueVibration, Truth, kept_film
+from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture
 
 _SEEDS = 70_000  # of these films on
 _LARGE_PX, _SMALL_PX = (0.8, 4.0), (0.05, 0.1, 0.3)
@@ -17,11 +16,11 @@ _MOST = 240  # pictures
 
 
 def make_large_film(seed: int, folder: Path) -> Truth:
-    """folder/SEED.mp4 and SEED.json; those there are kept."""
-    video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
-    if video.exists() and notes.exists():
-        return read_truth(notes)
-    folder.mkdir(parents=True, exist_ok=True)
+    """Of two plates that move."""
+    return kept_film(seed, folder, lambda: _drawn(seed))
+
+
+def _drawn(seed: int) -> tuple[Film, Coding, Truth]:
     draw = Draw(_SEEDS + seed)
     rng, frames, width, height = draw.rng, min(draw.frames, _MOST), 320, 192
     plates, painters = [_plate(draw, frames, 80, True), _plate(draw, frames, 240, rng.random() < 0.5)], []
@@ -37,9 +36,7 @@ def make_large_film(seed: int, folder: Path) -> Truth:
     )
     truth = replace(draw.truth, width=width, height=height, frames=frames, vibrations=plates)
     bits = round(truth.bits_per_pixel * width * height * draw.fps)
-    write_video(video, film.pictures(), draw.fps, replace(draw.coding, bits_per_second=bits))
-    notes.write_text(json.dumps(asdict(truth), indent=1))
-    return truth
+    return film, replace(draw.coding, bits_per_second=bits), truth
 
 
 def _sizes(rng: np.random.Generator) -> list[float]:

@@ -1,13 +1,11 @@
 """Still films whose wall is plain: shade, hardly any texture, and one to three textured boxes before it."""
 
-import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.draw import Draw, Truth, read_truth
-from benchmarks.calibration.film import FINE, Film, Layer, texture, write_video
+from benchmarks.calibration.draw import Draw, Truth, kept_film
+from benchmarks.calibration.film import FINE, Coding, Film, Layer, texture
 
 _SEEDS = 50_000  # of these films on
 _CONTRAST = 0.0003, 0.05  # of the wall
@@ -15,17 +13,15 @@ _MOST = 240  # pictures
 
 
 def make_plain_film(seed: int, folder: Path) -> Truth:
-    """folder/SEED.mp4 and SEED.json; those there are kept. Nothing vibrates: every line is false."""
-    video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
-    if video.exists() and notes.exists():
-        return read_truth(notes)
-    folder.mkdir(parents=True, exist_ok=True)
+    """Nothing vibrates: every line is false."""
+    return kept_film(seed, folder, lambda: _drawn(seed))
+
+
+def _drawn(seed: int) -> tuple[Film, Coding, Truth]:
     draw = Draw(_SEEDS + seed)
     draw.frames = draw.truth.frames = min(draw.frames, _MOST)
     draw.duration = draw.frames / draw.fps
-    write_video(video, _film(draw).pictures(), draw.fps, draw.coding)
-    notes.write_text(json.dumps(asdict(draw.truth), indent=1))
-    return draw.truth
+    return _film(draw), draw.coding, draw.truth
 
 
 def _film(draw: Draw) -> Film:
