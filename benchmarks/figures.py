@@ -13,14 +13,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures_tables import five_tables, mic_table, number, rivals_tables
+from benchmarks.figures_tables import five_tables, merged, mic_table, number, rivals_tables, size_table
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.intervals import half_width
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = {"--results": "", "--five": "", "--mic": "", "--rivals": ""}
+OPTIONS = {"--results": "", "--five": "", "--mic": "", "--rivals": "", "--sizes": ""}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -119,8 +119,9 @@ def run(options: argparse.Namespace) -> None:
         figures["tables"] |= five_tables(_read(options.five))
     if options.mic:
         figures["tables"] |= mic_table(_read(options.mic))
-    if options.rivals:
-        figures["tables"] |= rivals_tables(_read(options.rivals))
+    for given, made in ((options.rivals, rivals_tables), (options.sizes, size_table)):
+        if given:  # of a part of the sets and methods the rest stays
+            figures["tables"] = merged(figures["tables"], made(_read(given)))
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")

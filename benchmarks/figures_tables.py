@@ -54,7 +54,7 @@ def _named(row: str) -> str:
 
 
 def rivals_tables(results: Results) -> Made:
-    """SSIM and LPIPS of every row on every set, and displacement errors."""
+    """SSIM and LPIPS of every row on every set, and displacement errors; their names end in the size, but for 128."""
     lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
     sets, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
     names.sort(key=lambda row: (row == CEILING) - (row == STATIC))
@@ -67,7 +67,42 @@ def rivals_tables(results: Results) -> Made:
     header = ["SSIM/LPIPS at α", *(f"{label.partition('_')[0]}, {a}" for label, a in places)]
     errors = _by_set(results)
     errors["rows"] = errors["rows"][: len(sets)]
-    return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
+    width = results["sets"][0]["width"]
+    size = "" if width == 128 else f"_{width}"
+    return {f"rivals{size}": {"header": header, "rows": rows}, f"rivals_errors{size}": errors}
+
+
+def size_table(results: Results) -> Made:
+    """What `modal` reaches on every set."""
+    at = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
+    rows = []
+    for run in (run for run in results["runs"] if run["row"] == "modal"):
+        scores = {row: at[run["set"], row] for row in (STATIC, "modal", CEILING)}
+        ssim = "/".join(number("{:.4f}", found["20"]["ssim"]) for found in scores.values())
+        lpips = "/".join(number("{:.4f}", scores["modal"][a]["lpips"]) for a in ("20", "50"))
+        error = _error(scalars(run)).split(", ")
+        rows.append([run["set"].partition("_")[0], *error, ssim, lpips, f"{run['seconds']['total']:.0f}"])
+    titles = "SSIM at α = 20: nothing moves/`modal`/ceiling", "LPIPS of `modal` at 20/50", "training, s"
+    return {"size": {"header": ["", "error, %", "MAC", *titles], "rows": rows}}
+
+
+def merged(old: Made, new: Made) -> Made:
+    """The tables; rows and columns that the new ones lack stay."""
+    return old | {name: _merged(old[name], table) if name in old else table for name, table in new.items()}
+
+
+def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    header, rows = (list(dict.fromkeys(names)) for names in (
+        [*old["header"], *new["header"]], [row[0] for table in (old, new) for row in table["rows"]]
+    ))  # fmt: skip
+    cells = {
+        (row[0], title): cell
+        for table in (old, new)
+        for row in table["rows"]
+        for title, cell in zip(table["header"], row, strict=True)
+        if cell
+    }
+    return {"header": header, "rows": [[cells.get((row, title), "") for title in header] for row in rows]}
 
 
 def over_alpha(results: Results) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
-from benchmarks.figures_tables import five_tables, mic_table, rivals_tables
+from benchmarks.figures_tables import five_tables, merged, mic_table, rivals_tables, size_table
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
 
@@ -58,6 +58,7 @@ def test_the_other_tables_are_of_results_too():
     ]
     groups = {run["set"]: "all"}
     results = {
+        "sets": [{"width": 256}],
         "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
     }  # fmt: skip
     made = five_tables(results)
@@ -65,5 +66,17 @@ def test_the_other_tables_are_of_results_too():
     assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
     assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
     assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
-    assert rivals_tables(results)["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
+    assert rivals_tables(results)["rivals_256"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]
+    for line in lines:
+        line["alphas"]["50"] = line["alphas"]["20"]
+    assert size_table(results)["size"]["rows"] == [
+        ["mic", "5.8", ".998", ".9520/.9520/.9520", ".0500/.0500", "35"]
+    ]
+
+
+def test_a_part_of_a_table_leaves_the_rest():
+    old = {"a": {"header": ["", "x", "y"], "rows": [["one", "1", "2"], ["two", "3", "4"]]}}
+    new = {"a": {"header": ["", "y", "z"], "rows": [["two", "5", "6"], ["three", "", "7"]]}}
+    rows = [["one", "1", "2", ""], ["two", "3", "5", "6"], ["three", "", "", "7"]]
+    assert merged(old, new) == {"a": {"header": ["", "x", "y", "z"], "rows": rows}}

@@ -111,6 +111,19 @@ def test_other_alphas_are_scored_without_training(done, data, monkeypatch):
     assert space.stat().st_mtime_ns == before
 
 
+def test_a_band_that_is_set_is_what_every_method_magnifies(data, tmp_path):
+    """Where nothing moves in it, a method without training shows the motion as it was, a sixth of the truth's."""
+    methods, plan = ("modal", "phase-2d"), Plan(alphas=(5.0,))
+    gains = {}
+    for band in ("4 6", "8 12"):
+        asked = ScenesRequest(methods, {"modal": MODAL | {"motion.band": band}}, plan=plan)
+        results = run_scenes([data], tmp_path / band.replace(" ", "_"), asked, silent)
+        (line,) = [x for x in results["lines"] if x["row"] == "phase-2d"]
+        gains[results["band"]] = line["alphas"]["5"]["gain"]
+    assert gains["4 to 6 Hz"] > 0.5
+    assert gains["8 to 12 Hz"] == pytest.approx(1 / 6, abs=0.05)
+
+
 class TestSameTime:
     def test_all_iterations_are_scaled(self):
         training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)

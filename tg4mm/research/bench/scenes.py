@@ -1,13 +1,14 @@
 """The benchmark's main tables: every method on every dataset, resumable job by job."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import to_json
 from tg4mm.core.progress import progress
+from tg4mm.fit.motion.config import asked_band
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.ablation.page import read_ablation
 from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
@@ -70,6 +71,7 @@ def run_scenes(
     for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
     sets, failed = open_those_that_open(roots, request.plan.alphas)
+    sets = _in_band(sets, request)
     failed += torn_truth(sets, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
@@ -121,7 +123,7 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
     methods = {m.name: m for m in request.made()}
     if name not in methods:
         raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
-    (data,) = open_sets([root])
+    (data,) = _in_band(open_sets([root]), request)
     check_plan([data], request.plan)
     open_folder(Path(out), KIND)
     _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
@@ -129,6 +131,26 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
     for why in (why for line in lines for why in line.failed):
         raise BenchError(f"{name} on {data.label}: {why}; the other α are scored")
     return job_folder(out, data, methods[name])
+
+
+def _band(request: ScenesRequest) -> str:
+    """`motion.band` where it is set, which every method then magnifies."""
+    return request.settings.get("modal", {}).get("motion.band", "")
+
+
+def _shown_band(request: ScenesRequest) -> str | None:
+    if not request.plan.banded:
+        return None
+    asked = asked_band(_band(request))
+    return (
+        f"{asked[0]:g} to {asked[1]:g} Hz" if asked else "the motion's frequencies and 1.5 Hz on either side"
+    )
+
+
+def _in_band(sets: Sequence[BenchSet], request: ScenesRequest) -> list[BenchSet]:
+    """Raises Tg4mmError for a band above half the rate of a set."""
+    bands = [asked_band(_band(request), s.fps) or s.band_hz for s in sets]
+    return [replace(s, band_hz=band) for s, band in zip(sets, bands, strict=True)]
 
 
 class _Bench:
@@ -219,7 +241,7 @@ class _Bench:
             "made": self.here,
             "methods": [m.name for m in self.request.made()],
             "same_time": self.request.same_time,
-            "band": "motion ± 1.5 Hz" if self.request.plan.banded else None,
+            "band": _shown_band(self.request),
             "sets": sets,
             "runs": self.runs,
             "lines": self.lines,

@@ -75,7 +75,7 @@ def how(results: Mapping[str, Any]) -> str:
     """What all tables share."""
     own = [name for name in results["methods"] if name in ABOUT]  # not what an outside method may be called
     band = (
-        "Every method magnifies the same band: the motion's frequencies and 1.5 Hz on either side, as [TG4MM] §IV.B. "
+        f"Every method magnifies the same band: {results['band']}. "
         if results["band"]
         else "Every method magnifies all frequencies. "
     )
