@@ -54,7 +54,7 @@ def _named(row: str) -> str:
 
 
 def rivals_tables(results: Results) -> Made:
-    """SSIM and LPIPS of every row on every set, and displacement errors; their names end in the size, but for 128."""
+    """SSIM and LPIPS of every row on every set, and displacement errors. A size other than 128² is named."""
     lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
     sets, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
     names.sort(key=lambda row: (row == CEILING) - (row == STATIC))
@@ -64,12 +64,13 @@ def rivals_tables(results: Results) -> Made:
         scores = (lines.get((label, row), {}).get(a, {}) for label, a in places)
         cells = ("/".join(number("{:.4f}", s[key]) for key in ("ssim", "lpips")) if s else "" for s in scores)
         rows.append([_named(row), *cells])
-    header = ["SSIM/LPIPS at α", *(f"{label.partition('_')[0]}, {a}" for label, a in places)]
+    sizes = {s["label"]: "" if s["width"] == 128 else f" {s['width']}²" for s in results["sets"]}
+    title = {label: label.partition("_")[0] + sizes[label] for label in sets}
+    header = ["SSIM/LPIPS at α", *(f"{title[label]}, {a}" for label, a in places)]
     errors = _by_set(results)
-    errors["rows"] = errors["rows"][: len(sets)]
-    width = results["sets"][0]["width"]
-    size = "" if width == 128 else f"_{width}"
-    return {f"rivals{size}": {"header": header, "rows": rows}, f"rivals_errors{size}": errors}
+    own = errors["rows"][: len(sets)]  # the others are means
+    errors["rows"] = [[name, *row[1:]] for name, row in zip(title.values(), own, strict=True)]
+    return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
 
 
 def size_table(results: Results) -> Made:

@@ -58,7 +58,7 @@ def test_the_other_tables_are_of_results_too():
     ]
     groups = {run["set"]: "all"}
     results = {
-        "sets": [{"width": 256}],
+        "sets": [{"label": run["set"], "width": 256}],
         "runs": [run], "lines": lines, "means": group_means([run], groups), "line_means": line_means(lines, groups)
     }  # fmt: skip
     made = five_tables(results)
@@ -66,7 +66,10 @@ def test_the_other_tables_are_of_results_too():
     assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
     assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
     assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
-    assert rivals_tables(results)["rivals_256"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
+    rivals = rivals_tables(results)
+    assert rivals["rivals"]["header"][2] == "mic 256², 20"
+    assert rivals["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
+    assert rivals["rivals_errors"]["rows"] == [["mic 256²", "5.8, .998"]]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]
     for line in lines:
         line["alphas"]["50"] = line["alphas"]["20"]
