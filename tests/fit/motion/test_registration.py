@@ -15,8 +15,9 @@ from tg4mm.core.choices import Kind
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
-from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
+from tg4mm.fit.motion.nuisance.registration import camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.resampling import RegisteredPictures
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6

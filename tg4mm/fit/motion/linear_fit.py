@@ -63,15 +63,16 @@ class LinearFit:
         return own.first_pass(self.config.iterations)
 
     def second_pass(
-        self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None
+        self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None, rounds: int = 1
     ) -> np.ndarray:
         """[P, R, N, 6]: the fields with what a second pass adds, edges reweighted where the motion `is_small`.
 
-        `correction`: what is taken from the target images; None: nothing.
+        `correction`: what is taken from the target images; None: nothing. Each of the `rounds` corrects what the last
+        one added.
         """
         graph, out = self._reweighted(first) if is_small else None, []
         for p in range(len(self.folds)):
-            compute = partial(self._second, p, first[p], correction, graph)
+            compute = partial(self._second, p, first[p], correction, rounds, graph)
             out.append(self.checkpoint(f"second_pass_{p}", compute)["fields"])
         return np.stack(out)
 
@@ -122,23 +123,29 @@ class LinearFit:
             out.append({"fields": fields, "x": x, "residual": residual, "norms": solution.norms})
         return concatenated(out)
 
-    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Graph | None) -> Arrays:
+    def _second(
+        self, p: int, first: Arrays, correction: Correction | None, rounds: int, graph: Graph | None
+    ) -> Arrays:
         before = self.operator(self.folds[p])
         operator = before if graph is None else before.with_graph(graph)
+        fields, step, left = first["fields"], first["fields"], first["residual"]
+        for k in range(rounds):
 
-        def sides(some: slice) -> Array:
-            b = first["residual"][some].copy()
-            if correction is not None:
-                b -= fetched(operator.right_hand_sides(correction(p, first["fields"], some)))
-            if graph is not None:
-                x = first["x"][some]
-                b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
-            return sent(b, self.problem.device)
+            def sides(some: slice, k: int = k, step: np.ndarray = step, left: np.ndarray = left) -> Array:
+                b = left[some].copy()
+                if correction is not None:
+                    b -= fetched(operator.right_hand_sides(correction(p, step, some)))
+                if graph is not None and k == 0:
+                    x = first["x"][some]
+                    b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
+                return sent(b, self.problem.device)
 
-        label = f"motion, fold {p + 1}, corrected"
-        solutions = self._solutions(operator, label, self._of_second, sides, first["norms"])
-        fields = [first["fields"][some] + operator.fields(s.theta) for some, s in solutions]
-        return {"fields": np.concatenate(fields)}
+            label = f"motion, fold {p + 1}, corrected"
+            solved = self._solutions(operator, label, self._of_second, sides, first["norms"])
+            each = [(operator.fields(s.theta), fetched(s.residual)) for _, s in solved]
+            step, left = (np.concatenate(parts) for parts in zip(*each, strict=True))
+            fields = fields + step
+        return {"fields": fields}
 
     def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
         """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""

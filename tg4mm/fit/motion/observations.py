@@ -73,6 +73,7 @@ class Observations:
     # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for
     courses: np.ndarray | None = None
     factor: int = 1  # pixels of the recording along a side of one of these
+    is_part: bool = False  # of the recording's pictures: the scene reaches beyond
 
     @property
     def size(self) -> tuple[int, int]:
@@ -134,7 +135,7 @@ def observe(
         images, factor = images.through(window), window.factor
     found = Observations(
         capture.kind, clock, frames, images, capture.fps, capture.n_timesteps, is_whole,
-        codec_period(capture.root), counts, factor=factor,
+        codec_period(capture.root), counts, factor=factor, is_part=window is not None,
     )  # fmt: skip
     return found if counts is None or clock == "moving" else held(found, ~counts)
 

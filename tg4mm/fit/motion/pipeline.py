@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.few_view_posterior import coarser
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, pixel_weights, select_noise, select_smoothness
-from tg4mm.fit.motion.linear_fit import LinearFit
+from tg4mm.fit.motion.jacobian.pixels import false_changes
+from tg4mm.fit.motion.linear_fit import Correction, LinearFit
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations
@@ -31,8 +33,10 @@ from tg4mm.fit.motion.uncertainty import (
     split_half_uncertainty,
     with_ground,
 )
+from tg4mm.fit.motion.whole_pixels import LinearSolution, iterated
 
 _SUPPORTS = 2  # fits within a support, at most
+_ROUNDS = 2  # of corrections by the mean picture: a share that is lacking is lacking to its cube then
 _JUDGED = 10  # views whose residual tells errors of the model
 
 
@@ -61,17 +65,15 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     """Hyperparameters, the linear fit, Gauss-Newton where motion is large; the folds' mean, its ± and its modes."""
     if not len(model.targets.basis):
         return without_motion(model)
-    model, hyper = select_hyperparameters(model, checkpoint)
-    model = model.completed(hyper, checkpoint)
-    folds, gradients = _linear_fit(model, hyper, checkpoint)
-    model, folds = model.settled(folds)
-    if model.observations.is_flat:
-        folds = in_plane(folds, model.observations.frames[0].viewmat[2, :3])
-    if not folds.shape[1]:
-        return without_motion(model)
+    solution, count = _solved(model, checkpoint), 0
+    if not solution.folds.shape[1]:
+        return without_motion(solution.model)
+    if _moves_by_pixels(solution):
+        solution, count = iterated(solution, _solved, checkpoint)
+    model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
     fields, reliability = wiener_shrink(folds)
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
-    figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": 0}
+    figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
     iterates = model.iterates and pixels > ABOVE_PX and model.config.gauss_newton > 0
     if iterates:
@@ -90,6 +92,26 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
             figures["picture_gain"] = round(estimate.gain.ratio, 4)
         figures["reliability"] = [round(float(g), 4) for g in reliability]
     return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
+
+
+def _solved(model: TemporalModel, checkpoint: Checkpoint) -> LinearSolution:
+    """Hyperparameters and the linear fit; no fields where it leaves no motion."""
+    model, hyper = select_hyperparameters(model, checkpoint)
+    model = model.completed(hyper, checkpoint)
+    folds, gradients = _linear_fit(model, hyper, checkpoint)
+    model, folds = model.settled(folds)
+    if model.observations.is_flat:
+        folds = in_plane(folds, model.observations.frames[0].viewmat[2, :3])
+    return LinearSolution(model, hyper, folds, gradients)
+
+
+def _moves_by_pixels(solution: LinearSolution) -> bool:
+    """Whether a flat capture, its times even, moves by more than what is linear."""
+    model = solution.model
+    is_put_back = (
+        model.observations.is_flat and isinstance(model, Synchronous) and model.config.gauss_newton > 0
+    )
+    return is_put_back and model.pixels_moved(solution.fields) > ABOVE_PX
 
 
 def select_hyperparameters(
@@ -132,10 +154,22 @@ def _linear_fit(
         return np.stack([f["fields"] for f in last]), np.mean([f["x"] for f in last], axis=0)
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
-    is_small, correction = model.pixels_moved(fields) <= ABOVE_PX, None
-    if is_small and (appearance := _appearance_fit(model)) is not None:
+    is_small = model.pixels_moved(fields) <= ABOVE_PX
+    correction: Correction | None = None
+    rounds = 1
+    if model.observations.is_flat:
+        correction, rounds = partial(_by_the_pictures, model), _ROUNDS
+    elif is_small and (appearance := _appearance_fit(model)) is not None:
         correction = appearance.between_passes(_motion_residual(model, fields))
-    return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
+    return linear.second_pass(first, is_small, correction, rounds), np.mean([f["x"] for f in first], axis=0)
+
+
+def _by_the_pictures(model: TemporalModel, p: int, fields: np.ndarray, some: slice) -> Iterator[np.ndarray]:
+    """What the mean picture shows of motion beyond what the scene at rest does, the instrument (`Correction`)."""
+    problem = model.problem
+    return (
+        -false_changes(problem.views[v], model.targets.mean[v], fields[some]) for v in model.folds[p].views
+    )
 
 
 def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
@@ -216,7 +250,7 @@ def _result(
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
-    if pixels > ABOVE_PX * observations.factor and not model.iterates:
+    if pixels > ABOVE_PX * observations.factor and not (model.iterates or figures["gauss_newton"]):
         notes.append(
             f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
             f"holds up to {ABOVE_PX * observations.factor:.2g} px: tg4mm measure tells by the pictures whether "

@@ -13,6 +13,7 @@ from tg4mm.fit.motion.config import MotionConfig, asked_factor
 from tg4mm.fit.motion.observations import fixed_cameras
 
 PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two cores a pass
+PICTURE = 1920 * 1080  # pixels of one picture, likewise: more tell little to the Gaussians that there are
 _SHORTEST = 270  # pixels along a side, which are never made fewer
 _AROUND = 16  # pixels at least
 _SAMPLED = 16  # pictures that tell how fine the texture is
@@ -29,9 +30,9 @@ def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None =
     whole = Window.on(capture.height, capture.width, 1, moves)
     factor = asked_factor(config.reduce)
     if factor is None:
-        pixels = whole.rows * whole.columns * sum(len(c.rows) for c in cameras)
-        least = int(np.ceil(np.sqrt(pixels / PIXELS)))
-        factor = max(min(least, min(whole.size) // _SHORTEST), 1)
+        pixels = whole.rows * whole.columns
+        share = max(pixels * sum(len(c.rows) for c in cameras) / PIXELS, pixels / PICTURE)
+        factor = max(min(int(np.ceil(np.sqrt(share))), min(whole.size) // _SHORTEST), 1)
     # what lies around is held still: without it the prior would carry motion on beyond the region
     margin = max(_AROUND, max(whole.size) // 2)
     window = Window.on(capture.height, capture.width, factor, moves, margin)

@@ -26,12 +26,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.capture.look.cells import slope
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.pixels import optical_flow
+from tg4mm.fit.motion.jacobian.pixels import false_changes
 from tg4mm.fit.motion.observation_model import later
 from tg4mm.fit.motion.observations import Observations
-from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.show.measure.direct import summed
 from tg4mm.show.measure.residuals import MeasuredView, shown_fields
 from tg4mm.show.measure.sides import HALVES, Sides
@@ -121,7 +119,8 @@ def equations_of(
             said, delays = summed(sides, view, halves, pictures, shown, series)
             known += said
         for b, e in enumerate(motions):
-            changes = None if is_moving else _false_changes(view, trials[b], len(bodies[b].axes) == 2)
+            is_flat = len(bodies[b].axes) == 2
+            changes = None if is_moving else false_changes(view.view, view.mean, trials[b], is_flat)
             for half, model in halves:
                 if changes is not None:
                     back = model.adjoint(changes).reshape(unknowns, -1)
@@ -154,17 +153,3 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
         return body.weights
     alike = np.einsum("rnc,rc->n", shifts, mean) / power
     return np.maximum(body.weights, np.clip(alike, 0, 1)).astype(np.float32)
-
-
-def _false_changes(view: MeasuredView, trials: np.ndarray, is_flat: bool) -> np.ndarray:
-    """[K, H, W, 3]: what of the pictures' change by motions D [K, N, 6] the scene at rest has and the mean lacks.
-
-    Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
-    calibration has central differences.
-    """
-    rest = view.view.over_white
-    error = rest - view.mean
-    down, right = ((slope(error, axis) if is_flat else np.gradient(error, axis=axis)) for axis in (0, 1))
-    flow = optical_flow(view.view, trials, Buffers())
-    # a motion to the right by a pixel takes away the slope to the right
-    return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tg4mm.capture.look.cells import slope
 from tg4mm.fit.motion.jacobian.packed import DOF, mean_rows, mean_rows_as_colours
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.fit.rasterize.buffers import Buffers
@@ -38,6 +39,21 @@ def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> n
     Each pixel sums the flow of its Gaussians' means by blending weight; the background's flow is 0.
     """
     return replace(view, packed=mean_rows_as_colours(view.packed)).jvp(motions, buffers)
+
+
+def false_changes(
+    view: ViewJacobian, mean: np.ndarray, motions: np.ndarray, is_flat: bool = True
+) -> np.ndarray:
+    """[R, H, W, 3]: of the change by motions [R, N, DOF] what the scene at rest has and `mean` [H, W, 3] lacks.
+
+    Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
+    calibration has central differences.
+    """
+    error = view.over_white - mean
+    down, right = ((slope(error, axis) if is_flat else np.gradient(error, axis=axis)) for axis in (0, 1))
+    flow = optical_flow(view, motions, Buffers())
+    # a motion to the right by a pixel takes away the slope to the right
+    return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
 
 
 def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

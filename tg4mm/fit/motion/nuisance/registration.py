@@ -5,23 +5,20 @@ A camera that turns about its own centre by R moves its picture by the homograph
 shift; `projection.py` takes out what is left to first order.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numba
 import numpy as np
-from scipy.ndimage import gaussian_filter, spline_filter1d
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from tg4mm.capture.pictures import Pictures, Strips, over_white
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.observations import Observations, PosedFrames, strips
 from tg4mm.fit.motion.refine import refine_at_rest
+from tg4mm.fit.motion.resampling import RegisteredPictures
 
-_DECAY = 12  # rows: 0.268¹² of a pixel's value is what a cubic spline's coefficients so far away owe to it
 _STEPS = 4
 _STILL_PX = 0.003  # rms of a step below which another brings nothing
 _RIDGE = 1e-6
@@ -29,43 +26,6 @@ _WINDOW_PX = 2.0  # standard deviation
 _STILLEST = 0.25  # of the picture's slopes, by their squares
 _ROBUST = 2.0  # times as far as these move counts half
 _REFINING = 300  # iterations
-
-
-@dataclass(frozen=True)
-class RegisteredPictures:
-    """Pictures rotated back by cubic spline interpolation: opaque, over white, float32 in about 0..1.
-
-    What lies beyond the edge of a picture is taken to be as its edge.
-    """
-
-    pictures: Pictures
-    homographies: np.ndarray  # [C, 3, 3]: from a pixel of the common pose to the picture's that shows it
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.pictures.size
-
-    @property
-    def maximum(self) -> int:
-        return 1
-
-    def strips(self, rows: Sequence[int]) -> Strips:
-        raw = self.pictures.strips(rows)
-        homographies = self.homographies[np.asarray(rows)]
-        margin = _DECAY + 2 + _farthest(homographies, self.size)
-
-        def registered(strip: slice) -> np.ndarray:
-            height, width = self.size
-            top, bottom, _ = strip.indices(height)
-            first, last = max(top - margin, 0), min(bottom + margin, height)
-            coefficients = over_white(raw(slice(first, last)), self.pictures.maximum)
-            for axis in (1, 2):
-                coefficients = spline_filter1d(coefficients, 3, axis, np.float32, "mirror")
-            out = np.ones((len(homographies), bottom - top, width, 4), np.float32)
-            _resample(coefficients, homographies, first, top, height, out)
-            return out
-
-        return registered
 
 
 def homographies(K: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -212,63 +172,3 @@ def mean_pictures(observations: Observations) -> np.ndarray:
     return np.stack(
         [np.concatenate([s.mean(0) for _, s in strips(pictures, f)]) for f in observations.frames]
     )
-
-
-def _farthest(homographies: np.ndarray, size: tuple[int, int]) -> int:
-    """Pixels that a corner goes up or down at most, rounded up."""
-    height, width = size
-    corners = np.array([[x, y, 1.0] for x in (0, width) for y in (0, height)])
-    to = corners @ homographies.transpose(0, 2, 1)
-    return int(np.ceil(np.abs(to[..., 1] / to[..., 2] - corners[:, 1]).max()))
-
-
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _resample(
-    coefficients: np.ndarray, homographies: np.ndarray, first: int, top: int, height: int, out: np.ndarray
-) -> None:
-    """Colours of out [F, rows, W, 4], whose first row is row `top` of the picture, from spline coefficients
-
-    [F, rows', W, 3] from row `first` on. The splines are mirrored about the centres of the picture's edge pixels.
-    """
-    n_rows, width = coefficients.shape[1], coefficients.shape[2]
-    for f in numba.prange(len(out)):
-        h = homographies[f]
-        wx, wy = np.empty(4, np.float32), np.empty(4, np.float32)
-        for i in range(out.shape[1]):
-            for j in range(width):
-                x, y = j + 0.5, top + i + 0.5
-                scale = 1 / (h[2, 0] * x + h[2, 1] * y + h[2, 2])
-                u = min(max((h[0, 0] * x + h[0, 1] * y + h[0, 2]) * scale - 0.5, 0.0), width - 1.0)
-                v = min(max((h[1, 0] * x + h[1, 1] * y + h[1, 2]) * scale - 0.5, 0.0), height - 1.0)
-                column, row = int(u), int(v)
-                _weights(u - column, wx)
-                _weights(v - row, wy)
-                r = g = b = np.float32(0)
-                for a in range(4):
-                    source = row + a - 1
-                    if source < 0:
-                        source = -source
-                    if source > height - 1:
-                        source = 2 * (height - 1) - source
-                    source = min(max(source - first, 0), n_rows - 1)
-                    for c in range(4):
-                        at = column + c - 1
-                        if at < 0:
-                            at = -at
-                        if at > width - 1:
-                            at = 2 * (width - 1) - at
-                        w = wy[a] * wx[c]
-                        r += w * coefficients[f, source, at, 0]
-                        g += w * coefficients[f, source, at, 1]
-                        b += w * coefficients[f, source, at, 2]
-                out[f, i, j, 0], out[f, i, j, 1], out[f, i, j, 2] = r, g, b
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _weights(t: float, out: np.ndarray) -> None:
-    """Of the four coefficients about a place, t in 0..1 behind the second (cubic B-spline)."""
-    s = 1 - t
-    out[0] = s * s * s / 6
-    out[1] = (4 - 6 * t * t + 3 * t * t * t) / 6
-    out[2] = (4 - 6 * s * s + 3 * s * s * s) / 6
-    out[3] = t * t * t / 6
