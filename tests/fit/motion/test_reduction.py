@@ -22,7 +22,8 @@ def filmed(n, height, width):
 
 
 @pytest.mark.parametrize(
-    ("n", "size", "factor"), [(600, (720, 1280), 1), (600, (1080, 1920), 2), (600, (2160, 3840), 3), (60, (2160, 3840), 2)]
+    ("n", "size", "factor"),
+    [(600, (720, 1280), 1), (600, (1080, 1920), 2), (600, (2160, 3840), 3), (60, (2160, 3840), 2)],
 )
 def test_a_long_recording_of_large_pictures_is_read_smaller(n, size, factor):
     capture, _ = filmed(n, *size)
