@@ -31,7 +31,7 @@ from tg4mm.fit.space.plane import plane_gaussians, solve_colours
 
 # pixels, rms: what moves by less is read as it is, what moves by more is wholly put back. Far below what is linear
 _LEFT, _PUT_BACK = 0.1, 0.3
-_SETTLED_PX = 0.05  # of a step: below it what is left is linear to a thousandth of a pixel
+_FALL = 0.05  # of what putting back has saved: what saves less is not worth another iteration
 _NEAREST = 8  # Gaussians that one of the new scene takes its motion from
 
 
@@ -98,24 +98,20 @@ def iterated(
     solve: hyperparameters and the linear fit of a model.
     """
     observations, solutions = first.model.observations, [first]
-    left = _PutBack(first.model, np.zeros(0)).left
+    lefts = [_PutBack(first.model, np.zeros(0)).left]
     for k in range(first.model.config.gauss_newton):
         named = partial(_named, checkpoint, f"whole_pixels_{k}")
         there = _put_back(solutions[-1], observations, named)
-        print("LEFT", k, left, there.left)
-        if not there.left < left:
-            solutions = solutions[: max(len(solutions) - 1, 1)]
+        lefts.append(there.left)
+        if lefts[-1] >= lefts[-2]:
+            solutions = solutions[: max(k, 1)]
             break
-        left, found = there.left, solve(there.whole(), named)
+        if k and lefts[-2] - lefts[-1] < _FALL * (lefts[0] - lefts[-1]):
+            break
+        found = solve(there.whole(), named)
         if not found.folds.shape[1]:
             break
         solutions.append(found)
-        n, step = len(there.fields), found.fields.copy()
-        turn = found.basis[:n] @ there.model.targets.basis[:n].T
-        step[:n] -= np.tensordot(turn, there.fields, 1).astype(np.float32)
-        print("STEP", k, left, found.model.pixels_moved(step), found.model.pixels_moved(found.fields))
-        if found.model.pixels_moved(step) < _SETTLED_PX:
-            break
     return solutions[-1], len(solutions) - 1
 
 
