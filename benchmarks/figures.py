@@ -13,14 +13,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures_tables import five_tables, merged, mic_table, number, rivals_tables, size_table
+from benchmarks.figures_tables import (
+    five_tables,
+    merged,
+    mic_table,
+    number,
+    rivals_tables,
+    size_table,
+    splits_tables,
+)
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.intervals import half_width
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = {"--results": "", "--five": "", "--mic": "", "--rivals": "", "--sizes": ""}
+OPTIONS = {
+    "--results": "",
+    "--five": "",
+    "--mic": "",
+    "--rivals": "",
+    "--sizes": "",
+    "--dev": "",
+    "--test": "",
+}
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -122,6 +138,9 @@ def run(options: argparse.Namespace) -> None:
     for given, made in ((options.rivals, rivals_tables), (options.sizes, size_table)):
         if given:  # of a part of the sets and methods the rest stays
             figures["tables"] = merged(figures["tables"], made(_read(given)))
+    if options.dev and options.test:
+        splits = {"small-dev": _read(options.dev), "small-test": _read(options.test)}
+        figures["tables"] |= splits_tables(splits)
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from tg4mm.research.bench.means import scalars
+from tg4mm.research.bench.means import half_of, mean_of_all, scalars
 from tg4mm.research.evaluate.run import CEILING, STATIC
 
 Results = Mapping[str, Any]
@@ -21,6 +21,21 @@ _OF_MIC = (  # row of line_means, key, title, format
     ("modal", "closure", "closure", "{:.2f}"),
     ("modal", "ssim_moving", "SSIM where it moves, `modal`", "{:.4f}"),
     (CEILING, "ssim_moving", "the same, ceiling", "{:.4f}"),
+)
+_OF_SPLITS = (  # key, α, title, format
+    ("closure", "20", "closure, α = 20", "{:.2f}"),
+    ("closure", "50", "closure, α = 50", "{:.2f}"),
+    ("gap", "20", "SSIM below the ceiling, 20", "{:.3f}"),
+    ("lpips", "20", "LPIPS, 20", "{:.3f}"),
+    ("flip", "20", "FLIP, 20", "{:.3f}"),
+)
+_MOVED = (  # key of `scalars`, title, factor and format
+    ("displacement_error", "displacement error, %", 100, "{:.0f}"),
+    ("displacement_error", "the same, between bins", 100, "{:.0f}"),
+    ("static_leak", "leak, %", 100, "{:.0f}"),
+    ("amplitude_ratio", "amplitude ratio", 1, "{:.2f}"),
+    ("mac", "MAC", 1, "{:.2f}"),
+    ("total_s", "training, s", 1, "{:.0f}"),
 )
 
 
@@ -104,6 +119,38 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
         if cell
     }
     return {"header": header, "rows": [[cells.get((row, title), "") for title in header] for row in rows]}
+
+
+def splits_tables(splits: Mapping[str, Results]) -> Made:
+    """Scores and motion of splits, each mean ± half of its 95 % interval."""
+    header, columns = [""], list[list[str]]()
+    for split, results in splits.items():
+        scenes = {s["label"]: s["scene"] for s in results["sets"]}
+        between = {s["label"] for s in results["sets"] if s["frequency_hz"] % 1}  # bins of a second
+        lines = {(x["row"], x["set"]): x["alphas"] for x in results["lines"]}
+        of_modal = {x["set"]: scalars(x) for x in results["runs"] if x["row"] == "modal"}
+        for row in dict.fromkeys(row for row, _ in lines if row != CEILING):
+            header.append(f"`{split}`, {_named(row)}")
+            column = []
+            for key, a, _, form in _OF_SPLITS:
+                at = {s: lines[row, s][a] | {"gap": _gap(lines, row, s, a)} for s in scenes}
+                values = {} if (key, row) == ("closure", STATIC) else {s: x.get(key) for s, x in at.items()}
+                column.append(_mean_of(values, scenes, form))
+            for key, title, factor, form in _MOVED:
+                some = of_modal if row == "modal" else {}
+                some = {s: v for s, v in some.items() if "between" not in title or s in between}
+                column.append(_mean_of({s: _times(v[key], factor) for s, v in some.items()}, scenes, form))
+            columns.append(column)
+    titles = [title for _, _, title, _ in _OF_SPLITS] + [title for _, title, _, _ in _MOVED]
+    return {"splits": {"header": header, "rows": [list(row) for row in zip(titles, *columns, strict=True)]}}
+
+
+def _gap(lines: Mapping[tuple[str, str], Any], row: str, label: str, alpha: str) -> float:
+    return float(lines[CEILING, label][alpha]["ssim"] - lines[row, label][alpha]["ssim"])
+
+
+def _mean_of(values: Mapping[str, float | None], scenes: Mapping[str, str], form: str) -> str:
+    return number(form, mean_of_all(values.values()), half_of(values.items(), scenes)) if values else ""
 
 
 def over_alpha(results: Results) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -86,21 +87,27 @@ def _eevee(scene: bpy.types.Scene) -> None:
 
 def set_size(stage: Stage, quality: Quality) -> None:
     """Size of the next renders, pixels."""
-    render = stage.scene.render
-    render.resolution_x, render.resolution_y = quality.width, quality.height
+    _set(stage.scene.render, resolution_x=quality.width, resolution_y=quality.height)
+
+
+def _set(owner: Any, **values: Any) -> None:
+    """Sets what differs: a setting that is set again, to what it is, has Blender send the whole scene once more."""
+    for name, value in values.items():
+        if getattr(owner, name) != value:
+            setattr(owner, name, value)
 
 
 def use_picture(stage: Stage, quality: Quality, seed_offset: int = 0) -> None:
     """The next renders are pictures; `seed_offset` gives the same picture with other noise."""
     set_size(stage, quality)
     scene = stage.scene
-    scene.render.engine = compat.eevee() if quality.engine == "eevee" else "CYCLES"
-    scene.eevee.taa_render_samples = quality.samples
-    scene.render.filter_size = _PIXEL_FILTER  # EEVEE's; at equal size its edges are as wide as Cycles'
-    cycles = scene.cycles
-    cycles.device = device_in_use()
-    cycles.samples, cycles.seed = quality.samples, (quality.seed + seed_offset) % 2**31
-    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", _PIXEL_FILTER
+    engine = compat.eevee() if quality.engine == "eevee" else "CYCLES"
+    # EEVEE's filter: at equal size its edges are as wide as Cycles'
+    _set(scene.render, engine=engine, filter_size=_PIXEL_FILTER)
+    _set(scene.eevee, taa_render_samples=quality.samples)
+    seed = (quality.seed + seed_offset) % 2**31
+    _set(scene.cycles, device=device_in_use(), samples=quality.samples, seed=seed)
+    _set(scene.cycles, pixel_filter_type="BLACKMAN_HARRIS", filter_width=_PIXEL_FILTER)
     _passes(stage, data=False)
     compat.set_float_exr(scene.render.image_settings)
 
@@ -111,19 +118,17 @@ def use_data(stage: Stage) -> None:
     By Cycles on the processor whatever makes the pictures, so that truth is the same everywhere.
     """
     scene = stage.scene
-    scene.render.engine = "CYCLES"
-    cycles = scene.cycles
-    cycles.device = "CPU"
-    cycles.samples, cycles.seed = 1, 0
-    cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", _POINT_FILTER
+    _set(scene.render, engine="CYCLES")
+    _set(scene.cycles, device="CPU", samples=1, seed=0)
+    _set(scene.cycles, pixel_filter_type="GAUSSIAN", filter_width=_POINT_FILTER)
     _passes(stage, data=True)
     compat.set_multilayer_exr(scene.render.image_settings)
 
 
 def _passes(stage: Stage, data: bool) -> None:
     layer = stage.scene.view_layers[0]
-    layer.use_pass_z = layer.use_pass_normal = layer.use_pass_position = data
-    layer.material_override = stage.data if data else None
+    _set(layer, use_pass_z=data, use_pass_normal=data, use_pass_position=data)
+    _set(layer, material_override=stage.data if data else None)
 
 
 def linear_picture(stage: Stage) -> np.ndarray:

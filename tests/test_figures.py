@@ -5,7 +5,14 @@ import json
 import pytest
 
 from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
-from benchmarks.figures_tables import five_tables, merged, mic_table, rivals_tables, size_table
+from benchmarks.figures_tables import (
+    five_tables,
+    merged,
+    mic_table,
+    rivals_tables,
+    size_table,
+    splits_tables,
+)
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
 
@@ -76,6 +83,15 @@ def test_the_other_tables_are_of_results_too():
     assert size_table(results)["size"]["rows"] == [
         ["mic", "5.8", ".998", ".9520/.9520/.9520", ".0500/.0500", "35"]
     ]
+    again = [
+        {**x, "alphas": {a: {"ssim": 0.95 + 0.01 * (x["row"] == "ceiling")} for a in ("20", "50")}}
+        for x in lines
+    ]
+    label = {"label": run["set"], "scene": "mic", "frequency_hz": 4.3}
+    made = splits_tables({"dev": {**results, "lines": again, "sets": [label]}})
+    assert made["splits"]["header"][1:3] == ["`dev`, nothing moves", "`dev`, `modal`"]
+    assert made["splits"]["rows"][2] == ["SSIM below the ceiling, 20", ".010", ".010", ".010"]
+    assert made["splits"]["rows"][6] == ["the same, between bins", "", "6", ""]
 
 
 def test_a_part_of_a_table_leaves_the_rest():

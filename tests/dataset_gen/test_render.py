@@ -82,6 +82,25 @@ def test_a_state_gives_the_same_bytes_whatever_was_rendered_before(picture, pass
     assert PNG.encode(picture(motion.state(4))) != first
 
 
+def test_a_picture_with_another_seed_does_not_send_the_geometry_again(stage, picture, motion):
+    picture(motion.state(1))
+    seen = []
+
+    def note(scene, depsgraph):
+        seen.extend(update.id.name for update in depsgraph.updates)
+
+    bpy.app.handlers.depsgraph_update_post.append(note)
+    try:
+        render.use_picture(stage, QUALITY, 7)
+        bpy.context.view_layer.update()
+        assert not {obj.name for obj in stage.objects} & set(seen)
+        build.move(stage, stage.rest)  # the oracle can fail
+        bpy.context.view_layer.update()
+        assert {obj.name for obj in stage.objects} <= set(seen)
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(note)
+
+
 def test_magnified_is_the_mode_scaled_by_hand(stage, picture, motion, bodies, tmp_path):
     magnified = picture(motion.state(1, 20.0))
     for obj, body, shape in zip(stage.objects, bodies, motion.shapes, strict=True):

@@ -50,7 +50,7 @@ def whole(
         typer.Option(
             help="The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), dev "
             "and test (the same with two motions each and three seeds; test with other motions, cameras and seeds), "
-            "tiny-dev and tiny-test (of these mic alone, 64×64), paper (512×512), mic-512 (one scene at 512×512)."
+            "small-dev and small-test (the same at 64×64), paper (512×512), mic-512 (one scene at 512×512)."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="With --preset: folder for data, runs and pages.")] = None,

@@ -81,7 +81,7 @@ def test_a_configuration_file_has_the_same_choices():
         choices_from({"alphas": [5]})
 
 
-def test_the_test_split_shares_no_motion_camera_or_seed_with_the_dev_split():
+def test_the_test_split_shares_no_motion_training_camera_or_seed_with_the_dev_split():
     def sets(name):
         steps = [step for step in steps_of(name, "out") if step.name.startswith("data/")]
         return [request_from(parser().parse_args([*step.command[4:]])).sets[0] for step in steps]

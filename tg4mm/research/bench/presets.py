@@ -55,13 +55,10 @@ PRESETS = {
         ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
     ),
 }
-_TINY = ("--size", "64", "--timesteps", "15", "--views", "6", "--test-views", "1", "--samples", "8")
+_SMALLER = "--size 64 --timesteps 15 --views 6 --test-views 1 --samples 4 --amplitude 0.01 --points 4000 --truth none"
 PRESETS |= {
-    f"tiny-{name}": replace(
-        split,
-        scenes=tuple(scene for scene in split.scenes if scene.startswith("mic"))[-1:],  # between bins
-        options=(*split.options, *_TINY),
-        methods=("modal", "linear-2d"),
+    f"small-{name}": replace(
+        split, options=(*split.options, *_SMALLER.split()), methods=("modal", "linear-2d")
     )
     for name, split in PRESETS.items()
     if split.seeds
