@@ -134,7 +134,7 @@ def _widened(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 # Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
-IN_MEMORY = 2 << 30
+IN_MEMORY = 1 << 30
 Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
 
 
