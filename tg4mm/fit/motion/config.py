@@ -36,7 +36,8 @@ class MotionConfig:
     )
     gauss_newton: int = setting(
         4,
-        "largest number of Gauss-Newton iterations, made if 1 % of what is seen moves by more than 0.7 pixels",
+        "largest number of Gauss-Newton iterations, made if 1 % of what is seen moves by more than 0.7 pixels, "
+        "with six cameras or more 0.35",
         "iterations",
     )
     appearance: bool = setting(

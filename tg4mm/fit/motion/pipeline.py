@@ -13,7 +13,7 @@ from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.few_view_posterior import coarser
-from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton
+from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton, linear_px
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, pixel_weights, select_noise, select_smoothness
 from tg4mm.fit.motion.jacobian.pixels import false_changes
 from tg4mm.fit.motion.linear_fit import Correction, LinearFit
@@ -75,7 +75,9 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
     figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
-    iterates = model.iterates and pixels > ABOVE_PX and model.config.gauss_newton > 0
+    iterates = (
+        model.iterates and pixels > linear_px(len(model.problem.views)) and model.config.gauss_newton > 0
+    )
     if iterates:
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         fields, reliability = wiener_shrink(folds)
