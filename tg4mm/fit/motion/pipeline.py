@@ -108,12 +108,12 @@ def _solved(model: TemporalModel, checkpoint: Checkpoint) -> LinearSolution:
 
 
 def _moves_by_pixels(solution: LinearSolution) -> bool:
-    """Whether a flat capture, its times even, moves by more than what is linear."""
+    """Whether something before one fixed camera, its times even, vibrates by more than what is linear."""
     model = solution.model
     is_put_back = (
         model.observations.is_flat and isinstance(model, Synchronous) and model.config.gauss_newton > 0
     )
-    return is_put_back and model.pixels_moved(solution.fields) > ABOVE_PX
+    return is_put_back and model.pixels_moved(solution.vibration) > ABOVE_PX
 
 
 def select_hyperparameters(

@@ -1,7 +1,7 @@
 """Motion of whole pixels before one fixed camera: put it back, fit what is left, and again.
 
-Pictures change in proportion to motion up to about .7 pixels, and a mean over larger motion is blurred. Where things
-move further, every picture is resampled so that what moves lies where it is at rest (`resampling.py`). Their mean is
+Pictures change in proportion to motion up to about .7 pixels, and a mean over larger motion is blurred. Where something
+vibrates by more, every picture is resampled so that it lies where it is at rest (`resampling.py`). Their mean is
 sharp, and the scene at rest is fitted to it. What motion is left is small. Its target images and those of the motion
 put back are fitted together, as any others, so that prior, noise and halves of the data apply to the whole motion. An
 iteration counts if the pictures, put back by what it found, differ less from each other.
@@ -21,7 +21,7 @@ from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.pixels import false_changes, optical_flow
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance.registration import mean_pictures
-from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.resampling import put_back
 from tg4mm.fit.motion.split_half import wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
@@ -48,6 +48,13 @@ class LinearSolution:
     def fields(self) -> np.ndarray:
         """[R, N, 6]: what the folds agree on."""
         return wiener_shrink(self.folds)[0]
+
+    @property
+    def vibration(self) -> np.ndarray:
+        """[R, N, 6]: of `fields` the vibrations that were known before, which are put back; 0 of what else moves."""
+        fields = self.fields.copy()
+        fields[self.model.targets.n_known :] = 0
+        return fields
 
     @property
     def basis(self) -> np.ndarray:
@@ -122,13 +129,14 @@ def _named(checkpoint: Checkpoint, suffix: str, name: str, compute: Callable[[],
 def _put_back(last: LinearSolution, observations: Observations, checkpoint: Checkpoint) -> _PutBack:
     """Pictures put back by the last solution, and a scene at rest that shows their mean."""
     model, frames = last.model, observations.frames[0]
-    gaussians, fields = model.gaussians, _large(last, observations)
+    gaussians, basis = model.gaussians, last.basis[: last.model.targets.n_known]
+    fields = _large(last.vibration[: len(basis)], frames)
 
     def displaced(gaussians: Gaussians, fields: np.ndarray) -> Observations:
         view = view_jacobian(gaussians, frames, observations.size)
         flow = np.ascontiguousarray(optical_flow(view, fields, Buffers())[..., :2])
-        pictures = put_back(observations.pictures, frames, flow, last.basis)
-        return replace(observations, pictures=pictures, courses=last.basis)
+        pictures = put_back(observations.pictures, frames, flow, basis)
+        return replace(observations, pictures=pictures, courses=basis)
 
     def sharper() -> Arrays:
         mean = mean_pictures(displaced(gaussians, fields))[0]
@@ -142,13 +150,12 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
     config = replace(model.config, nuisance=_found(model))
     again = Synchronous.of(gaussians, displaced(gaussians, fields), config, model.problem.device, checkpoint)
     n = again.targets.n_known
-    own = np.tensordot(again.targets.basis[:n] @ last.basis.T, fields, 1)
+    own = np.tensordot(again.targets.basis[:n] @ basis.T, fields, 1)
     return _PutBack(again, np.ascontiguousarray(own, np.float32))
 
 
-def _large(last: LinearSolution, observations: Observations) -> np.ndarray:
+def _large(fields: np.ndarray, frames: PosedFrames) -> np.ndarray:
     """[R, N, 6]: the fields, and 0 of Gaussians that hardly move."""
-    frames, fields = observations.frames[0], last.fields
     across = fields[..., :3] @ frames.viewmat[:2, :3].T * np.diag(frames.K)[:2]  # at distance 1
     moved = np.sqrt((across.astype(np.float64) ** 2).sum((0, 2)) / len(frames.rows))
     return np.asarray(fields * np.clip((moved - _LEFT) / (_PUT_BACK - _LEFT), 0, 1)[:, None], np.float32)
