@@ -57,6 +57,12 @@ def picture_kinds(root: Path, count: int) -> list[int] | None:
     return [KINDS_OF_PICTURES.index(kind) + 1 for kind in told]
 
 
+def is_coded(root: Path) -> bool:
+    """Whether the pictures are a video's, as far as is known."""
+    values = read_scene(root, needs_fps=False).values
+    return bool(values.get("video") or values.get("codec_period") or values.get("picture_kinds"))
+
+
 def between_frames(root: Path, n_timesteps: int) -> np.ndarray | None:
     """[T] bool: frames of the one video that its codec predicts from both sides; None where that is not known."""
     kinds = picture_kinds(root, n_timesteps)

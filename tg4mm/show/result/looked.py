@@ -8,7 +8,7 @@ from tg4mm.capture import Capture
 from tg4mm.capture.look import Found, LookLine, Mover
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.look.zoom import swing_note
-from tg4mm.capture.scene import video_file
+from tg4mm.capture.scene import is_coded, video_file
 from tg4mm.core.files import argument
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS
@@ -107,10 +107,12 @@ def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibrati
         out.append(
             f"how sure the amplitudes are: the preset {reading.run.preset} with these settings does not say it"
         )
-    if vibrations and reading.capture is not None and video_file(reading.capture.root) is not None:
+    if vibrations and reading.capture is not None and is_coded(reading.capture.root):
+        tested = f": tg4mm measure {argument(reading.run.path)} --out FOLDER tests it"
+        is_tested = video_file(reading.capture.root) is not None
         out.append(
-            "what the video's compression took of small amplitudes, which the ± does not hold: "
-            f"tg4mm measure {argument(reading.run.path)} --out FOLDER tests it"
+            "what the video's compression took of small amplitudes, which the ± does not hold"
+            + (tested if is_tested else "")
         )
     if reading.capture is None:
         out.append(f"pixels and the scale: the dataset {reading.run.dataset} is not there")
