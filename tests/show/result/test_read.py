@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.helpers.look import found
 from tests.helpers.synthetic import exact_run
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
@@ -16,6 +17,7 @@ from tg4mm.cli import main
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.result import lines_of, result_of
 from tg4mm.show.result.model import with_deviation
+from tg4mm.show.result.read import at_least_seen
 
 
 @pytest.fixture(scope="module")
@@ -234,3 +236,11 @@ def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_
         alphas[preset] = result_of(made).alpha
     assert alphas["modal"] == 1
     assert alphas["paper"] == result_of(run).alpha > 1
+
+
+@pytest.mark.parametrize(("hz", "deviation"), [(5.21, 0.01), (5.3, 0.002)])
+def test_a_frequency_is_no_surer_than_the_same_line_region_by_region(hz, deviation):
+    """Whose own is 5.2 ± .01 Hz."""
+    assert at_least_seen(hz, 0.002, found()) == deviation
+    assert at_least_seen(hz, 0.5, found()) == 0.5
+    assert at_least_seen(hz, 0.002, None) == 0.002

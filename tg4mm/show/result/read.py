@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tg4mm.capture.look import Found
 from tg4mm.core.choices import Kind
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, frames_of
 from tg4mm.run import Run
+from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
 from tg4mm.show.result.asked import asked_vibration
 from tg4mm.show.result.line import (
@@ -158,7 +160,13 @@ def _line(reading: Reading, motion: ModalMotion, hz: float, others: list[float])
     line = line_near(series, motion.fps, hz, others, noise, reading.between)
     if line is None:  # a bin, uniformly distributed
         return Peak(hz, hz, 1 / (reading.duration_s * np.sqrt(12)), None)
-    return Peak(hz, line.hz, line.hz_deviation, line)
+    return Peak(hz, line.hz, at_least_seen(line.hz, line.hz_deviation, look_of(reading.run)), line)
+
+
+def at_least_seen(hz: float, deviation: float, look: Found | None) -> float:
+    """The deviation (Hz) of a frequency, no less than that of the same line region by region, which the codec is in."""
+    lines = [] if look is None else look.lines
+    return max([deviation, *(n.hz_deviation for n in lines if abs(n.hz - hz) < 2 * n.hz_deviation)])
 
 
 def _vibrations(reading: Reading, motion: ModalMotion, found: list[Peak]) -> tuple[Vibration, ...]:
