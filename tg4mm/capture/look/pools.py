@@ -1,6 +1,7 @@
 """Cells and squares of cells with one motion each, and what is left of it while lines are taken off."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from tg4mm.capture.look.spectra import noise_floor, spectrum, without
 
 SIZES = (1, 2, 4, 8)  # cells a side
 _LEAST_SEEN = 1e-3  # of a pool's information that a picture must have
+_RANK = float(np.finfo(float).eps)  # of the largest singular value, times the number of pictures
 _REDUCED = 1e-6  # of the normal equations' trace, where few pictures are seen
 
 
@@ -45,23 +47,35 @@ class Pool:
 
     def fitted(self, columns: np.ndarray, series: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
         """Coefficients [B, m] of columns [F, B] in series [F, m], the pool's columns `which` (None: all)."""
-        fit = np.linalg.lstsq(columns, series, rcond=None)[0]
+        fit = np.linalg.pinv(columns, rcond=_RANK * max(columns.shape)) @ series
         if self.seen is None:
             return np.asarray(fit)
-        seen = self.seen if which is None else self.seen[:, which]
-        gaps = np.flatnonzero(seen.min(0) == 0)
-        products = np.einsum("ni,nm,nj->mij", columns, seen[:, gaps], columns, optimize=True)
-        trace = np.trace(products, axis1=1, axis2=2)[:, None, None]
-        products += (_REDUCED * trace + 1e-9) * np.eye(columns.shape[1])
-        by_series = (columns.T @ (series[:, gaps] * seen[:, gaps])).T
-        fit[:, gaps] = np.linalg.solve(products, by_series[..., None])[..., 0].T
+        for pictures, own in self._alike if which is None else _alike(self.seen[:, which]):
+            products = columns[pictures].T @ columns[pictures]
+            products += (_REDUCED * np.trace(products) + 1e-9) * np.eye(columns.shape[1])
+            fit[:, own] = np.linalg.solve(products, columns[pictures].T @ series[np.ix_(pictures, own)])
         return np.asarray(fit)
+
+    @cached_property
+    def _alike(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [] if self.seen is None else _alike(self.seen)
 
     def in_picture(self, values: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
         """[..., p, 2] right and down of values [..., 2 p] along the axes of the places `which`."""
         return np.asarray(
             np.einsum("cxa,...ca->...cx", self.axes[which], values.reshape(*values.shape[:-1], -1, 2))
         )
+
+
+def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Columns of `seen` [F, m] with gaps, by the pictures that they are seen in: these pictures, and the columns."""
+    gaps = np.flatnonzero(seen.min(0) == 0)
+    if not len(gaps):
+        return []
+    _, of = np.unique(np.packbits(seen[:, gaps].T > 0, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(of.ravel(), kind="stable")
+    groups = np.split(gaps[order], np.flatnonzero(np.diff(of.ravel()[order])) + 1)
+    return [(np.flatnonzero(seen[:, own[0]]), own) for own in groups]
 
 
 def pools_of(scene: Scene) -> list[Pool]:

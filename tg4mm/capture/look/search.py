@@ -5,6 +5,7 @@ discoveries pay for them. So the strongest place and frequency is tested by itse
 frequencies), must explain its own neighbourhood in frequency, and must be seen beside its strongest cell too.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,6 +59,7 @@ class Search:
         if self.pools and self._open.any():
             self._find()
             self._again()
+            self._make_plain()
 
     @property
     def _tests(self) -> int:
@@ -210,33 +212,42 @@ class Search:
         common = np.linalg.solve(total, np.einsum("cxy,icy->xi", weights[kept], fit[:, kept])).T
         return float(np.einsum("ix,xy,jy,ij->", common, total, common, products))
 
-    def _take_off(self) -> None:
+    def _take_off(self, pools: Iterable[int] | None = None) -> None:
+        """Every line off some pools; None: off all."""
         parts = [self.columns(line.vibration) for line in self.lines]
         stops = np.cumsum([part.shape[1] for part in parts])[:-1]
         columns = np.concatenate(parts, 1)
         for line in self.lines:
-            line.taken, line.plain = [], []
-        for pool in self.pools:
+            line.taken = line.taken or [np.zeros(0)] * len(self.pools)
+        for k in range(len(self.pools)) if pools is None else pools:
+            pool = self.pools[k]
             fit = pool.fitted(columns, pool.series)
             pool.residual = pool.series - columns @ fit
             if pool.seen is not None:
                 pool.residual *= pool.seen
-            for line, part, own in zip(self.lines, parts, np.split(fit, stops), strict=True):
-                line.taken.append(own)
-                plain = own
-                if part.shape[1] > 2:
-                    alone = pool.residual + part @ own
-                    plain = pool.fitted(line.vibration.columns(self.times), alone)
-                line.plain.append(plain)
+            for line, own in zip(self.lines, np.split(fit, stops), strict=True):
+                line.taken[k] = own
+
+    def _make_plain(self) -> None:
+        """Every line's cosine and sine alone, whatever B pictures make of them."""
+        for line in self.lines:
+            columns, plain = self.columns(line.vibration), line.vibration.columns(self.times)
+            line.plain = list(line.taken)
+            if columns.shape[1] > 2:
+                pairs = zip(self.pools, line.taken, strict=True)
+                line.plain = [pool.fitted(plain, pool.residual + columns @ own) for pool, own in pairs]
 
     def _again(self) -> None:
         """Each line fitted once more with the others taken off; twice, as they lean on each other."""
-        for _ in range(2 if len(self.lines) > 1 else 0):
-            for line in self.lines:
-                series, seen = self.series_of(line)
-                known, hz = line.noise, line.vibration.hz
-                line.vibration = fitted(series[seen], self.times[seen], hz, known, None, self._whole(seen))
-                self._take_off()
+        if len(self.lines) < 2:
+            return
+        own = {line.pool for line in self.lines}
+        for line in [*self.lines, *self.lines]:
+            series, seen = self.series_of(line)
+            known, hz = line.noise, line.vibration.hz
+            line.vibration = fitted(series[seen], self.times[seen], hz, known, None, self._whole(seen))
+            self._take_off(own)
+        self._take_off()
 
     def series_of(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
         """Of the line's shape [F], all other lines taken off, and [F] bool: where enough of it is seen."""
