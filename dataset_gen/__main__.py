@@ -23,7 +23,6 @@ from . import run
 from .options import Request, parser, request_from
 from .prepare import framed, inspected, motion_of
 from .processes import RunFailed
-from .report import write_overview
 from .scenes import NAMES
 from .settings import Settings, Source, motion_file
 from .vibration import Body, reach
@@ -160,8 +159,6 @@ def _run(argv: Sequence[str] | None) -> int:
                 events.emit(word, path=str(path))
             else:
                 print(f"{word}: {path}  ({time.monotonic() - start:.0f} s)", file=sys.stderr)
-        if len(request.sets) > 1 and not (request.prepare or request.part):
-            print(f"overview: {write_overview(request.out)}", file=sys.stderr)
     except Tg4mmError as error:
         events.say("error", str(error), "error: ")
         return 2

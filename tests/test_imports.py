@@ -34,7 +34,7 @@ def test_every_module_of_the_core_imports_without_blender_and_every_benchmark_wi
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", ["dataset_gen.report.write", "dataset_gen.report.overview"])
+@pytest.mark.parametrize("name", ["dataset_gen.report.page", "dataset_gen.report.findings"])
 def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root, name):
     done = run_without(["torch", "bpy", "numba", "flip_evaluator"], f"import {name}", repo_root)
     assert done.returncode == 0, done.stderr

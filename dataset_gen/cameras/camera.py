@@ -243,13 +243,3 @@ def project(
     with np.errstate(divide="ignore", invalid="ignore"):
         pixels = np.stack([fx * local[..., 0] / depth + cx, cy - fy * local[..., 1] / depth], -1)
     return pixels, depth
-
-
-def unproject(depth: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """World points [H, W, 3] that pixel centres see at planar depths [H, W]."""
-    fx, fy, cx, cy = intrinsics
-    height, width = depth.shape
-    x = (np.arange(width) + 0.5 - cx) / fx
-    y = (np.arange(height) + 0.5 - cy) / fy
-    rays = np.stack(np.broadcast_arrays(x[None], -y[:, None], -1.0), -1)
-    return depth[..., None] * rays @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]

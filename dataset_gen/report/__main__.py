@@ -7,22 +7,16 @@ from pathlib import Path
 
 from tg4mm.core.errors import Tg4mmError
 
-from . import write_overview, write_report
+from . import write_report
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Returns 0 if all pages were written, 2 on bad input (one line says what)."""
     parser = argparse.ArgumentParser(prog="python -m dataset_gen.report", description=__doc__)
-    parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="of a finished dataset")
-    parser.add_argument("--overview", type=Path, metavar="DIR", help="also a page of all datasets in DIR")
-    options = parser.parse_args(argv)
-    if not options.folders and options.overview is None:
-        parser.error("nothing to do: name a FOLDER or --overview DIR")
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="of a finished dataset")
     try:
-        for folder in options.folders:
+        for folder in parser.parse_args(argv).folders:
             print(write_report(folder))
-        if options.overview:
-            print(write_overview(options.overview))
     except Tg4mmError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from dataset_gen import exr, png
-from dataset_gen.report.dataset import read_dataset
+from dataset_gen.report.findings import find
 from tests.capture.conftest import write_folder, write_tree
 from tests.faults.containers import of_npz, of_png
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
@@ -71,8 +71,8 @@ def _truth(root):
     return root / "truth" / "motion.npz"
 
 
-def _read_dataset(root):
-    read_dataset(root).timesteps_by_strength()
+def _find_in_dataset(root):
+    find(root)
 
 
 def _nerfstudio(root):
@@ -175,7 +175,7 @@ CAPTURES: dict[str, Reader] = {
         _nerfstudio, lambda root: cameras_from_file(root / "transforms.json", (12, 8)), of_json
     ),
     "truth motion.npz": Reader(_truth, lambda root: load_truth(root, 30.0, T), of_npz),
-    "dataset report: scene.json": Reader(_sized, _read_dataset, of_json),
-    "dataset report: transforms": Reader(_sized_transforms, _read_dataset, of_json),
-    "dataset report: motion.npz": Reader(_truth, _read_dataset, of_npz),
+    "dataset report: scene.json": Reader(_sized, _find_in_dataset, of_json),
+    "dataset report: transforms": Reader(_sized_transforms, _find_in_dataset, of_json),
+    "dataset report: motion.npz": Reader(_truth, _find_in_dataset, of_npz),
 }

@@ -2,63 +2,23 @@
 
 import gzip
 import json
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from dataset_gen import exr, run
 from dataset_gen.errors import GenerateError
 from dataset_gen.points import merge, read_view
 from dataset_gen.processes import RunFailed
-from dataset_gen.report import closing
-from dataset_gen.report.dataset import read_dataset, read_picture
-from dataset_gen.report.pixels import motion_from_truth, seen_motion
+from dataset_gen.report.findings import read_picture
 from dataset_gen.sources.bodies_file import check
 from dataset_gen.sources.mesh_file import count_not_finite
-from tests.dataset_gen.planes import Plane
-from tests.faults.containers import of_npz, of_png, of_sealed
+from tests.faults.containers import of_npz, of_sealed
 from tests.faults.mutate import of_bytes, of_header, of_json
-from tests.faults.reader import Reader, reading, record, sealed
+from tests.faults.reader import Reader, reading, record
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.mapping import registered, save_model, saved_model
-from tg4mm.core.pages.page import render_page
 
-SUMMARY: dict[str, Any] = {
-    "format": "tg4mm-dataset-summary", "scene": "mic", "frequencies_hz": [5.0, None], "amplitude": 0.02,
-    "bytes": 1234567, "pixels_max": 0.5, "pixels_p95": 0.4, "still_area": 0.9,
-    "scores": [{"alpha": 5, "still_psnr_db": 31.5, "perfect_psnr_db": None}],
-}  # fmt: skip
 TIMING = {"pictures": 12, "seconds": 34.5, "processes": 2}
-
-
-def _summary(root):
-    (root / "mic").mkdir()
-    _thumbnail(root)
-    return sealed("summary.json", SUMMARY, "mic", "report")(root)
-
-
-def _thumbnail(root):
-    folder = root / "mic" / "report"
-    folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)).save(
-        folder / "thumbnail.png"
-    )
-    return folder / "thumbnail.png"
-
-
-def _read_overview(root):
-    from dataset_gen.report.overview import Entry, _summary, overview
-
-    entry = Entry(root / "mic", _summary(root / "mic"))
-    page = render_page(overview([entry]))
-    if not entry.summary or "cannot be read" in page:
-        raise GenerateError("the page does without it")
-
-
-def _read_timing(root):
-    closing._timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))
 
 
 def _read_former_timing(root):
@@ -104,20 +64,6 @@ def _picture(root):
     return root / "a.exr"
 
 
-def _pixels(root):
-    made = Plane(root / "set")
-    made.write(alphas=())
-    made.truth()
-    return made.root / "truth" / "test" / "002" / "r_000.exr"
-
-
-def _read_pixels(root):
-    dataset = read_dataset(root / "set")
-    seen = seen_motion(dataset, [v for v in dataset.views["test"] if v.timestep == 2])
-    assert seen is not None
-    motion_from_truth(seen, 0.02)
-
-
 def _blend(packed):
     def make(root):
         data = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
@@ -161,13 +107,7 @@ def _read_sparse(root):
 _read_blend = reading("a.blend", lambda file: check(file, (4, 5)))
 
 DATASETS: dict[str, Reader] = {
-    "dataset overview: summary.json": Reader(_summary, _read_overview, of_sealed),
-    "dataset overview: thumbnail": Reader(
-        lambda root: (_summary(root), _thumbnail(root))[1], _read_overview, of_png
-    ),
-    "dataset report: timing.json": Reader(record("timing.json", TIMING, "report"), _read_timing, of_json),
     "dataset report: picture, EXR": Reader(_picture, reading("a.exr", read_picture), of_bytes),
-    "dataset report: truth, EXR": Reader(_pixels, _read_pixels, of_bytes),
     "generate: timing.json": Reader(record("timing.json", TIMING, "report"), _read_former_timing, of_json),
     "generate: a view's points": Reader(_view_of_points, _read_view_of_points, of_npz),
     "generate: mesh PLY": Reader(
