@@ -17,6 +17,11 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".numba_cache"))
 
 import pytest  # noqa: E402
 
+if _offset := int(os.environ.get("TG4MM_SEED_OFFSET", "0")):
+    from tests.helpers.seeds import shift_seeds
+
+    shift_seeds(_offset)
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what it puts in the background so, and programs that tests start would inherit it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
