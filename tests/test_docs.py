@@ -14,7 +14,7 @@ from tg4mm.cli.program import app
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-_HISTORY = {"ablations.md", "results.md"}  # say what was run then
+_HISTORY = {"results.md"}  # say what was run then
 
 
 def commands(text):

@@ -1,6 +1,5 @@
 """Readers of what tg4mm keeps for itself: scores, records of renderings, benchmarks, caches."""
 
-import json
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -12,25 +11,18 @@ import torch
 from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json, of_text
 from tests.faults.reader import Reader, T, paper_run, reading, record, run_of, sealed
-from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.measure import filmed
 from tests.show.measure.filmed import modes, of_parts, sine
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import json_digest
 from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.research.bench import jobs
-from tg4mm.research.bench.ablation.catalogue import Row
-from tg4mm.research.bench.ablation.page import read_ablation
-from tg4mm.research.bench.ablation.run import _columns
-from tg4mm.research.bench.ablation.sets import _is_done, generator_arguments, kind_options
 from tg4mm.research.bench.folder import open_folder
 from tg4mm.research.bench.jobs import _Kept
 from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import VERSION, read_figures
 from tg4mm.research.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table, pivots
-from tg4mm.research.bench.pages.write import _ablation
 from tg4mm.research.bench.scored import with_closure
-from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.wanted import _is_ours
 from tg4mm.research.paper import preset
 from tg4mm.research.paper.model import load_model, save_planes
@@ -73,27 +65,6 @@ FIGURES = {
     "n_gaussians": 300, "mib_on_disk": 1.5, "absent": {"LPIPS": "no weights"},
     "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5}, "strongest_hz": 5.01,
 }  # fmt: skip
-LINE = {
-    **OF_RUN, "set": "mic", "ways": ["modal"], "overrides": {"space.init": "hull"},
-    "scalars": {"init": "hull", "psnr_rest": 31.0, "n_gaussians": 300, "displacement_error": 0.1, "space_s": None},
-    "ssim_columns": {"α = 5": "5", "α = 20": "20"},
-}  # fmt: skip
-ABLATION = {
-    "format": "tg4mm-bench", "version": 1, "kind": "ablation", "name": "init", "title": "Initialisation",
-    "source": "Table IV",
-    "preset": "modal", "remark": "", "x_label": "", "picture": "ssim", "rows": ["hull", "random"],
-    "columns": ["init", "psnr_rest", "n_gaussians", "displacement_error", "space_s"],
-    "ticks": ["hull", "random"], "curves": ["", ""], "apart": [False, False], "sets": [{"label": "mic"}],
-    "lines": [{**LINE, "row": "hull"}, {**LINE, "row": "random"}], "left_out": [],
-    "failed": [{"set": "mic", "method": "random", "why": "it failed"}], "slices": "",
-    "made": {
-        **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), "x"),
-        "cores": 2, "threads": 1, "load_average": 0.5,
-    },
-}  # fmt: skip
-SCALED = ABLATION | {
-    "picture": "displacement_error", "ticks": ["× 0.5", "× 2"], "curves": ["motion.a", "motion.b"], "x_label": "factor",
-}  # fmt: skip
 
 
 def _read_metrics(root):
@@ -121,7 +92,6 @@ def _read_figures(root):
     results["means"] = group_means([run], {"a": "g"})
     for table in (motion_table, modes_table, cost_table, own_ceiling_table):
         table(results, "g")
-    _columns(Row("a"), found)
 
 
 def _read_scores(root):
@@ -154,38 +124,8 @@ def _rendered(root):
     return sealed("x020.json", values, "pictures", "ours")(root)
 
 
-def _read_ablation(root):
-    _ablation(root, read_ablation(root))
-
-
 def _read_bench(root):
     open_folder(root / "out", "scenes")
-
-
-def _read_complete(root):
-    _is_done(root, ["mic", "--out", "a"])
-
-
-def _scene(root):
-    """A set as the generator would make it of a scene of its own."""
-    make_synthetic_dataset(
-        root / "set", n_views=2, n_timesteps=4, size=16, freqs=(5.0,), alphas=(5,), n_test=1
-    )
-    file = root / "set" / "scene.json"
-    own = {
-        "scene": "mic",
-        "cameras": {"kind": "orbit"},
-        "engine": {"name": "CYCLES", "samples": 4},
-        "n_test": 1,
-        "seed": 0,
-    }
-    file.write_text(json.dumps(json.loads(file.read_text()) | own | {"frequency_hz": 5.0, "images": "png8"}))
-    return file
-
-
-def _read_scene(root):
-    data = open_set(root / "set", "a")
-    generator_arguments(data, kind_options(data, "sweep", None), root / "made")
 
 
 # Runs.
@@ -287,13 +227,7 @@ RESULTS: dict[str, Reader] = {
         _read_scores, of_sealed,
     ),
     "bench x020.json": Reader(_rendered, _read_rendered, of_sealed),
-    "bench results.json": Reader(sealed("results.json", ABLATION), _read_ablation, of_sealed),
-    "bench results.json, scaled": Reader(sealed("results.json", SCALED), _read_ablation, of_sealed),
     "bench bench.json": Reader(
         record("bench.json", {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}, "out"), _read_bench, of_json
     ),
-    "bench complete.json": Reader(
-        record("complete.json", {"arguments": ["mic", "--out", "a"]}), _read_complete, of_json
-    ),
-    "bench scene.json": Reader(_scene, _read_scene, of_json),
 }  # fmt: skip

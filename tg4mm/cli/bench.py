@@ -1,4 +1,4 @@
-"""`tg4mm bench`: the benchmark's tables and the paper's ablations."""
+"""`tg4mm bench`: the benchmark's tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 bench = typer.Typer(
     no_args_is_help=True,
     invoke_without_command=True,
-    help="Compare methods with ground truth: benchmark and ablations.",
+    help="Compare methods with ground truth: the benchmark.",
     rich_markup_mode=None,
 )
 
@@ -73,7 +73,7 @@ def whole(
             )
         return
     if preset is None or out is None:
-        raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
+        raise Tg4mmError("--preset and --out are needed together, or one of scenes, job")
     from tg4mm.research.bench.presets import Choices, run_preset, steps_of
     from tg4mm.research.bench.scored import checkouts
     from tg4mm.research.evaluate.lpips import load_lpips
@@ -109,7 +109,7 @@ def whole(
 def scenes(
     datasets: Datasets,
     out: Out,
-    methods: Methods = "modal,paper-tuned,tracking,phase-2d,linear-2d",
+    methods: Methods = "modal,paper-tuned,tracking,phase-2d",
     external: Outside = None,
     alphas: Alphas = None,
     band: Banded = True,
@@ -125,12 +125,6 @@ def scenes(
     md_vqa: MdVqa = None,
     fast_vqa: FastVqa = None,
     vqa_python: VqaPython = "python3",
-    ablation: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Folder of tg4mm bench ablation, to show its table on the page too; may be repeated."
-        ),
-    ] = None,
     goals: Annotated[
         Path | None,
         typer.Option(help="Also write to this Markdown file which of the project's goals are reached."),
@@ -163,7 +157,7 @@ def scenes(
         (md_vqa, fast_vqa, vqa_python),
         device,
     )
-    results = run_scenes(datasets, out, replace(request, collect=collect), _say, ablation or [])
+    results = run_scenes(datasets, out, replace(request, collect=collect), _say)
     if goals is not None:
         from tg4mm.research.bench.folder import write_text
 
@@ -185,7 +179,7 @@ def job(
         str, typer.Argument(help="One of tg4mm bench scenes --methods, or the NAME of --external.")
     ],
     out: Out,
-    methods: Methods = "modal,paper-tuned,tracking,phase-2d,linear-2d",
+    methods: Methods = "modal,paper-tuned,tracking,phase-2d",
     external: Outside = None,
     alphas: Alphas = None,
     band: Banded = True,
@@ -234,44 +228,6 @@ def _request(
         plan=plan,
         vqa=checkouts({"md_vqa": vqa[0], "fast_vqa": vqa[1]}, vqa[2]),
     )
-
-
-@bench.command()
-def ablation(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The ablation, one of these.")],
-    datasets: Datasets,
-    out: Out,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="The preset that is varied, where the ablation can take more than one."
-        ),
-    ] = None,
-    alphas: Alphas = None,
-    band: Banded = True,
-    settings: Settings = None,
-    lpips_weights: Lpips = None,
-    device: DeviceOption = Device.cpu,
-) -> None:
-    """Vary one thing and compare.
-
-    NAME: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
-    views, timesteps, noise, amplitude, capture.
-
-    Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. A dataset that fails is listed,
-    and the rest goes on. amplitude (pixels of the first
-    training camera, 0.01 to 1) and capture generate their datasets from the given ones under OUT/sets, unless they are
-    there.
-    """
-    plan = _plan(alphas, band, lpips_weights, device)
-    given = split_settings(settings or [])
-    from tg4mm.research.bench.ablation.page import ablation_table
-    from tg4mm.research.bench.ablation.run import run_ablation
-
-    results = run_ablation(name, datasets, out, preset, given, plan, _say)
-    typer.echo(ablation_table(results))
-    typer.echo(f"\n{out / 'results.md'}")
-    _exit_with(results, out)
 
 
 for _command in (truth, release, verify):

@@ -48,24 +48,6 @@ def test_options_of_scenes(options, message, data, tmp_path, capsys):
     assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["colour"], "initialisation, decoder, residual"),
-        (["decoder", "--preset", "modal"], "paper-tuned, paper"),
-        (["smoothness", "--set", "paper.channels=4"], "paper.channels"),
-        (["iterations", "--set", "paper.warm_up=2900"], "paper.iterations is 1875"),
-        (["amplitude", "--alphas", "5"], "--alphas 5: the ablation amplitude chooses"),
-        (["amplitude"], "cannot be made with another amplitude"),
-    ],
-)
-def test_options_of_ablation(arguments, message, data, tmp_path, capsys):
-    out = tmp_path / "out"
-    given = ["ablation", arguments[0], str(data), "--out", str(out), *arguments[1:]]
-    assert message in refused(given, capsys)
-    assert not out.exists()
-
-
 def test_datasets_that_are_none(tmp_path, capsys):
     out = tmp_path / "out"
     assert "nowhere" in refused(["scenes", "/nowhere", "--out", str(out)], capsys)
@@ -82,10 +64,8 @@ def test_folders_of_something_else_are_left_alone(data, tmp_path, capsys):
     assert [p.name for p in foreign.iterdir()] == ["letter.txt"]
     other = tmp_path / "other"
     other.mkdir()
-    (other / "bench.json").write_text(
-        '{"format": "tg4mm-bench", "version": 1, "kind": "ablation residual, paper"}'
-    )
-    assert "ablation residual, paper" in refused(["scenes", str(data), "--out", str(other)], capsys)
+    (other / "bench.json").write_text('{"format": "tg4mm-bench", "version": 1, "kind": "something else"}')
+    assert "something else" in refused(["scenes", str(data), "--out", str(other)], capsys)
     (other / "bench.json").write_text("{")
     assert "bench.json" in refused(["scenes", str(data), "--out", str(other)], capsys)
     assert [p.name for p in other.iterdir()] == ["bench.json"]

@@ -77,15 +77,6 @@ def run_linear(data, out, *more):
     return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
-def test_an_ablation_without_results_does_not_take_the_page_along(data, tmp_path, capsys):
-    out = tmp_path / "out"
-    status, results = run_linear(data, out, "--ablation", str(tmp_path / "gone"))
-    assert status == 1
-    assert [f["set"] for f in results["failed"]] == ["ablation gone"]
-    assert (out / "results.html").is_file()
-    assert "ablation gone" in (out / "results.md").read_text(encoding="utf-8")
-
-
 def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(data, tmp_path, capsys, monkeypatch):
     from tg4mm.research.bench.methods.video import Phase2D
 

@@ -1,4 +1,4 @@
-"""The HTML page stands alone and works in a browser; tables, curves and LaTeX hold what they were given."""
+"""The HTML page stands alone and works in a browser; its tables sort."""
 
 import re
 import shutil
@@ -6,10 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.curves import points_of
 from tests.show.view.browser import browser
 from tg4mm.research.bench.methods.known import External
-from tg4mm.research.bench.pages.plots import curves
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
 
 
@@ -54,13 +52,3 @@ def test_in_a_browser(made):
         page.locator('.compare select[data-pick="left"]').select_option(label="linear-2d")
         assert left.get_attribute("src") != before
         assert not errors
-
-
-def test_curves_pass_through_their_values():
-    series = {"ours": [0.9, 0.8, 0.7], "ceiling": [0.9, None, 0.9]}
-    lines = points_of(curves(["0", "5", "20"], series, "α", "SSIM"))
-    ours, ceiling = lines["ours, 0"], lines["ceiling, 0"]
-    assert [len(ours), len(ceiling)] == [3, 2]
-    assert ours[0] == ceiling[0]
-    assert ours[1][1] - ours[0][1] == pytest.approx(ours[2][1] - ours[1][1], abs=0.01)
-    assert ours[1][0] - ours[0][0] == pytest.approx(ours[2][0] - ours[1][0], abs=0.01)

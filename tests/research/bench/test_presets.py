@@ -62,7 +62,7 @@ def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path):
     for step in steps_of("small", "out", choices=choices):
         found = accepted(shlex.join(step.command))
         kind = step.name.partition("/")[0]
-        assert found["alphas"] == (None if step.name == "ablation/amplitude" else "5,20")
+        assert found["alphas"] == "5,20"
         if kind != "data":
             assert found["device"] == "cuda"
             assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
@@ -104,7 +104,7 @@ def test_the_test_split_shares_no_motion_training_camera_or_seed_with_the_dev_sp
 def test_a_configuration_file_can_name_scenes_seeds_and_methods():
     config = {
         "preset": "small", "scenes": ["mic", "mic --frequency 4.3"], "seeds": [0, 1], "methods": ["modal"],
-        "options": "--size 32", "ablations": [],
+        "options": "--size 32",
     }  # fmt: skip
     steps = {step.name: step for step in steps_of(preset_from(config), "out")}
     assert list(steps)[:2] == ["data/seed0/mic_5Hz_0_005", "data/seed0/mic_4_3Hz_0_005"]
@@ -175,7 +175,7 @@ def run_snakemake(folder, config, *more):
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
 
 
-# Plans as the real one does; other commands are recorded. Of linear-2d's the first is killed where `kill` is there, and
+# Plans as the real one does; other commands are recorded. Of phase-2d's the first is killed where `kill` is there, and
 # all fail where `fail` is.
 STAND_IN = """#!{python}
 import os, runpy, signal, sys
@@ -187,10 +187,10 @@ if sys.argv[2] == "tg4mm.research.bench.presets":
 line = " ".join(sys.argv[3:])
 with open({log!r}, "a") as log:
     log.write(line + "\\n")
-if os.path.exists({kill!r}) and " linear-2d --out" in line:
+if os.path.exists({kill!r}) and " phase-2d --out" in line:
     os.unlink({kill!r})
     os.kill(os.getpid(), signal.SIGKILL)
-sys.exit("does not work" if os.path.exists({fail!r}) and " linear-2d --out" in line else 0)
+sys.exit("does not work" if os.path.exists({fail!r}) and " phase-2d --out" in line else 0)
 """
 
 
@@ -204,7 +204,7 @@ def test_the_page_is_made_though_a_job_failed_and_a_killed_worker_is_replaced(tm
     done = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
     assert done.returncode == 1
     calls = log.read_text().splitlines()
-    assert [" ".join(c.split()[:2]) for c in calls[:-1]] == ["generate mic", *["bench job"] * 4]
+    assert [" ".join(c.split()[:2]) for c in calls[:-1]] == ["generate mic", *["bench job"] * 3]
     assert calls[-1].startswith("bench scenes ")
     assert calls[-1].endswith(" --collect")
     fail.unlink()
@@ -215,7 +215,7 @@ def test_the_page_is_made_though_a_job_failed_and_a_killed_worker_is_replaced(tm
     killed, repeated, page = log.read_text().splitlines()
     assert killed == repeated
     assert repeated.startswith("bench job")
-    assert " linear-2d " in repeated
+    assert " phase-2d " in repeated
     assert page.startswith("bench scenes ")
     assert page.endswith(" --collect")
 
@@ -230,7 +230,7 @@ def test_smoke(tmp_path):
     results = json.loads((tmp_path / "out" / "bench" / "results.json").read_text(encoding="utf-8"))
     assert results["failed"] == []
     rows = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
-    assert {"nothing moves", "modal", "ceiling", "tracking", "phase-2d", "linear-2d"} <= set(rows)
+    assert {"nothing moves", "modal", "ceiling", "tracking", "phase-2d"} <= set(rows)
     # few and noisy pictures, little training: a part of the motion that can be shown, which nothing else gets by chance
     assert rows["modal"]["gain"] > 0.2 * rows["ceiling"]["gain"] > 0.1
     assert rows["modal"]["closure"] > 0.2

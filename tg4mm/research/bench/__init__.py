@@ -1,10 +1,10 @@
-"""The benchmark: presets against ground truth on many datasets, and the paper's ablations, as tables and pictures."""
+"""The benchmark: presets against ground truth on many datasets, as tables and pictures."""
 
 from tg4mm.core.errors import Tg4mmError
 
 
 class BenchError(Tg4mmError):
-    """A dataset without ground truth, an ablation that is none, or a folder that holds something else."""
+    """A dataset without ground truth, or a folder that holds something else."""
 
 
 class StepError(BenchError):

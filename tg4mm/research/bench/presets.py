@@ -1,4 +1,4 @@
-"""The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again."""
+"""The whole benchmark from nothing: which datasets and methods, as commands that each can be run again."""
 
 import json
 import shlex
@@ -21,10 +21,6 @@ _SMOKE_SETTINGS = (
     "space.iterations=300", "space.max_gaussians=2000", "tracking.iterations=100", "paper.warm_up=150",
     "paper.iterations=300", "paper.motion_iterations=20", "paper.channels=4", "paper.resolution=32",
 )  # fmt: skip
-_ABLATIONS = (
-    "initialisation", "decoder", "residual", "iterations", "difference", "filter-phase", "views", "timesteps", "noise",
-    "amplitude", "capture",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -35,7 +31,6 @@ class BenchPreset:
     options: tuple[str, ...]  # of `tg4mm generate`, for all of them
     methods: tuple[str, ...] = DEFAULT
     settings: tuple[str, ...] = ()  # KEY=VALUE, as `--set`
-    ablations: tuple[str, ...] = ()  # on the first scene
     seeds: tuple[int, ...] = ()  # of the generator: every scene once with each; (): once, with its default
 
 
@@ -43,7 +38,7 @@ _SPLIT = ("--samples", "32", "--noise", "picture")
 _OFF_BIN = "--frequency 4.3", "--frequency 4.6"  # Hz, of a second of pictures: between its bins
 PRESETS = {
     "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
-    "small": BenchPreset(SCENES, ("--samples", "32"), ablations=_ABLATIONS),
+    "small": BenchPreset(SCENES, ("--samples", "32")),
     "dev": BenchPreset((*SCENES, *(f"{scene} {_OFF_BIN[0]}" for scene in SCENES)), _SPLIT, seeds=(0, 1, 2)),
     "test": BenchPreset(
         tuple(f"{scene} --motion second{more}" for more in ("", f" {_OFF_BIN[1]}") for scene in SCENES),
@@ -51,9 +46,7 @@ PRESETS = {
         seeds=(100, 101, 102),
     ),
     "paper": BenchPreset(SCENES, ("--preset", "paper"), methods=(*DEFAULT, "paper")),
-    "mic-512": BenchPreset(
-        ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
-    ),
+    "mic-512": BenchPreset(("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d")),
 }
 _SMALLER = "--size 64 --timesteps 15 --views 6 --test-views 1 --samples 4 --amplitude 0.01 --points 4000 --truth none"
 PRESETS |= {
@@ -112,7 +105,7 @@ class _Data:
 def steps_of(
     name: str | BenchPreset, out: str, python: str = sys.executable, choices: Choices = Choices()
 ) -> list[Step]:
-    """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, ablations, page.
+    """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, page.
 
     Raises BenchError for an unknown preset and two datasets of one folder.
     """
@@ -137,15 +130,8 @@ def steps_of(
         for method in (*chosen.methods, *outside):
             command = (*program, "bench", "job", data.given, method, *options)
             found.append(Step(f"job/{data.label}/{method}", command, (data.step,)))
-    for ablation in chosen.ablations:
-        # amplitude chooses α itself
-        names = ("device", "lpips_weights", *(() if ablation == "amplitude" else ("alphas",)))
-        place = f"{out}/ablations/{ablation}"
-        command = (*program, "bench", "ablation", ablation, datasets[0].given, "--out", place)
-        found.append(Step(f"ablation/{ablation}", (*command, *choices.options(*names)), (datasets[0].step,)))
     given = (data.given for data in datasets)
     page = (*program, "bench", "scenes", *given, *options, "--same-time", "never", "--collect")
-    page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
     return [*found, Step("page", page, tuple(step.name for step in found))]
 
 
@@ -220,7 +206,7 @@ def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
     name = config.get("preset")
     if not isinstance(name, str) or name not in PRESETS:
         raise BenchError(f"configuration: preset is {name!r}, expected {', '.join(PRESETS)}")
-    kinds = {"scenes": str, "methods": str, "settings": str, "ablations": str, "seeds": int, "options": str}
+    kinds = {"scenes": str, "methods": str, "settings": str, "seeds": int, "options": str}
     own: dict[str, Any] = {}
     for key, kind in kinds.items():
         value = config.get(key)

@@ -10,7 +10,6 @@ from tg4mm.core.files import to_json
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.ablation.page import read_ablation
 from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder, why_failed
 from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.research.bench.means import JUDGED, group_means, less, line_means
@@ -56,11 +55,9 @@ def run_scenes(
     out: Path,
     request: ScenesRequest,
     say: Printer = print,
-    ablations: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Run what is not finished, and write results.json and the pages in `out`, anew after every job.
 
-    ablations: folders of `run_ablation`, whose tables stand on the page too.
     A dataset that cannot be read, and a job that fails, stand under `failed` with the reason; the rest goes on. Raises
     Tg4mmError (BenchError, CaptureError, RunError) on bad options before anything is written, and where nothing at all
     succeeds.
@@ -98,10 +95,9 @@ def run_scenes(
                 bench.write()
     if not bench.lines and not bench.runs:
         raise bench.first_error or Tg4mmError("nothing was run")
-    tables = bench.tables_of(ablations)
     results = bench.results()
     write_results(Path(out), results)
-    write_page(Path(out), results, tables)
+    write_page(Path(out), results)
     return results
 
 
@@ -200,16 +196,6 @@ class _Bench:
             raise BenchError(
                 f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
             )
-
-    def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
-        """The results of ablations; one that cannot be read is kept as a line of `failed`."""
-        found = []
-        for folder in ablations:
-            try:
-                found.append((Path(folder), read_ablation(folder)))
-            except (Tg4mmError, OSError) as error:
-                self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
-        return found
 
     def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[Line]) -> None:
         if isinstance(method, Trained):

@@ -138,7 +138,7 @@ ABOUT = {
     Phase2D.name: "phase-based magnification of each test view's own video, in complex sub-bands of half an octave",
     Linear2D.name: "linear Eulerian magnification of each test view's own video",
 }
-DEFAULT = ("modal", "paper-tuned", TRACKING, *_VIDEO)
+DEFAULT = ("modal", "paper-tuned", TRACKING, Phase2D.name)
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:

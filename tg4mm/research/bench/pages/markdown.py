@@ -121,16 +121,6 @@ def failures(results: Mapping[str, Any]) -> str:
     return "Left out:\n\n" + "\n".join(lines) if lines else ""
 
 
-def not_there(results: Mapping[str, Any]) -> str:
-    """What failed or was left out, and why; empty where nothing was."""
-    lines = [
-        f"- {word}: {x['set']}{', ' if x['method'] else ''}{x['method']}: {x['why']}"
-        for word, found in (("Failed", results["failed"]), ("Left out", results["left_out"]))
-        for x in found
-    ]
-    return "\n".join(lines)
-
-
 def sets_line(results: Mapping[str, Any], group: str) -> str:
     """The sets of a group, each with its size."""
     each = (

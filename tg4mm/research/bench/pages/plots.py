@@ -1,8 +1,7 @@
-"""The benchmark's plots, drawn by matplotlib: scores over magnification, size against speed, ablations."""
+"""The benchmark's plots, drawn by matplotlib: scores over magnification, size against speed."""
 
 import io
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any
 
 from tg4mm.research.bench.means import scalars
@@ -80,39 +79,6 @@ def size_and_speed(results: Mapping[str, Any], group: str) -> str | None:
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.25)
     figure.legend(loc="outside right upper", frameon=False)
-    return svg(figure)
-
-
-def curves(
-    x_names: Sequence[str],
-    series: Mapping[str, Sequence[float | None]],
-    x: str,
-    y: str,
-    breaks: Sequence[int] = (),
-) -> str:
-    """An SVG with one curve per entry over named, evenly spaced positions; None: no point there.
-
-    breaks: positions that no line leads to from the one before.
-    """
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    axes = figure.subplots()
-    own = [name for name in series if not name.startswith((STATIC, CEILING))]
-    for name, values in series.items():
-        style = _style(name, own)
-        for k, (first, last) in enumerate(pairwise([0, *breaks, len(values)])):
-            points = [(i, v) for i in range(first, last) if (v := values[i]) is not None]
-            if points:
-                (line,) = axes.plot(*zip(*points, strict=True), label=f"_{name}" if k else name, **style)
-                line.set_gid(f"curve: {name}, {k}")
-    axes.grid(alpha=0.25)
-    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in a name is a $
-        axes.set_xticks(range(len(x_names)), x_names)
-        axes.set_xlabel(x)
-        axes.set_ylabel(y)
-        figure.legend(loc="outside right upper", frameon=False)
     return svg(figure)
 
 

@@ -1,7 +1,7 @@
 """Pictures of the benchmark's pages: methods side by side, over time, as differences and space-time slices."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,21 +10,16 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image, ImageDraw, ImageFont
 
-from tg4mm.capture import Capture, load_capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.magnification import Magnification
 from tg4mm.core.pages.page import Block, Figure, Section, Text, film, photo_uri, picture
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
 from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
-from tg4mm.research.evaluate.scores import render_views
-from tg4mm.run import Run
-from tg4mm.run.poses import poses_of
 from tg4mm.show.report.figures import Line, line_that_moves, map_picture, marked, slice_picture
 from tg4mm.show.report.videos import clip, playing_rate
-from tg4mm.show.slices import difference_maps, most_moving_line, space_time_slice
+from tg4mm.show.slices import difference_maps
 
 TRUTH = "ground truth"
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
@@ -183,35 +178,3 @@ def _font() -> ImageFont.FreeTypeFont:
     import matplotlib
 
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 13)
-
-
-_HEIGHT = 96  # pixels of a slice in the picture
-
-
-def slices_picture(
-    root: Path, alphas: Sequence[int], shown: Mapping[str, tuple[Path, Magnification]], out: Path
-) -> str:
-    """Write the picture of runs, each magnified by α in place of its own, to `out`; says in a sentence what it shows.
-
-    The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
-    """
-    alpha = alpha_to_show(alphas)
-    capture = load_capture(root, split="test", magnification=alpha)
-    images, truth = most_changing(capture)
-    axis, index = most_moving_line(truth)
-    rows = {"ground truth": space_time_slice(truth, axis, index)}
-    for label, (run, magnified) in shown.items():
-        video = _rendered(run, magnified.times(float(alpha)), capture, images)
-        rows[label] = space_time_slice(video, axis, index)
-    if axis == "column":  # [H, T, 3]: time is brought down here too
-        rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
-    write_sheet(out, {label: to_bytes(piece) for label, piece in rows.items()}, _HEIGHT)
-    name = capture.paths[images[0]].name
-    return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
-
-
-def _rendered(run: Path, magnified: Magnification, capture: Capture, images: np.ndarray) -> np.ndarray:
-    poses = poses_of(Run.open(run), magnified)
-    times = capture.timesteps[images].tolist()
-    views = [render_views(poses.at(t), capture, images[j : j + 1])[0] for j, t in enumerate(times)]
-    return np.stack(views)

@@ -63,19 +63,16 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
 _HERE = Path(__file__).parent
 
 
-def write_page(
-    out: Path, results: Mapping[str, Any], ablations: Sequence[tuple[Path, Mapping[str, Any]]] = ()
-) -> Path:
+def write_page(out: Path, results: Mapping[str, Any]) -> Path:
     """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file.
 
-    ablations: (folder, content of its results.json). `shown_sections` also writes figures.
+    `shown_sections` also writes figures.
     """
     sections: list[Section] = []
     for group in groups_of(results):
         sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
         sections += shown_sections(out, results, group)
     sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
-    sections += [_ablation(folder, found) for folder, found in ablations]
     made = Commands([(markdown.machine(results["made"]), results["made"]["command"])])
     page = Page(
         title="3D motion magnification, measured",
@@ -168,20 +165,3 @@ def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
 
 def _block(made: Table) -> PageTable:
     return PageTable(made.header, made.rows, f"{made.title}. {made.note}", left=made.text_columns)
-
-
-def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
-    from tg4mm.research.bench.ablation.page import ablation_cells, not_there, picture
-
-    made = ablation_cells(results)
-    blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]
-    blocks += [Text(line.removeprefix("- "), "note") for line in not_there(results).splitlines()]
-    if (svg := picture(results)) is not None:
-        source = data_uri("image/svg+xml", svg.encode())
-        blocks.append(Figure([Panel("img", source=source, alt=results["title"])], results["title"]))
-    if results.get("slices") and (folder / "slices.png").is_file():
-        source = data_uri("image/png", (folder / "slices.png").read_bytes())
-        blocks.append(Figure([Panel("img", source=source, alt="space-time slices")], results["slices"]))
-    blocks.append(_block(made))
-    blocks.append(Commands([(markdown.machine(results["made"]), results["made"]["command"])]))
-    return Section(results["title"], blocks)

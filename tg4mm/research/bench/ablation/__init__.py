@@ -1,1 +1,0 @@
-"""Ablations: what they vary, the datasets that they need, and their tables."""
