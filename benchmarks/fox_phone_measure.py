@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fox_phone_sets import project, visible
-from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, world_of
+from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, project, visible, world_of
 from tg4mm.run import Run
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
 from tg4mm.show.measure.fourier import sinusoid_columns

@@ -177,3 +177,25 @@ def world_of(capture: Capture, truth: Truth) -> tuple[Similarity, float]:
     world = similarity(run_c2w, truth_c2w)
     left = world.to_truth(run_c2w[:, :3, 3]) - truth_c2w[:, :3, 3]
     return world, float(np.sqrt((left**2).sum(1).mean()))
+
+
+def project(xyz: np.ndarray, c2w: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel coordinates [N, 2] (centres at +0.5) and depths [N] of points [N, 3]; c2w has OpenCV axes."""
+    in_camera = (xyz - c2w[:3, 3]) @ c2w[:3, :3]
+    depth = in_camera[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return (in_camera @ K.T)[:, :2] / depth[:, None], depth
+
+
+def visible(uv: np.ndarray, depth: np.ndarray, size: tuple[int, int], cell: int = 6) -> np.ndarray:
+    """[N] whether a point lies in the picture and within 3 % of the nearest depth among points in its cell.
+
+    size: width, height; cell: side in pixels.
+    """
+    inside = (depth > 0.05) & (uv >= 0).all(1) & (uv < np.array(size)).all(1)
+    columns = -(-size[0] // cell)
+    index = np.zeros(len(uv), np.int64)
+    index[inside] = (uv[inside, 1] // cell).astype(int) * columns + (uv[inside, 0] // cell).astype(int)
+    nearest = np.full(columns * (-(-size[1] // cell)), np.inf)
+    np.minimum.at(nearest, index[inside], depth[inside])
+    return inside & (depth <= 1.03 * nearest[index])

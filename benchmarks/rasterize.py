@@ -1,10 +1,9 @@
-"""Time of the CPU rasteriser, forward and backward, beside its peers and the arithmetic limit.
+"""Time of the CPU rasteriser, forward and backward, beside its peers.
 
-    python -m benchmarks rasterize [--run RUN] [--repeats 9] [--only synthetic | cost | run]
+    python -m benchmarks rasterize [--run RUN] [--repeats 9] [--only synthetic | run]
 
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
-500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
-tile pair, pixel and visible pixel evaluation. With --run (a folder that `tg4mm train` left) also every kernel on the
+500,000. With --run (a folder that `tg4mm train` left) also every kernel on the
 trained Gaussians, seen by a camera of the run's dataset, in turn and by number of threads, and batches of cameras.
 Peers: the dense twin at a size it can bear; of gsplat's torch reference what is pure torch, projection and spherical
 harmonics (its compositing needs CUDA and nerfacc).
@@ -22,18 +21,15 @@ from functools import partial
 import numba
 import numpy as np
 import torch
-from scipy.optimize import nnls
 from torch import Tensor
 
 from benchmarks.common import Times, machine, timed, times_of
 from benchmarks.kernels import Kernels, scene
-from benchmarks.limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.rasterize.reference import rasterize_dense
-from tg4mm.fit.rasterize.simd.vector import PIXELS
 from tg4mm.fit.space.fused import FusedAdam, Iteration
 from tg4mm.fit.space.view import render_view
 from tg4mm.run import Run
@@ -126,51 +122,6 @@ def iterations(n: int, size: int, count: int = 3) -> None:
         iteration(adam, viewmat.numpy(), K.numpy(), target, 3, 0.5, error)
 
 
-def fit(name: str, times: list[float], units: dict[str, list[int]]) -> str:
-    """Times (ms) as a sum of so much for each unit, in words, with R² and the largest deviation.
-
-    Least squares of relative errors, since the scenes span a factor of a hundred; no constant: nothing costs nothing.
-    """
-    x, y = np.array(list(units.values()), float).T, np.array(times)
-    each, _ = nnls(x / y[:, None], np.ones_like(y))
-    fitted = x @ each
-    r2 = 1 - ((y - fitted) ** 2).sum() / ((y - y.mean()) ** 2).sum()
-    off = np.abs(fitted / y - 1).max()
-    terms = " + ".join(f"{1e6 * value:.2f} ns/{unit}" for value, unit in zip(each, units, strict=True))
-    return f"{name:20s} {terms}; R² {r2:.4f}, at most {off:.0%} off"
-
-
-def cost(repeats: int) -> None:
-    """Processor time of one thread against what the work is made of."""
-    numba.set_num_threads(1)
-    found: dict[str, list[float]] = {}
-    counts: dict[str, list[int]] = {"Gaussian": [], "pair": [], "pixel": [], "evaluation": []}
-    print(f"\n{'N':>8s} {'size':>6s} {'pairs':>9s} {'visible':>10s}  ms of processor time, one thread")
-    for size in SIZES:
-        for n in COUNTS:
-            parameters, viewmat, K = scene(n, size)
-            kernels = Kernels([p.numpy() for p in parameters], viewmat.numpy(), K.numpy(), (size, size))
-            evaluations = visible_evaluations(*kernels.lists)
-            for unit, number in zip(counts, (n, kernels.n_pairs, size * size, evaluations), strict=True):
-                counts[unit].append(number)
-            times = {name: min(times_of(call, repeats).processor) for name, call in kernels.calls.items()}
-            for name, value in times.items():
-                found.setdefault(name, []).append(value)
-            shown = ", ".join(f"{name} {value:.2f}" for name, value in times.items())
-            print(f"{n:8d} {size:5d}² {kernels.n_pairs:9d} {evaluations:10d}  {shown}", flush=True)
-    print()
-    by = {
-        "project": ["Gaussian"],
-        "project backward": ["Gaussian"],
-        "bin": ["Gaussian", "pair"],
-        "gather": ["pair"],
-    }
-    for name, taken in found.items():
-        for units in (by[name],) if name in by else (["evaluation"], ["evaluation", "pair", "pixel"]):
-            print(fit(name, taken, {unit: counts[unit] for unit in units}))
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-
-
 class Trained:
     """The Gaussians of a run and one camera of its dataset."""
 
@@ -185,27 +136,13 @@ class Trained:
         self.viewmat, self.K = self.viewmats[camera], self.Ks[camera]
 
     def times(self, repeats: int) -> dict[str, Times]:
-        """Of every kernel and of whole passes; prints the limit of blending."""
+        """Of every kernel and of whole passes."""
         g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)
         passes = {"forward, all": self.frame, "forward + backward, all": self.both_passes}
         times = timed({**kernels.calls, **passes}, repeats, ROUND)
-        evaluations, blocks = visible_evaluations(*kernels.lists), blocks_seen(kernels.reached)
-        ghz = clock_ghz()
-        print(
-            f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations in {blocks} blocks "
-            f"({evaluations / blocks / PIXELS:.0%} of their lanes), {ghz:.2f} GHz"
-        )
-        limits = (("blend, picture alone", FORWARD), ("blend", FORWARD), ("blend backward", BACKWARD))
-        for name, loop in limits if numba.get_num_threads() == 1 else ():
-            least, of_blocks = evaluations / 16 * loop.arithmetic, blocks * loop.cycles * PIXELS / 16
-            least, of_blocks = (n / (ghz * 1e6) for n in (least, of_blocks))
-            taken = min(times[name].processor)
-            print(
-                f"arithmetic limit of {name}: {least:.2f} ms of processor time, {of_blocks:.2f} for these blocks; "
-                f"taken: {taken / least:.1f} and {taken / of_blocks:.1f} times that"
-            )
+        print(f"{len(g)} Gaussians, {kernels.n_pairs} pairs")
         return times
 
     def frame(self) -> None:
@@ -272,7 +209,7 @@ def trained(folder: str, repeats: int) -> None:
 OPTIONS = {
     "--repeats": 9,
     "--run": {"help": "a run folder with trained Gaussians"},
-    "--only": {"choices": ["synthetic", "cost", "run"], "help": "one part alone"},
+    "--only": {"choices": ["synthetic", "run"], "help": "one part alone"},
 }
 
 
@@ -283,7 +220,5 @@ def run(options: argparse.Namespace) -> None:
     print(machine())
     if options.only in (None, "synthetic"):
         synthetic(options.repeats)
-    if options.only in (None, "cost"):
-        cost(options.repeats)
     if options.run and options.only in (None, "run"):
         trained(options.run, options.repeats)

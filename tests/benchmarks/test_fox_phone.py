@@ -10,7 +10,6 @@ from PIL import Image
 from benchmarks.__main__ import main
 from benchmarks.fox_phone import scored
 from benchmarks.fox_phone_scores import comparison
-from benchmarks.fox_phone_sets import Shot, frame_record
 from benchmarks.fox_phone_truth import Similarity, Truth, similarity
 from tg4mm.core.files import write_json
 from tg4mm.fit.gaussians import Gaussians
@@ -114,16 +113,21 @@ def write_tripod(folder, truth, world):
     white = Image.fromarray(np.full((SIZE, SIZE, 3), 255, np.uint8))
     values = truth.values
     for t in range(T):
-        shots = [Shot(t, "cam_00", np.array(values["c2w_fixed"]), t / FPS, np.zeros(0))]
+        places = {"cam_00": values["c2w_fixed"]}
         if t == 0:
-            shots += [
-                Shot(0, f"{i:03d}", np.array(values["cams_sweep"][i]), None, np.zeros(0)) for i in (0, 1, 3)
-            ]
+            places |= {f"{i:03d}": values["cams_sweep"][i] for i in (0, 1, 3)}
         frames = []
-        for shot in shots:
-            moved = Shot(t, shot.name, np.linalg.inv(world.viewmat_of(shot.c2w)), shot.time_s, shot.picture)
-            frames.append(frame_record(moved, K, (SIZE, SIZE)))
-            file = folder / f"{t:03d}" / "train" / f"{shot.name}.png"
+        for name, pose in places.items():
+            moved = np.linalg.inv(world.viewmat_of(np.array(pose))) @ np.diag([1.0, -1.0, -1.0, 1.0])
+            record = {
+                "file_path": f"./train/{name}.png",
+                "transform_matrix": moved.tolist(),
+                "w": SIZE,
+                "h": SIZE,
+            }
+            record |= {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+            frames.append(record | ({"time": t / FPS} if name == "cam_00" else {}))
+            file = folder / f"{t:03d}" / "train" / f"{name}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
             white.save(file)
         write_json(folder / f"{t:03d}" / "transforms_train.json", {"frames": frames})
