@@ -19,7 +19,7 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-SETTING = {"run", "put", "clear", "shading", "view", "prepare_render", "cube"}
+SETTING = {"clear", "view", "prepare_render"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -32,12 +32,6 @@ def answer(function):
 def value(of):
     """What an expression of `bpy` is."""
     return eval(of)
-
-
-@answer
-def run(statement):
-    """Do what a statement of `bpy` does, and redraw."""
-    exec(statement)
 
 
 @answer
@@ -122,14 +116,6 @@ def chosen_file():
 
 
 @answer
-def shading(kind):
-    """SOLID, MATERIAL or RENDERED, in every 3D view."""
-    for area in _window().screen.areas:
-        if area.type == "VIEW_3D":
-            area.spaces.active.shading.type = kind
-
-
-@answer
 def view(look_from, at, distance):
     """Turn the 3D view: `look_from` a direction, `at` a point, `distance` in scene units."""
     import mathutils
@@ -140,26 +126,41 @@ def view(look_from, at, distance):
 
 
 @answer
-def probe(at):
-    """Probe the Gaussian nearest to a place, for a picture."""
-    bpy.context.scene.cursor.location = at
-    bpy.ops.tg4mm.probe(source="CURSOR")
-
-
-@answer
-def put(to, value):
-    """Set an input of the active object's splat modifier, for a picture."""
-    modifier = _modifier()
-    items = modifier.node_group.interface.items_tree
-    item = next(i for i in items if i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == to)
-    getattr(modifier.properties.inputs, item.identifier).value = value
-    modifier.id_data.update_tag()
-
-
-@answer
 def clear():
     """Remove the cube, the lamp and the camera that Blender starts with."""
     bpy.data.batch_remove(list(bpy.data.objects))
+
+
+@answer
+def prepare_render(engine, size, frames, to):
+    """A camera that sees the drum, and a small picture; `frames` first and last, `to` where they are written."""
+    import mathutils
+
+    scene = bpy.context.scene
+    if scene.camera is None:
+        scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        scene.collection.objects.link(scene.camera)
+    place = mathutils.Vector((1.2, -3.6, 2.6))
+    scene.camera.location, scene.camera.rotation_euler = place, (-place).to_track_quat("-Z", "Y").to_euler()
+    scene.render.engine = engine
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.resolution_percentage = 100
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    scene.frame_start, scene.frame_end = frames
+    scene.render.filepath = str(FOLDER / to)
+
+
+@answer
+def save_rendered(file):
+    """Write the picture that was rendered last; False where there is none."""
+    result = bpy.data.images.get("Render Result")
+    if result is None:
+        return False
+    try:
+        result.save_render(str(FOLDER / file))
+    except RuntimeError:  # rendered nothing yet
+        return False
+    return True
 
 
 def _window():
@@ -198,10 +199,6 @@ def _answer_what_is_asked():
     os.replace(partial, FOLDER / "answer.json")
     return INTERVAL
 
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.modules["answering"] = sys.modules[__name__]
-import answers_jobs  # noqa: E402, F401
 
 bpy.context.preferences.view.show_splash = False
 # In a window of its own it would lie across the screen's edge, as no window manager is there to place it.

@@ -54,12 +54,6 @@ class Box:
         return self.left + self.width // 2, self.top + self.height // 2
 
 
-def is_compiling(picture, view):
-    """True while the view's third line of text, which tells that EEVEE compiles its shaders, is there."""
-    line = picture[view.top + 100 : view.top + 118, view.left + 66 : view.left + 200]
-    return bool((line.min(axis=2) > 200).sum() > 20)
-
-
 def read_xwd(data):
     """uint8 [H, W, 3] of an X window dump as Xvfb keeps its screen: header, palette, rows of BGRX pixels."""
     header = np.frombuffer(data, ">u4", 25)
@@ -95,8 +89,7 @@ class Session:
             (folder / "resources").mkdir()
             (folder / "screen").mkdir()
             shutil.copyfile(extension, folder / "extension.zip")
-            for script in ("answering.py", "answers_jobs.py", "dropping.py"):
-                shutil.copyfile(HERE / script, folder / script)
+            shutil.copyfile(HERE / "answering.py", folder / "answering.py")
             for file in files:
                 shutil.copyfile(file, folder / file.name)
             process = _launch(folder, size)
@@ -132,22 +125,6 @@ class Session:
             self._xdotool("mousemove_relative", "--", str(now[0] - done[0]), str(now[1] - done[1]))
             done = now
         self._xdotool("mouseup", str(button))
-
-    def scroll(self, x, y, steps):
-        """Turn the wheel at a place; towards the user, down, where positive."""
-        self.move(x, y)
-        self._xdotool("click", "--repeat", str(abs(steps)), "--delay", "50", "5" if steps > 0 else "4")
-
-    def wheel_with_control(self, x, y, button):
-        """One notch with Ctrl held: `4` up, `5` down. Over a menu it takes the next item."""
-        self.move(x, y)
-        self._xdotool("keydown", "ctrl", "click", button, "keyup", "ctrl")
-
-    def drop(self, file, x, y):
-        """Drag one of the session's files onto a place, as from a file manager."""
-        self.move(x, y)
-        window = self._run("xdotool", "search", "--onlyvisible", "--class", "Blender").split()[-1]
-        self._run("python3", f"{self.inside}/dropping.py", window, str(x), str(y), f"{self.inside}/{file}")
 
     def key(self, *keys):
         """Press keys, each as xdotool writes it: `Return`, `ctrl+a`."""
@@ -185,19 +162,6 @@ class Session:
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB"))
 
-    def settled(self, path, limit=300.0, every=1.5):
-        """A picture once two in a row are the same and no shaders are being compiled. Raises SessionError."""
-        last = self.picture(path)
-        view = self.region("VIEW_3D")
-        ends = time.monotonic() + limit
-        while time.monotonic() < ends:
-            time.sleep(every)
-            now = self.picture(path)
-            if np.array_equal(now, last) and not is_compiling(now, view):
-                return now
-            last = now
-        raise SessionError(f"the screen was not still after {limit:g} s")
-
     def region(self, area, region="WINDOW"):
         """A region of the first area of a type: `region("VIEW_3D", "UI")`."""
         found = next(a for a in self.ask("areas") if a["type"] == area)
@@ -224,10 +188,6 @@ class Session:
     def value(self, of, limit=ANSWER_LIMIT):
         """What an expression of `bpy` is in there."""
         return self.ask("value", limit, of=of)
-
-    def run(self, statement):
-        """Do what a statement of `bpy` does in there, and redraw."""
-        self.ask("run", statement=statement)
 
     def places(self):
         """float32 [N, 3]: where the instances of the active object are drawn, in its own axes."""

@@ -6,8 +6,7 @@ lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command
 
 import time
 
-from .looking import headers
-from .session import ACTIVE, OBJECTS, Box, SessionError
+from .session import ACTIVE, OBJECTS, SessionError
 
 TAB = "TG4MM"
 TAB_STEP, ROW_STEP = 24, 18  # pixels; less than a tab and a row are high
@@ -28,11 +27,10 @@ def open_tab(blender):
 
 
 def find(blender, wanted, at=0.55):
-    """Where the control is whose data path or Python command ends with `wanted`, brought into view.
+    """Where the control is whose data path or Python command ends with `wanted`.
 
     `at`: where in a row it is looked for, 0 on the left edge of the sidebar and 1 on the right. An input of the
-    active object's modifier is found by its name. What is in sight is searched first; then all panels are folded
-    and opened one after another, and the one that holds it stays open.
+    active object's modifier is found by its name, among what is in sight.
     """
     path = wanted if wanted.startswith(("bpy.", "tg4mm_")) else blender.ask("paths").get(wanted, wanted)
     box = blender.region("VIEW_3D", "UI")
@@ -42,7 +40,6 @@ def find(blender, wanted, at=0.55):
         return place
     x = box.left + round(at * box.width)
     place = _in_rows(blender, path, x, box.top, box.top + box.height, met)
-    place = place or _in_panels(blender, path, x, box, met)
     if place is None:
         raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
     blender.seen[path] = place
@@ -66,57 +63,6 @@ def _in_rows(blender, path, x, top, bottom, met):
     return None
 
 
-def _in_panels(blender, path, x, box, met):
-    """The same, in panels that are opened for it one at a time, and what they hold with them."""
-    _fold(blender, box)
-    i, shown = 1, _headers(blender, box)
-    while i < len(shown):
-        if not shown[i].open:  # a panel inside one that was just opened may be
-            _click_header(blender, shown[i])
-        now = _headers(blender, box)
-        bottom = now[i + 1].y if i + 1 < len(now) else box.top + box.height
-        place = _in_rows(blender, path, x, now[i].y, bottom, met)
-        if place is not None:
-            return place
-        if len(now) <= len(shown):  # else it holds panels, which come next
-            _click_header(blender, now[i])
-        i, shown = i + 1, _headers(blender, box)
-    return None
-
-
-def _fold(blender, box):
-    """Fold every panel but the first, which holds the others."""
-    blender.scroll(*box.middle, -30)
-    while opened := [h for h in _headers(blender, box)[1:] if h.open]:
-        _click_header(blender, opened[-1])  # what is above stays where it is
-
-
-def open_only(blender, *which):
-    """Fold every panel but these, numbered from the one that holds them, 0."""
-    box = blender.region("VIEW_3D", "UI")
-    _fold(blender, box)
-    for i in sorted(which, reverse=True):  # what is above stays where it is
-        _click_header(blender, _headers(blender, box)[i])
-
-
-def _headers(blender, box):
-    """The headers in sight, once they have stopped sliding."""
-    blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
-    strip, last = Box(box.left, box.top, 80, box.height), None
-    for _ in range(20):
-        now = headers(blender.now(), strip)
-        if now == last:
-            return now
-        last = now
-        time.sleep(0.3)
-    raise SessionError("the sidebar's panels do not come to rest")
-
-
-def _click_header(blender, header):
-    blender.click(header.x + 40, header.y)
-    time.sleep(0.3)
-
-
 def under_pointer(blender, x, y, operator):
     """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
     blender.value("setattr(bpy.context.window_manager, 'clipboard', '')")  # without a redraw
@@ -124,30 +70,13 @@ def under_pointer(blender, x, y, operator):
     return str(blender.value("bpy.context.window_manager.clipboard"))
 
 
-def press(blender, operator, at=0.55):
-    """Click the button of an operator, `bpy.ops.tg4mm.solid_colours(on=True)`."""
-    blender.click(*find(blender, operator, at))
-
-
 def drag_value(blender, name, pixels):
     """Drag a number field sideways; returns the value then."""
-    place = find(blender, name)
-    return _drag(blender, place, pixels, lambda: float(blender.ask("inputs")[name]), name)
-
-
-def drag_setting(blender, of, which, pixels):
-    """Drag a setting of the scene's `tg4mm_generate` or `tg4mm_train` sideways; returns the value then."""
-    name = f"{of}.{which}"
-    place = find(blender, name)
-    return _drag(blender, place, pixels, lambda: float(blender.value(f"bpy.context.scene.{name}")), name)
-
-
-def _drag(blender, place, pixels, value, name):
-    before = value()
-    blender.drag(place, (pixels, 0))
-    if not _soon(lambda: value() != before, 30.0):
+    before = blender.ask("inputs")[name]
+    blender.drag(find(blender, name), (pixels, 0))
+    if not _soon(lambda: blender.ask("inputs")[name] != before, 30.0):
         raise SessionError(f"dragging {name} by {pixels} pixels left it at {before}")
-    return value()
+    return float(blender.ask("inputs")[name])
 
 
 def type_value(blender, name, text):
@@ -158,19 +87,6 @@ def type_value(blender, name, text):
     blender.key("Return")
     if not _soon(lambda: abs(blender.ask("inputs")[name] - float(text)) < 1e-4, 30.0):
         raise SessionError(f"{name} is {blender.ask('inputs')[name]} after {text} was typed")
-
-
-def choose(blender, name, item):
-    """Turn the wheel with Ctrl held over a menu until it shows `item`."""
-    x, y = find(blender, name)
-    for wheel in ("4", "5"):
-        for _ in range(8):
-            now = blender.ask("inputs")[name]
-            if now == item:
-                return
-            blender.wheel_with_control(x, y, wheel)
-            _soon(lambda now=now: blender.ask("inputs")[name] != now, 2.0)  # no more at the menu's end
-    raise SessionError(f"the menu {name} has no {item}; it stays at {blender.ask('inputs')[name]}")
 
 
 def import_by_menu(blender, file, wait=30.0):
