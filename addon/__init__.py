@@ -13,12 +13,12 @@ _MODULES = (
 
 
 def register() -> None:
-    """Called by Blender when the extension is enabled."""
+    """Register the extension; Blender calls this when it is enabled."""
     for module in _MODULES:
         module.register()
 
 
 def unregister() -> None:
-    """Called by Blender when the extension is disabled."""
+    """Unregister the extension; Blender calls this when it is disabled."""
     for module in reversed(_MODULES):
         module.unregister()

@@ -1,4 +1,4 @@
-"""Where Blender 4.5, 5.2 and 5.3 differ. Features are asked for, not versions."""
+"""Differences between Blender 4.5, 5.2 and 5.3. The code tests for features, not for versions."""
 
 from typing import Any
 
@@ -13,16 +13,16 @@ _INPUTS_ARE_PROPERTIES = "properties" in bpy.types.NodesModifier.bl_rna.properti
 
 
 class MissingInBlender(Tg4mmError):
-    """This Blender lacks something that the extension is built on."""
+    """Raised when this Blender lacks a feature that the extension needs."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"Blender {bpy.app.version_string} has no {what}; TG4MM is tried up to {_tried()}")
+        super().__init__(f"Blender {bpy.app.version_string} has no {what}; TG4MM is tested up to {_tried()}")
 
 
 def untried() -> str:
-    """What to say about a Blender that is newer than any that was tried; "" for others."""
+    """Return a warning if this Blender is newer than any tested version, else ""."""
     new = bpy.app.version[:2] > NEWEST_TRIED
-    return f"Blender {bpy.app.version_string}: tried up to {_tried()}" if new else ""
+    return f"Blender {bpy.app.version_string}: tested up to {_tried()}" if new else ""
 
 
 def _tried() -> str:
@@ -30,7 +30,7 @@ def _tried() -> str:
 
 
 def find_input(modifier: Any, name: str) -> Any:
-    """The interface item of the modifier's input called `name`. KeyError without one."""
+    """Return the interface item of the modifier's input called `name`. Raises KeyError if there is none."""
     for item in modifier.node_group.interface.items_tree:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
             return item
@@ -38,13 +38,13 @@ def find_input(modifier: Any, name: str) -> Any:
 
 
 def has_input(modifier: Any, name: str) -> bool:
-    """True if the modifier's node group has an input called `name`."""
+    """Return whether the modifier's node group has an input called `name`."""
     items = modifier.node_group.interface.items_tree
     return any(i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == name for i in items)
 
 
 def get_input(modifier: Any, name: str) -> Any:
-    """The value of a modifier's input; of a menu, the item's name."""
+    """Return the value of a modifier's input; for a menu, the name of the item."""
     item = find_input(modifier, name)
     if _INPUTS_ARE_PROPERTIES:
         return getattr(modifier.properties.inputs, item.identifier).value
@@ -53,20 +53,20 @@ def get_input(modifier: Any, name: str) -> Any:
 
 
 def is_number(value: float) -> bool:
-    """False for NaN, infinity, and what 5.3 makes of infinity: the largest number that float32 holds."""
+    """Return False for NaN, infinity, and the largest float32, to which Blender 5.3 clamps infinity."""
     return abs(value) < LARGEST
 
 
 def get_number(modifier: Any, name: str) -> float:
-    """The value of a modifier's number as the node tree plays it: what is no finite number counts as 0."""
+    """Return a numeric input as the node tree uses it: non-finite values count as 0."""
     value = float(get_input(modifier, name))
     return value if is_number(value) else 0.0
 
 
 def set_input(modifier: Any, name: str, value: Any) -> None:
-    """Set a modifier's input and mark its object for evaluation, which Blender does not do from Python.
+    """Set a modifier's input and tag its object for evaluation, which Blender does not do from Python.
 
-    The value of a menu is the item's name; ValueError for one that is not there.
+    The value of a menu is the item's name. Raises ValueError for an unknown item.
     """
     item = find_input(modifier, name)
     if item.socket_type == "NodeSocketMenu":
@@ -93,7 +93,7 @@ def draw_input(layout: Any, modifier: Any, name: str, **options: Any) -> None:
 
 
 def input_path(modifier: Any, name: str) -> str:
-    """The path of a modifier's input from its object: for keyframe_insert and driver_add."""
+    """Return the data path of a modifier's input from its object, for keyframe_insert and driver_add."""
     identifier = find_input(modifier, name).identifier
     tail = f".properties.inputs.{identifier}.value" if _INPUTS_ARE_PROPERTIES else f'["{identifier}"]'
     return f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]{tail}'
@@ -105,12 +105,12 @@ def key_input(modifier: Any, name: str, frame: float) -> None:
 
 
 def native_splats() -> bool:
-    """True where a point cloud can be of Gaussian splats that Blender itself draws: from 5.3 on."""
+    """Return whether Blender itself draws point clouds of Gaussian splats (5.3 and later)."""
     return hasattr(bpy.types, "GeometryNodePointsSetType")
 
 
 def choose_splats(node: Any) -> None:
-    """Set a Set Point Cloud Type node to Gaussian splats. MissingInBlender where it does not know them."""
+    """Set a Set Point Cloud Type node to Gaussian splats. Raises MissingInBlender if it lacks that type."""
     try:
         node.inputs["Type"].default_value = "3D Gaussian Splat"
     except (KeyError, TypeError) as error:
@@ -140,7 +140,7 @@ def match_wildcard(node: Any) -> None:
 
 
 def _menu_names(modifier: Any, item: Any) -> dict[int, str]:
-    """Number → name of each item of a menu input. Blender numbers them as they are made, from 0."""
+    """Return {number: name} for the items of a menu input. Blender numbers them from 0 in order of creation."""
     group = next(node for node in modifier.node_group.nodes if node.bl_idname == "NodeGroupInput")
     socket = next(out for out in group.outputs if out.identifier == item.identifier)
     switch = socket.links[0].to_node

@@ -54,12 +54,12 @@ CROP_OF = "tg4mm_crop_of"  # on a box empty: likewise
 
 
 def modes_number(freqs_hz: Sequence[float], fps: float) -> int:
-    """A number of 31 bits that tells files of other frequencies or another rate apart."""
+    """Return a 31-bit hash of the frequencies and the rate, to detect a file with others."""
     return zlib.crc32(struct.pack(f"<{len(freqs_hz) + 1}d", *freqs_hz, fps)) & 0x7FFFFFFF
 
 
 def phasor(mode: int) -> dict[str, str]:
-    """The vector attributes of a mode: real and imaginary part of displacement and rotation vector."""
+    """Return the names of a mode's vector attributes: real and imaginary displacement and rotation vector."""
     return {part: f"{MODE_PREFIX}{mode}_{part}" for part in ("re", "im", "re_r", "im_r")}
 
 
@@ -84,7 +84,7 @@ def native_sh(k: int) -> str:
 
 
 def toggles(freqs_hz: Sequence[float]) -> list[str]:
-    """Name of the input that shows each mode: its frequency, with a number where two are alike."""
+    """Return the name of each mode's toggle input: its frequency, numbered where two are equal."""
     names = [f"{f:g} Hz" for f in freqs_hz]
     counts = Counter(names)
     seen: Counter[str] = Counter()

@@ -25,7 +25,7 @@ _WALKTHROUGH = (
 
 
 class TG4MM_preferences(bpy.types.AddonPreferences):
-    """What holds for every file"""
+    """Settings for all files"""
 
     bl_idname = PACKAGE
 
@@ -69,14 +69,14 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
     )
     digits: IntProperty(  # type: ignore[valid-type]
         name="Digits",
-        description="Significant digits of the numbers shown in the panel",
+        description="Number of significant digits in the panel",
         default=4,
         min=2,
         max=8,
     )
     core_python: StringProperty(  # type: ignore[valid-type]
         name="Python of the Core",
-        description="Python of the environment that tg4mm is installed in; needed to generate and to train only",
+        description="Python of the environment in which tg4mm is installed; needed only to generate and to train",
         subtype="FILE_PATH",
     )
 

@@ -1,4 +1,4 @@
-"""What an operator says where it cannot do what it is asked: one line, and CANCELLED."""
+"""Error reporting of operators: one line, and CANCELLED."""
 
 import functools
 from collections.abc import Callable

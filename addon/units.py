@@ -1,11 +1,11 @@
-"""Lengths for people: scene units, or millimetres where the file says how long a scene unit is."""
+"""Display of lengths: millimetres if the file states its scale, else scene units."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of length: what a scene unit is of it, and how many digits numbers have."""
+    """A unit of length: its size relative to a scene unit, and the number of digits shown."""
 
     per_scene_unit: float
     name: str  # beside a number
@@ -28,7 +28,7 @@ class Unit:
 
 
 def unit_of(unit_scale_m: float | None, metric: bool = True, digits: int = 4) -> Unit:
-    """Millimetres if the scale (metres per scene unit) is known and wanted, else scene units."""
+    """Return millimetres if the scale (metres per scene unit) is known and requested, else scene units."""
     if unit_scale_m is None or not metric:
         return Unit(1.0, "scene units", "scene_units", digits)
     return Unit(1000.0 * unit_scale_m, "mm", "mm", digits)

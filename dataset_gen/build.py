@@ -1,4 +1,4 @@
-"""From the description of a scene to Blender's objects, materials and lights."""
+"""Build Blender's objects, materials and lights from the description of a scene."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

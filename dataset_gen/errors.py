@@ -13,7 +13,7 @@ class GenerateError(Tg4mmError):
 
 
 def blender_remedy() -> str:
-    """How to get Blender's Python module, which comes for two versions of Python alone."""
+    """Return how to install Blender's Python module, which exists for two Python versions only."""
     have = sys.version_info[:2]
     if have in ((3, 11), (3, 13)):
         return install("generate")

@@ -75,7 +75,7 @@ def _header(start: bytes) -> tuple[dict[bytes, bytes], int] | None:
 
 
 def _inside(file: BinaryIO, offset: int, length: int) -> bool:
-    """Whether the chunk at `offset` ends before the file does."""
+    """Return whether the chunk at `offset` lies completely inside the file."""
     if not 0 < offset <= length - 8:
         return False
     file.seek(offset + 4)

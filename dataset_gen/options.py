@@ -1,4 +1,4 @@
-"""What the command line asks for: from parsed options to settings."""
+"""Conversion of parsed command-line options to settings."""
 
 import argparse
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ __all__ = ["ALL", "ALPHAS", "DEFAULTS", "PRESETS", "Request", "parser", "request
 
 @dataclass(frozen=True)
 class Request:
-    """What the command line asks for."""
+    """A request of the command line."""
 
     sets: tuple[Settings, ...]  # one, or one for each built-in scene
     out: Path  # not used to save an animation

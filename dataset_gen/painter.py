@@ -27,7 +27,7 @@ class Painter:
         self._tree: BVHTree | None = None
 
     def wants(self, shot: Shot) -> bool:
-        """Whether the shot has colours to give that are not there yet."""
+        """Return whether the shot provides colours that are still missing."""
         if not shot.paints or not points.wanted(self._root, self._settings):
             return False
         return not points.view_file(self._root, shot).exists()

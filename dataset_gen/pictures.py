@@ -1,4 +1,4 @@
-"""From what the renderer gives, linear light, to the bytes of a picture: background, sensor, file format.
+"""Conversion of rendered linear light to picture files: background, sensor model, file format.
 
 The model of a sensor is that of EMVA 1288 without fixed patterns: electrons ~ Poisson(light) + Normal(0, read
 noise), in linear light, each colour channel and each pixel by itself (no mosaic of colour filters, no blur). Sub-
@@ -106,7 +106,7 @@ PRESETS = {
 
 
 def expose(sensor: Sensor, linear: np.ndarray, key: Key) -> np.ndarray:
-    """What the sensor reads for linear light [H, W, 3] ≥ 0, as linear light again, float64.
+    """Return the sensor's reading of linear light [H, W, 3] ≥ 0, as linear light, float64.
 
     Clipped at the full well, and at 0, as pictures are whose black level was subtracted: the mean is that of
     the light except within some standard deviations of either end.
@@ -253,7 +253,7 @@ class PictureFormat:
         return exr.encode(numbers) if self.images == "exr" else png.encode(numbers)
 
     def complete(self, path: Path, width: int, height: int) -> bool:
-        """Whether a file is there, of this kind and size, and whole; its pixels are not decoded."""
+        """Return whether a complete file of this kind and size exists; its pixels are not decoded."""
         if self.images == "exr":
             return exr.complete(path, width, height)
         return png.complete(path, width, height, self.bits, self.channels)

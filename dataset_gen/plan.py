@@ -1,4 +1,4 @@
-"""Which pictures have to be rendered, and which are the same picture again.
+"""The render plan: distinct pictures to render, and duplicates that are linked.
 
 The principle that makes a dataset cheap: images depend on time and on α only through the motion state, that
 is the gain of each mode at t, times (1 + α) where it is magnified. The renderer is deterministic for a fixed
@@ -70,7 +70,7 @@ def magnified_folder(alpha: float) -> str:
 
 
 def picture_path(settings: Settings, timestep: int, camera: Camera, split: str = "train") -> str:
-    """Where a picture at α = 0 lies, relative to the dataset's folder."""
+    """Return the path of a picture at α = 0, relative to the dataset's folder."""
     return f"{timestep:03d}/{split}/{camera.name}{settings.pictures.suffix}"
 
 
@@ -121,7 +121,7 @@ def _own_seed(settings: Settings, path: str) -> int:
 
 
 def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str:
-    """Where the renderer puts pictures, "" or with a slash at its end."""
+    """Return the renderer's output folder, "" or ending in a slash."""
     if alpha:
         return f"{magnified_folder(alpha)}/"
     coded = settings.effects.coded and split == "train" and films(settings.cameras, camera)
@@ -131,7 +131,7 @@ def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str
 def _state(
     setup: CameraSetup, motion: Motion, split: str, camera: Camera, timestep: int, alpha: float
 ) -> State:
-    """What a camera sees at a timestep; of training cameras at that of their own clocks."""
+    """Return the motion state that a camera sees at a timestep, on a training camera's own clock."""
     if split == "test":
         return motion.state(timestep, alpha)
     time_s = scene_time(setup, camera, timestep)
@@ -141,7 +141,7 @@ def _state(
 def _times(
     settings: Settings, motion: Motion, split: str, camera: Camera, timestep: int, middle: State
 ) -> tuple[tuple[State, ...], tuple[State, ...]]:
-    """What bands of rows that are read in turn see, and an exposure gathers; empty where that is `middle` alone."""
+    """Return the states seen by row bands (rolling shutter) or during an exposure; empty if only `middle`."""
     effects, setup = settings.effects, settings.cameras
     times = (
         [delay for _, delay in bands(settings.size, effects.readout_ms / 1e3)] if effects.readout_ms else [],
@@ -160,9 +160,9 @@ def _order(key: _Key) -> tuple[bool, tuple[float, ...], bool, int, tuple[tuple[f
 
 
 def _painters(keys: Sequence[_Key]) -> set[_Key]:
-    """Of every training camera the picture nearest to rest: the points are those of the rest scene.
+    """Return each training camera's picture nearest to rest, because the points are those of the rest scene.
 
-    Of very many cameras (each frame of a hand-held one is a camera) some, evenly spread.
+    Of very many cameras (each frame of a hand-held one is a camera) an evenly spread subset is used.
     """
     nearest: dict[Camera, _Key] = {}
     for key in keys:

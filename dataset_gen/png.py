@@ -76,7 +76,7 @@ def complete(path: Path, width: int, height: int, bits: int = 8, channels: int =
 
 
 def sound(path: Path) -> bool:
-    """Whether the check sums of all parts of a PNG are right; reads the whole file."""
+    """Return whether all checksums of a PNG are correct; reads the whole file."""
     try:
         data = path.read_bytes()
     except OSError:

@@ -46,7 +46,7 @@ def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> Candidates
 
 
 def wanted(root: Path, settings: Settings) -> bool:
-    """Whether points3d.ply is still to be made: asked for, and not there whole."""
+    """Return whether points3d.ply is requested and not yet complete."""
     if not settings.points:
         return False
     try:

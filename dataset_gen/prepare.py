@@ -1,4 +1,4 @@
-"""From settings to a job that can be rendered: geometry, motion, the list of pictures; claims the folder."""
+"""Prepare a render job from settings: geometry, motion, list of pictures; claims the output folder."""
 
 import hashlib
 import importlib.metadata
@@ -113,7 +113,7 @@ def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None
 
 
 def inspected(source: Source) -> Found:
-    """What a user's file holds, read in a process of its own; its warnings are printed."""
+    """Inspect a user's file in a separate process and print its warnings."""
     from .sources import bodies_file
 
     with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:

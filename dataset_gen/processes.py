@@ -41,7 +41,7 @@ def render(
 ) -> None:
     """Renders the shots with these numbers in `count` processes at once; a failed one stops the others.
 
-    `note` is told after each picture how many are done.
+    `note` is called after each picture with the number completed.
     """
     if not todo:
         return
@@ -183,10 +183,10 @@ def _drain(waiting: queue.SimpleQueue[list[int]]) -> Iterator[list[int]]:
 
 
 def _command(job_path: Path, threads: int) -> list[str]:
-    """How to start a worker: with Blender if this is Blender, else with this Python and pip's bpy.
+    """Return the command that starts a worker: Blender if this is Blender, else this Python with pip's bpy.
 
-    threads: of Blender's pool, 0: all cores. More than Cycles is told to use would look for work all the time, at the
-    cost of those that have some.
+    threads: size of the thread pool of Blender, 0 for all cores. Threads beyond those of Cycles would busy-wait and
+    slow down the others.
     """
     bpy = sys.modules.get("bpy")
     binary = bpy.app.binary_path if bpy is not None else ""

@@ -144,7 +144,7 @@ def linear_picture(stage: Stage) -> np.ndarray:
 
 
 def data_passes(stage: Stage) -> dict[str, np.ndarray]:
-    """What the pixel centres of the current state and view see; after `use_data`.
+    """Render the data passes at the pixel centres of the current state and view; call `use_data` first.
 
     Depth [H, W]; Normal, Position, Displacement [H, W, 3] float32; `truth.write_exr` says what they mean.
     """
@@ -185,7 +185,7 @@ def read_float(path: Path) -> np.ndarray:
 
 
 def read_float_by_blender(path: Path) -> np.ndarray:
-    """As `read_float`."""
+    """Like `read_float`, but by Blender."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.name = "Non-Color"
@@ -279,7 +279,7 @@ def _cut_out(material: bpy.types.Material) -> bool:
 
 
 def _is_not(socket: bpy.types.NodeSocket | None, value: float) -> bool:
-    """Whether there is such a socket and it may have another value."""
+    """Return whether the socket exists and may differ from the value."""
     return socket is not None and bool(socket.is_linked or socket.default_value != value)
 
 

@@ -101,7 +101,7 @@ def finish(job: Job, stream: TextIO) -> Path:
 
 
 def prepare_parts(settings: Settings, out: Path, parts: int = 0) -> Path:
-    """Prepares a dataset to be rendered in parts; `parts.json` in the returned folder tells how many."""
+    """Prepare a dataset for rendering in parts; `parts.json` in the returned folder holds their number."""
     job = plan(settings, out)
     parts = parts or max(1, -(-len(job.shots) // RANGE))
     if not 1 <= parts <= len(job.shots):
@@ -126,7 +126,7 @@ def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int
 
 
 def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
-    """What is left when all parts are rendered."""
+    """Finish the dataset after all parts are rendered."""
     job = claim(plan(settings, out))
     with tree.work_folder(job.root).held("makes this dataset"):
         return finish(job, stream)

@@ -81,7 +81,7 @@ class Environment:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is rendered. How it vibrates stands beside it, in `<name>.yaml`."""
+    """The rendered scene. Its vibration is described in `<name>.yaml` beside it."""
 
     name: str
     parts: tuple[Part, ...]

@@ -1,4 +1,4 @@
-"""What to generate: one frozen description, checked on entry; and the engine settings that follow from it."""
+"""The generator's settings, one frozen description checked on entry, and the engine settings they imply."""
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ _LIMIT_SIZE = (8, 4096)
 
 @dataclass(frozen=True)
 class Source:
-    """Where the geometry comes from: a built-in scene by name, or a user's file."""
+    """The source of the geometry: a built-in scene by name, or a user's file."""
 
     kind: str = "builtin"  # one of KINDS
     path: str = ""  # of the file, absolute; "" for a built-in scene
@@ -163,7 +163,7 @@ class Quality:
         return replace(self, width=size, height=size, samples=samples)
 
     def describe(self) -> dict[str, object]:
-        """What `scene.json` says of the engine beside the seed."""
+        """Return the engine settings that `scene.json` records, apart from the seed."""
         shared: dict[str, object] = {"samples": self.samples, "view_transform": "Standard", "dither": 0.0}
         if self.engine == "eevee":
             return {"name": "EEVEE", **shared, "pixel_filter": "BLACKMAN_HARRIS 1.5 px", "ray_tracing": True}

@@ -44,9 +44,9 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def complete(root: Path, name: str, settings: Settings) -> bool:
-    """Whether a picture or truth file of the set is there, of the right kind and size, and whole.
+    """Return whether a complete picture or truth file of the right kind and size exists.
 
-    Of a picture that goes through a video: whether it or what the video made of it is there.
+    For a picture that goes through a video, the original or its decoded version counts.
     """
     if name.startswith(f"{UNCODED}/") and complete(root, name.removeprefix(f"{UNCODED}/"), settings):
         return True

@@ -194,7 +194,7 @@ class _Photographer:
         return np.asarray(total, np.float32)
 
     def _seen(self, shot: Shot, render_once: Callable[[], _Rasters]) -> _Rasters:
-        """What the shot's rows see, each in the state of its own time; the stage is in the shot's state again then."""
+        """Render the shot's row bands, each in the state of its own time, then restore the shot's state."""
         if not shot.rows:
             return render_once()
         size = self._settings.size

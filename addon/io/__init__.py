@@ -1,1 +1,1 @@
-"""Files in and out: from chosen paths to objects, text to files."""
+"""Import and export: chosen files to Blender objects, and objects to files."""

@@ -1,4 +1,4 @@
-"""File > Export > TG4MM Splats: what is left of an imported object, as splat files."""
+"""File > Export > TG4MM Splats: write an imported object, as edited, to splat files."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -44,7 +44,7 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         name="Format",
         items=[
             (".ply", "PLY", "3DGS PLY, which every viewer of splats opens"),
-            (".spz", "SPZ", "A tenth of the size, without motion; Y up, as the format says"),
+            (".spz", "SPZ", "A tenth of the size, without motion; Y up, as the format requires"),
         ],
     )
     axes: EnumProperty(  # type: ignore[valid-type]
@@ -117,7 +117,7 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         return ".ply" if self.content == "MOTION" else str(self.format)
 
     def _write_sequence(self, context: Any, obj: Any, path: Path, axes: str) -> int:
-        """Write a file for each frame; their number. Raises Tg4mmError, before anything is written for bad input."""
+        """Write one file per frame and return the count. Raises Tg4mmError for bad input before anything is written."""
         first, last = context.scene.frame_start, context.scene.frame_end
         if last - first >= MOST_FILES:
             raise SplatFileError(
@@ -142,7 +142,7 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
 
 
 def _each_frame(scene_: Any, targets: list[Path]) -> Iterator[Path]:
-    """The targets, one for each frame of the scene, which shows that frame meanwhile."""
+    """Yield a target path per scene frame, with the scene set to that frame."""
     before = scene_.frame_current, scene_.frame_subframe
     try:
         for i, target in enumerate(targets):

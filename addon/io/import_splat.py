@@ -138,7 +138,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         return [words for words in told if words]
 
     def _stand_up(self, loaded: loading.Loaded) -> list[str]:
-        """Turn the objects so that what is up in their file is up; returns what to tell about it."""
+        """Rotate the objects so that the file's up axis is Z; return a message."""
         axes, said = self.axes, ""
         if axes == splats.CAMERAS and loaded.upright:
             return ["Y up, as the format has it, was turned to Z up"]
@@ -169,17 +169,17 @@ class IO_FH_tg4mm_splat(bpy.types.FileHandler):
 
 
 def _draw_as(obj: Any, wanted: str) -> list[str]:
-    """Draw an object as is wanted, or as suits it; returns what to tell about it."""
+    """Apply the requested draw mode, or the best one for the object; return a message."""
     mesh = scene.first_mesh(obj)
     if wanted not in available(scene.moves(obj)):  # Automatic, or what this file has not
         wanted = drawing.best(len(mesh.vertices), len(obj[names.FREQUENCIES]))
     compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
     far, span = drawing.far_out(mesh) if DRAW_MODES[wanted].native else (0, 0.0)
-    return [f"{far:,} far out, {span:.2g} times its size apart: all positions are coarse"] if far else []
+    return [f"{far:,} outliers span {span:.2g} times its size: all positions lose precision"] if far else []
 
 
 def _select(context: Any, objects: list[Any]) -> None:
-    """Make what was imported active, and select nothing: outlines round thousands of splats hide their colours."""
+    """Make the imported object active but not selected: selection outlines would hide the splats' colours."""
     for other in (*context.selected_objects, *objects):
         other.select_set(False)
     context.view_layer.objects.active = objects[0]

@@ -1,4 +1,4 @@
-"""From chosen paths to objects: one file, several, or a numbered sequence; all of them or none."""
+"""Load one file, several, or a numbered sequence as objects; if one fails, none is created."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ STILL = 1e-6  # of the largest motion: float32 holds no less beside it
 
 @dataclass(frozen=True)
 class Loaded:
-    """What an import made, and what to tell about it."""
+    """The objects that an import created, and messages about them."""
 
     objects: list[Any]
     message: str
@@ -68,7 +68,7 @@ def _read(path: Path, options: Options) -> SplatFile:
 
 
 def moving_modes(splat: SplatFile) -> SplatFile:
-    """The file without modes in which nothing moves: less than STILL of what moves most, Gaussians' turns included."""
+    """Drop modes without motion: below STILL times the largest displacement, rotations included."""
     size = splat.scales.max()
     reach = np.array(
         [
@@ -89,7 +89,7 @@ def moving_modes(splat: SplatFile) -> SplatFile:
 
 
 def check_count(paths: Sequence[Path], most: int) -> None:
-    """Raises SplatFileError if the files hold more than `most` Gaussians in all; reads no data for it."""
+    """Raise SplatFileError if the files hold more than `most` Gaussians in total; only headers are read."""
     total = sum(read_head(path).count for path in paths)
     if total > most:
         what = f"{paths[0]}: holds" if len(paths) == 1 else f"{paths[0].parent}: {len(paths)} files hold"
@@ -110,7 +110,9 @@ def _load_sequence(
         splat = _read(path, options)
         odd.extend([path] if splat.notes else [])
         if splat.n_modes:
-            raise SplatFileError(f"{path}: moves by itself, so it is no frame of a sequence; import it alone")
+            raise SplatFileError(
+                f"{path}: contains motion, so it cannot be a frame of a sequence; import it alone"
+            )
         return splat
 
     obj, most = scene.make_sequence(
@@ -128,13 +130,13 @@ _NUMBER = re.compile(r"^(?P<stem>.*?)(?P<number>\d+)$")
 
 
 def stem_and_number(path: Path) -> tuple[str, int] | None:
-    """`bell_0007.ply` → ("bell_", 7); None where the name does not end in digits."""
+    """Split `bell_0007.ply` into ("bell_", 7); return None if the stem does not end in digits."""
     found = _NUMBER.match(path.stem)
     return None if found is None else (found["stem"], int(found["number"]))
 
 
 def as_sequence(paths: Sequence[Path]) -> list[Path] | None:
-    """The paths in the order of their numbers, if all are one stem's with different numbers, else None."""
+    """Return the paths sorted by number if they share one stem and differ in number, else None."""
     parts = [stem_and_number(path) for path in paths]
     known = [part for part in parts if part is not None]
     stems = {(path.parent, part[0]) for path, part in zip(paths, parts, strict=True) if part is not None}
@@ -145,7 +147,7 @@ def as_sequence(paths: Sequence[Path]) -> list[Path] | None:
 
 
 def run_around(path: Path) -> list[Path]:
-    """The files beside `path` with its stem and suffix whose numbers, without a gap, lead to its own.
+    """Return the gapless run of numbered files beside `path` that contains it.
 
     Only `path` itself where it has no number or no neighbour.
     """
@@ -172,7 +174,7 @@ def run_around(path: Path) -> list[Path]:
 
 
 def missing_beside(path: Path) -> list[int]:
-    """The first number of every gap in the numbers of `path` and the files of its stem beside it."""
+    """Return the first number of every gap in the numbered files that share the stem of `path`."""
     own = stem_and_number(path)
     parts = map(stem_and_number, path.parent.glob(f"*{path.suffix}"))
     numbers = {part[1] for part in parts if own is not None and part is not None and part[0] == own[0]}
@@ -180,6 +182,6 @@ def missing_beside(path: Path) -> list[int]:
 
 
 def name_of(paths: Sequence[Path]) -> str:
-    """A name for a sequence: its stem without what joins it to the number."""
+    """Return a name for a sequence: its stem without the separator before the number."""
     part = stem_and_number(paths[0])
     return (part[0].rstrip("_-. ") if part else "") or paths[0].parent.name or "splats"

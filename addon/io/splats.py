@@ -1,4 +1,4 @@
-"""Splat objects to and from Gaussians; which way is up."""
+"""Conversion between splat objects and Gaussians, and the detection of the up axis."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ _SURE = math.cos(math.radians(45))  # nearer than this only one axis is
 
 
 def told(path: Path) -> tuple[str, str] | None:
-    """The axes by the cameras' mean up, and the file that says so; None where none is there or it is undecided."""
+    """Infer the axes from the mean up vector of the cameras; return them with the file used, or None."""
     for file in _beside(path):
         try:
             ups = _ups(read_json(file))
@@ -41,7 +41,7 @@ def told(path: Path) -> tuple[str, str] | None:
 
 
 def _beside(path: Path) -> Iterator[Path]:
-    """Files of cameras in the splat file's folder; of point_cloud/iteration_N, where 3DGS writes, in that above."""
+    """Return camera files beside the splat file, or above point_cloud/iteration_N, where 3DGS writes them."""
     folders = [path.parent]
     if path.parent.name.startswith("iteration_"):
         folders.append(path.parent.parent.parent)
@@ -50,14 +50,14 @@ def _beside(path: Path) -> Iterator[Path]:
 
 
 def _ups(cameras: Any) -> np.ndarray:
-    """[C, 3] where up in the pictures is in the world: of 3DGS's cameras.json, y down, or NeRF's transforms, y up."""
+    """Return the pictures' up vectors [C, 3] in the world: 3DGS's cameras.json has y down, NeRF's transforms y up."""
     if isinstance(cameras, list):
         return -np.array([np.array(c["rotation"], float)[:, 1] for c in cameras]).reshape(-1, 3)
     return np.array([np.array(f["transform_matrix"], float)[:3, 1] for f in cameras["frames"]]).reshape(-1, 3)
 
 
 def splat_of(obj: Any) -> SplatFile:
-    """The Gaussians of an object with the modes that are switched on, in world axes and units.
+    """Return the Gaussians of an object with its enabled modes, in world axes and units.
 
     Apply Transform and the object's own place, turn and scale are in it. Of a sequence the frame that is shown.
     Raises SplatFileError for an object that is scaled to nothing, Tg4mmError for one that lost an attribute.
@@ -73,7 +73,7 @@ def splat_of(obj: Any) -> SplatFile:
 
 
 def in_axes(splat: SplatFile, axes: str) -> SplatFile:
-    """A scene with Z up, as the world has it, with another axis up (io/splats.py)."""
+    """Convert a scene with Z up to another up axis."""
     if axes == FILE:
         return splat
     angle = -TURNS[axes]
@@ -82,7 +82,7 @@ def in_axes(splat: SplatFile, axes: str) -> SplatFile:
 
 
 def now(splat: SplatFile, obj: Any, scene_: Any) -> SplatFile:
-    """The scene without motion, as the object shows it in the current frame: magnification and band included."""
+    """Return the scene as shown in the current frame, magnification and band included, without modes."""
     if not splat.n_modes:
         return splat
     modifier = scene.splat_modifier(obj)
@@ -97,27 +97,27 @@ def now(splat: SplatFile, obj: Any, scene_: Any) -> SplatFile:
 
 
 def without_motion(splat: SplatFile) -> SplatFile:
-    """The scene at rest alone."""
+    """Return the scene at rest, without modes."""
     rest = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
     return replace(SplatFile.static(*rest, splat.unit_scale_m), low_pass_px2=splat.low_pass_px2)
 
 
 def _shown_frame(obj: Any, count: int) -> int:
-    """Number of the file that a sequence shows: as in nodes/motion.py."""
+    """Return the index of the file that a sequence shows, computed as in nodes/motion.py."""
     modifier = scene.splat_modifier(obj)
     t = math.floor(clock.timestep(bpy.context.scene, obj, modifier) + motion.SLACK)
     return t % count if compat.get_input(modifier, names.LOOP) else min(max(t, 0), count - 1)
 
 
 def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
-    """All Gaussians of a mesh, in the axes of the file that they came from; places as they are."""
+    """Return all Gaussians of a mesh in the axes of their file, with current positions."""
     values: Callable[[str], np.ndarray] = lambda name: points.values(mesh, name)  # noqa: E731
     freqs = [float(f) for f in obj[names.FREQUENCIES]]
     modifier = scene.splat_modifier(obj)
     on = [k for k, name in enumerate(names.toggles(freqs)) if compat.get_input(modifier, name)]
     means = values("position")
     if not len(means):
-        raise SplatFileError(f"{obj.name}: no Gaussian is left")
+        raise SplatFileError(f"{obj.name}: no Gaussians are left")
     d, r = (np.empty((len(on), len(means), 3), np.complex64) for _ in range(2))
     for i, k in enumerate(on):
         part = names.phasor(k)
@@ -144,7 +144,7 @@ def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
 
 
 def _harmonics(mesh: Any, values: Callable[[str], np.ndarray]) -> np.ndarray:
-    """[N, K, 3] as in the file."""
+    """Return the spherical harmonics [N, K, 3] as stored in the file."""
     rows = [values(names.NATIVE_BASE)[:, :3]]
     while names.native_sh(len(rows)) in mesh.attributes:
         rows.append(values(names.native_sh(len(rows))))
@@ -152,7 +152,7 @@ def _harmonics(mesh: Any, values: Callable[[str], np.ndarray]) -> np.ndarray:
 
 
 def _placed(splat: SplatFile, world: np.ndarray, applied: np.ndarray | None) -> SplatFile:
-    """A part whose places are in the object's axes and all else in the file's, in the world's axes."""
+    """Convert a part to world axes; its positions are in object axes, all else in file axes."""
     linear = world[:3, :3] if applied is None else world[:3, :3] @ applied[:3, :3]
     places = splat.means @ world[:3, :3].T + world[:3, 3]
     return replace(transformed(splat, linear), means=places.astype(np.float32))
@@ -168,7 +168,7 @@ def _rows(splat: SplatFile, rows: np.ndarray) -> SplatFile:
 
 
 def _joined(parts: list[SplatFile], rows: np.ndarray) -> SplatFile:
-    """The Gaussians of several parts in the order of the mesh; metres only where all parts have the same."""
+    """Concatenate parts in mesh order; keep the metric scale only if all parts share it."""
     order = np.argsort(rows, kind="stable")
 
     def all_of(name: str, axis: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What runs beside Blender: datasets of the open scene, training; their panels, settings and preview."""
+"""Background jobs: dataset generation from the open scene and training, with panels, settings and preview."""
 
 from . import commands, core_check, operators, panels, preview, settings
 

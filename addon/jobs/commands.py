@@ -1,4 +1,4 @@
-"""Commands of the programs in the background, and the jobs that run them: ticked by a timer, shown, ended."""
+"""Command lines of background programs, and the jobs that run them, polled by a timer."""
 
 import atexit
 import os
@@ -18,19 +18,19 @@ GENERATOR = Path(str(dataset_gen.__file__)).with_name("blender_main.py")
 
 @dataclass(frozen=True)
 class Host:
-    """What runs the generator."""
+    """The interpreter that runs the generator."""
 
     command: tuple[str, ...]  # before the generator's own arguments
     is_core: bool  # whether it is the environment that tg4mm is installed in
 
 
 def core_host(python: str) -> Host:
-    """The environment that tg4mm is installed in."""
+    """Return the environment in which tg4mm is installed as host."""
     return Host((python, "-m", "dataset_gen"), True)
 
 
 def blender_host(blender: str, python: str) -> Host:
-    """This Blender, or where it is a Python module, `blender` "", the Python that it is a module of."""
+    """Return this Blender as host; if bpy is a Python module (`blender` is ""), its interpreter."""
     if not blender:
         return Host((python, str(GENERATOR), "--"), False)
     start = (blender, "--background", "--factory-startup", "--python-exit-code", "1", "--python")
@@ -40,7 +40,7 @@ def blender_host(blender: str, python: str) -> Host:
 def generate_steps(
     host: Host, blend: Path, motion: Path, out: Path, options: Mapping[str, str | int | float]
 ) -> list[Step]:
-    """`options`: of the generator, without their dashes."""
+    """Return the generation steps for generator `options`, whose names are given without dashes."""
     arguments = [text for name, value in options.items() for text in (f"--{name}", _text(value))]
     files = ("--blend", str(blend), "--motion", str(motion), "--out", str(out))
     return [Step("reading the scene", (*host.command, *files, *arguments))]
@@ -49,7 +49,7 @@ def generate_steps(
 def train_steps(
     python: str, dataset: Path, run: Path, splat: Path, device: str, settings: Sequence[str] = ()
 ) -> list[Step]:
-    """Train on a dataset, then write the splat file. `settings`: "space.iterations=3000" and the like."""
+    """Return the steps that train on a dataset and write the splat file; `settings` such as "space.iterations=3000"."""
     sets = [text for pair in settings for text in ("--set", pair)]
     core = (python, "-m", "tg4mm")
     train = (*core, "train", str(dataset), "--out", str(run), "--device", device, *sets)
@@ -58,8 +58,8 @@ def train_steps(
 
 
 def environment() -> dict[str, str]:
-    """This process's, for a Python of its own: output at once and in UTF-8, what happens as events
-    (tg4mm/core/events.py), nothing taken from the folder it is in."""
+    """Return an environment for a child Python: unbuffered UTF-8 output, progress as events
+    (tg4mm/core/events.py), no imports from the current folder."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PYTHONSTARTUP")}
     return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "TG4MM_EVENTS": "json"}
 
@@ -76,23 +76,23 @@ _ends: dict[str, Callable[[Job], None]] = {}
 
 
 def get(kind: str) -> Job | None:
-    """The job of a kind that runs, or the last one that did."""
+    """Return the running job of a kind, or the last one that ran."""
     return _jobs.get(kind)
 
 
 def running(kind: str) -> bool:
-    """Whether a job of a kind runs."""
+    """Return whether a job of this kind is running."""
     job = _jobs.get(kind)
     return job is not None and job.running
 
 
 def start(kind: str, steps: Sequence[Step], at_end: Callable[[Job], None]) -> Job:
-    """Start a job; `at_end(job)` is called from the timer when it has ended, however it has.
+    """Start a job; the timer calls `at_end(job)` when it ends, whether it succeeded or not.
 
-    Raises OSError if it cannot be started, RuntimeError if one of its kind runs.
+    Raises OSError if it cannot be started, RuntimeError if a job of its kind is running.
     """
     if running(kind):
-        raise RuntimeError(f"a job of kind {kind} runs already")
+        raise RuntimeError(f"a job of kind {kind} is already running")
     job = Job(steps, environment())
     _jobs[kind], _ends[kind] = job, at_end
     if not bpy.app.timers.is_registered(tick):
@@ -102,7 +102,7 @@ def start(kind: str, steps: Sequence[Step], at_end: Callable[[Job], None]) -> Jo
 
 
 def tick() -> float | None:
-    """Called by Blender's timer: listens to every job; None, the end of the timer, when none runs."""
+    """Poll every job (called by Blender's timer); return None, which stops the timer, when none is running."""
     changed = False
     for kind, job in list(_jobs.items()):
         was_running = job.running
@@ -116,7 +116,7 @@ def tick() -> float | None:
 
 
 def close() -> None:
-    """End every job now, without calling what was to be called at its end."""
+    """Terminate every job now, without calling its `at_end`."""
     for job in _jobs.values():
         job.close()
     _jobs.clear()

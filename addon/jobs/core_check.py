@@ -1,4 +1,4 @@
-"""Whether the Python of the Core can train: the preferences' button Test, and what it says."""
+"""The preferences' button Test: checks whether the Python of the Core can train."""
 
 import json
 import subprocess
@@ -28,7 +28,7 @@ _INSTALL = f"run this Python with -m {install('core', 'generate')}"
 
 
 def check(python: str, own_version: str) -> str:
-    """One line about a Python in which all is there. Raises GenerateError that says what is missing, and what to do."""
+    """Return one line about a complete Python. Raises GenerateError naming what is missing and what to do."""
     command = (python, "-c", _ASK, *NEEDED)
     try:
         done = subprocess.run(
@@ -43,24 +43,26 @@ def check(python: str, own_version: str) -> str:
         said = json.loads(done.stdout.splitlines()[-1])
         there, version, number = dict(said["there"]), said["version"], str(said["python"])
     except subprocess.TimeoutExpired:
-        raise GenerateError(f"{python} did not answer in {LIMIT_S:g} s") from None
+        raise GenerateError(f"{python} did not answer within {LIMIT_S:g} s") from None
     except OSError as error:
         raise GenerateError(f"{python} cannot be started: {error.strerror or error}") from None
     except (ValueError, IndexError, KeyError, TypeError):
-        raise GenerateError(f"{python} is no Python: choose bin/python of an environment") from None
+        raise GenerateError(
+            f"{python} is not a Python interpreter: choose bin/python of an environment"
+        ) from None
     missing = [name for name in NEEDED if not there.get(name)]
     if missing:
         raise GenerateError(f"Python {number} of {python} has no {', '.join(missing)}; {_INSTALL}")
     other = (
         ""
         if version == own_version
-        else f"; this extension is {own_version}: better install the same of both"
+        else f"; this extension is {own_version}: install the same version of both"
     )
     return f"tg4mm {version} on Python {number}, ready to generate and to train{other}"
 
 
 class TG4MM_OT_test_core(bpy.types.Operator):
-    """Start the Python of the Core and see whether all that generating and training need is there"""
+    """Start the Python of the Core and check that everything needed to generate and train is installed"""
 
     bl_idname = "tg4mm.test_core"
     bl_label = "Test"

@@ -1,4 +1,4 @@
-"""From the open scene to a running generator: a copy of the file, the description, the command; and its end."""
+"""Start the generator on a copy of the open scene, and handle its end."""
 
 import contextlib
 import os
@@ -23,19 +23,19 @@ _BLEND, _MOTION = "scene.blend", "motion.json"
 
 
 def core_python(context: Any) -> str:
-    """The core's Python of the preferences; "" if none is named. Raises GenerateError if there is no such file."""
+    """Return the core's Python from the preferences, "" if unset. Raises GenerateError if the file does not exist."""
     named = preferences.get(context).core_python.strip()
     if not named:
         return ""
     # Not resolved further: in a virtual environment it is a link, and what it is called tells which.
     path = os.path.abspath(bpy.path.abspath(named))
     if not os.path.isfile(path):
-        raise GenerateError(f"Python of the Core (in the preferences): there is no file {path}")
+        raise GenerateError(f"Python of the Core (in the preferences): file {path} does not exist")
     return path
 
 
 def host(context: Any) -> Host:
-    """What will run the generator: the core's Python if it is named, else this Blender. Raises GenerateError."""
+    """Return the host of the generator: the core's Python if set, else this Blender. Raises GenerateError."""
     python = "" if context.scene.tg4mm_generate.in_blender else core_python(context)
     return (
         commands.core_host(python) if python else commands.blender_host(bpy.app.binary_path, sys.executable)
@@ -43,26 +43,28 @@ def host(context: Any) -> Host:
 
 
 def label(settings: Any) -> str:
-    """The first part of the dataset folder's name."""
+    """Return the first part of the dataset folder's name."""
     if settings.label:
         return str(settings.label)
     return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(bpy.data.filepath).stem).strip("_") or "scene"
 
 
 def working_folder(settings: Any) -> Path:
-    """Where the copy of the scene lies until the dataset is complete. Raises GenerateError."""
+    """Return the folder that holds the copy of the scene until the dataset is complete. Raises GenerateError."""
     if not settings.out.strip():
-        raise GenerateError("Output is empty: choose the folder that the dataset is made in")
+        raise GenerateError("Output is empty: choose the folder in which the dataset is created")
     if settings.out.startswith("//") and not bpy.data.filepath:
         raise GenerateError(f"Output {settings.out} lies beside the .blend file, which is not saved yet")
     name = label(settings)
     if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-        raise GenerateError(f"Name {name!r}: letters, digits, - and _ only, since a folder is named after it")
+        raise GenerateError(
+            f"Name {name!r}: use letters, digits, - and _ only, because it becomes a folder name"
+        )
     return Path(os.path.abspath(bpy.path.abspath(settings.out))) / f"{name}.generating"
 
 
 def can_go_on(settings: Any) -> bool:
-    """Whether a dataset of this name was begun and not finished."""
+    """Return whether an unfinished dataset of this name exists."""
     try:
         return os.path.isfile(working_folder(settings) / _BLEND)  # False too where it may not be looked at
     except GenerateError:
@@ -107,7 +109,7 @@ def save_copy(path: Path, scene: Any) -> None:
 
 @contextlib.contextmanager
 def _splats_hidden(scene: Any) -> Iterator[None]:
-    """A dataset shows the scene, not what was made of an earlier one."""
+    """Hide imported splats: a dataset shows the scene, not the result of an earlier one."""
     splats = [obj for obj in scene.objects if names.MARK in obj and not obj.hide_render]
     for obj in splats:
         obj.hide_render = True
@@ -149,7 +151,7 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
 
 
 def _ended(job: Job, folder: Path) -> None:
-    """Of a finished dataset the copy of the scene goes, and Train is set to it."""
+    """Delete the scene copy of a finished dataset and select the dataset in the Train panel."""
     if job.state is not State.DONE or not job.results:
         return
     with contextlib.suppress(OSError):

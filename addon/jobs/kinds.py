@@ -1,4 +1,4 @@
-"""Fields of each kind of vibration, and the description of the motion that the objects' settings make."""
+"""The fields of each kind of vibration, and the motion description built from the settings."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from dataset_gen.vibration import Body, Motion, MotionDescription, pixel_displac
 
 
 class Row(NamedTuple):
-    """One key of a kind in a motion description."""
+    """One key of a vibration kind in a motion description."""
 
     key: str  # of the description
     setting: str  # of the panel's settings
@@ -61,11 +61,11 @@ _NORMAL = Row("normal", "axis", "Normal", _vector)
 _THICKNESS = Row("thickness", "thickness", "Thickness", _positive_or_none)
 
 KINDS: dict[str, Kind] = {
-    "translate": Kind("Translate", "Everything moves alike", (_DIRECTION,)),
-    "rock": Kind("Rock", "Turns to and fro about an axis", (_point("pivot", "Pivot"), _AXIS)),
+    "translate": Kind("Translate", "Everything moves by the same displacement", (_DIRECTION,)),
+    "rock": Kind("Rock", "Rotates back and forth about an axis", (_point("pivot", "Pivot"), _AXIS)),
     "twist": Kind(
         "Twist",
-        "Turns about an axis, more the farther along it",
+        "Twists about an axis: the angle grows along it",
         (_point("pivot", "Pivot"), _AXIS, Row("length", "length", "Length", _positive_or_none)),
     ),
     "bending": Kind(
@@ -134,12 +134,12 @@ KINDS: dict[str, Kind] = {
 
 
 def rows(settings: Any) -> list[Row]:
-    """The rows of the settings' kind that are shown."""
+    """Return the visible rows of the selected kind."""
     return [row for row in KINDS[settings.kind].rows if row.shown(settings)]
 
 
 def mode(settings: Any, parts: list[str]) -> dict[str, Any]:
-    """The mode as a motion description has it; `parts`: globs of what moves, empty for everything."""
+    """Return the mode as a motion description; `parts` are globs of moving parts, empty for all."""
     data: dict[str, Any] = {"name": settings.kind, "kind": settings.kind}
     data["frequency"] = _number(settings.frequency)
     in_pixels = settings.amplitude_in == "PIXELS"
@@ -158,7 +158,7 @@ def mode(settings: Any, parts: list[str]) -> dict[str, Any]:
 
 
 def description(settings: Any, parts: Sequence[str]) -> MotionDescription:
-    """What the settings describe. Raises GenerateError, one line."""
+    """Return the motion description of the settings. Raises GenerateError."""
     if settings.source == "FILE":
         if not settings.motion_file:
             raise GenerateError("Description is empty: choose a motion description, or One Mode")
@@ -167,7 +167,7 @@ def description(settings: Any, parts: Sequence[str]) -> MotionDescription:
 
 
 def motion(settings: Any, described: MotionDescription, bodies: Sequence[Body], scene: Any) -> Motion:
-    """The motion of the bodies, as the generator solves it. Raises GenerateError."""
+    """Return the motion of the bodies, as the generator computes it. Raises GenerateError."""
     camera = None
     if any(mode.amplitude_px for mode in described.modes):
         camera = reference_camera(settings, bodies, scene)
@@ -181,7 +181,7 @@ def motion(settings: Any, described: MotionDescription, bodies: Sequence[Body], 
 
 
 def reference_camera(settings: Any, bodies: Sequence[Body], scene: Any) -> Camera:
-    """Training camera 0, that amplitudes in pixels are meant for. Raises GenerateError.
+    """Return training camera 0, to which amplitudes in pixels refer. Raises GenerateError.
 
     The generator leaves floors and skies out of what it looks at; here every body counts, so with a wide floor
     the preview of an amplitude in pixels is larger than the data's.

@@ -1,4 +1,4 @@
-"""The scene's objects as the generator will see them: what moves, its parts' names, its vertices at rest."""
+"""The scene's objects as the generator sees them: moving objects, part names, rest vertices."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,12 +15,12 @@ _GLOB = str.maketrans({"[": "[[]", "*": "[*]", "?": "[?]"})
 
 
 def moving(settings: Any) -> list[Any]:
-    """The objects chosen to move that are still there; empty: everything moves."""
+    """Return the existing objects selected to move; empty if everything moves."""
     return [item.object for item in settings.moving if item.object is not None and item.object.users_scene]
 
 
 def parts(chosen: Sequence[Any], depsgraph: Any) -> list[str]:
-    """Globs of the parts of a dataset that the chosen objects become: themselves, and what they instance."""
+    """Return globs of the dataset parts that the chosen objects and their instances become."""
     wanted = set(chosen)
     instancers = set()
     for instance in depsgraph.object_instances:
@@ -37,7 +37,7 @@ def parts(chosen: Sequence[Any], depsgraph: Any) -> list[str]:
 
 
 def previewed(view_layer: Any) -> list[Any]:
-    """The mesh objects that are visible here and in renders, in order; not splats, not those of a library."""
+    """Return the mesh objects visible here and in renders, without splats and linked objects."""
     return [
         obj
         for obj in view_layer.objects
@@ -50,7 +50,7 @@ def previewed(view_layer: Any) -> list[Any]:
 
 
 def bodies(objects: Sequence[Any], depsgraph: Any, group: str = "") -> list[Body]:
-    """The objects as they are evaluated now, in world space, with the weights of one vertex group."""
+    """Return the evaluated objects in world space, with the weights of one vertex group."""
     made = []
     for obj in objects:
         evaluated = obj.evaluated_get(depsgraph)
@@ -66,20 +66,20 @@ def bodies(objects: Sequence[Any], depsgraph: Any, group: str = "") -> list[Body
 
 
 def to_local(obj: Any, depsgraph: Any, vectors: np.ndarray) -> np.ndarray:
-    """World displacements [..., 3] in the object's own axes."""
+    """Convert world displacements [..., 3] to the object's local axes."""
     linear = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)[:3, :3]
     return np.asarray(vectors @ np.linalg.pinv(linear).T)
 
 
 def box(objects: Sequence[Any], depsgraph: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner [3] of the objects' bounding boxes, world axes. GenerateError without any."""
+    """Return the lowest and highest corner [3] of the objects' bounds in world axes. Raises GenerateError if empty."""
     corners = [
         np.array(obj.matrix_world @ _vector(corner))
         for obj in (each.evaluated_get(depsgraph) for each in objects)
         for corner in obj.bound_box
     ]
     if not corners:
-        raise GenerateError("there is no object with a size")
+        raise GenerateError("no object has a size")
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
@@ -90,7 +90,7 @@ def _vector(corner: Sequence[float]) -> Any:
 
 
 def _weights(obj: Any, mesh: Any, group: str) -> np.ndarray | None:
-    """[V] of a vertex group; None where no vertex is in it."""
+    """Return the weights [V] of a vertex group, or None if it is empty."""
     found = obj.vertex_groups.get(group)
     if found is None:
         return None
@@ -103,7 +103,7 @@ def _weights(obj: Any, mesh: Any, group: str) -> np.ndarray | None:
 
 
 def unsaved_images() -> list[str]:
-    """Names of images that were painted on and not saved: a copy of the file lacks what was painted."""
+    """Return the names of images with unsaved painting, which a copy of the file lacks."""
     return [image.name for image in bpy.data.images if image.is_dirty and image.source != "VIEWER"]
 
 
@@ -111,7 +111,7 @@ PLACES, HEADINGS, HEIGHTS = ("point", "tip"), ("axis", "direction"), ("level",)
 
 
 def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Set the fields of the settings' kind for a box of these corners [3]. GenerateError for one without size."""
+    """Fit the selected kind's fields to a box with these corners [3]. Raises GenerateError if it has no size."""
     size = high - low
     if not size.max() > 0:
         raise GenerateError("the objects have no size")
@@ -135,7 +135,7 @@ def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def chosen(context: Any) -> list[Any]:
-    """What a box is taken around: the moving objects; without any the active object; else all that is shown."""
+    """Return the objects to fit to: the moving ones, else the active one, else all visible ones."""
     settings = context.scene.tg4mm_generate
     if found := moving(settings):
         return found
@@ -144,7 +144,7 @@ def chosen(context: Any) -> list[Any]:
 
 
 def from_cursor(settings: Any, name: str, cursor: Any) -> None:
-    """Set one field: a place to the cursor's, a heading to its z axis, a height to its z."""
+    """Set one field from the 3D cursor: a position, a direction (its z axis) or a height (its z)."""
     if name in PLACES:
         setattr(settings, name, cursor.matrix.translation)
     elif name in HEADINGS:

@@ -1,4 +1,4 @@
-"""Operators of the panels Generate and Train; the way from a dataset to splats in the scene."""
+"""Operators of the panels Generate and Train, from a dataset to imported splats."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .runner import Job, State
 
 
 class TG4MM_OT_use_selection(bpy.types.Operator):
-    """Let the selected objects move, and all others stand still"""
+    """Let only the selected objects move"""
 
     bl_idname = "tg4mm.use_selection"
     bl_label = "Move Selected Objects"
@@ -55,7 +55,7 @@ class TG4MM_OT_move_everything(bpy.types.Operator):
 
 
 class TG4MM_OT_fit_mode(bpy.types.Operator):
-    """Set places, directions and lengths of the mode by the box around the moving objects, or the active one"""
+    """Fit positions, directions and lengths of the mode to the bounds of the moving objects, or of the active one"""
 
     bl_idname = "tg4mm.fit_mode"
     bl_label = "Fit to Objects"
@@ -70,7 +70,7 @@ class TG4MM_OT_fit_mode(bpy.types.Operator):
 
 
 class TG4MM_OT_mode_from_cursor(bpy.types.Operator):
-    """Set this to the 3D cursor: a place to its location, a direction to its z axis, a height to its z"""
+    """Set this from the 3D cursor: a position to its location, a direction to its z axis, a height to its z"""
 
     bl_idname = "tg4mm.mode_from_cursor"
     bl_label = "From 3D Cursor"
@@ -88,7 +88,7 @@ class TG4MM_OT_mode_from_cursor(bpy.types.Operator):
 
 
 class TG4MM_OT_preview_start(bpy.types.Operator):
-    """Show in the 3D view how the scene would move, so many times as far as Gain says; nothing of it is saved"""
+    """Preview the motion in the 3D view, multiplied by Gain; the preview is not saved"""
 
     bl_idname = "tg4mm.preview_start"
     bl_label = "Start Preview"
@@ -109,7 +109,7 @@ class TG4MM_OT_preview_start(bpy.types.Operator):
 
 
 class TG4MM_OT_preview_stop(bpy.types.Operator):
-    """Take the preview away"""
+    """Remove the preview"""
 
     bl_idname = "tg4mm.preview_stop"
     bl_label = "Stop Preview"
@@ -121,7 +121,7 @@ class TG4MM_OT_preview_stop(bpy.types.Operator):
 
 
 class TG4MM_OT_generate(bpy.types.Operator):
-    """Render a dataset of the open scene in the background, from a copy: you can go on working"""
+    """Render a dataset of the open scene in the background, from a copy, so that you can keep working"""
 
     bl_idname = "tg4mm.generate"
     bl_label = "Generate"
@@ -131,7 +131,7 @@ class TG4MM_OT_generate(bpy.types.Operator):
     @classmethod
     def description(cls, context: Any, properties: Any) -> str:
         if properties.go_on:
-            return "Go on with the dataset that was stopped, of the scene as it was then"
+            return "Resume the stopped dataset, of the scene as it was then"
         return str(cls.__doc__)
 
     @classmethod
@@ -142,7 +142,9 @@ class TG4MM_OT_generate(bpy.types.Operator):
     def execute(self, context: Any) -> set[str]:
         generating.generate(context, self.go_on)
         if unsaved := objects.unsaved_images():
-            self.report({"WARNING"}, f"Not saved, so without what was painted: {', '.join(unsaved[:4])}")
+            self.report(
+                {"WARNING"}, f"Unsaved painted images, which the dataset will lack: {', '.join(unsaved[:4])}"
+            )
         return {"FINISHED"}
 
 
@@ -163,7 +165,7 @@ class TG4MM_OT_train(bpy.types.Operator):
 
 
 class TG4MM_OT_cancel_job(bpy.types.Operator):
-    """Stop it; what is finished stays, and it can go on from there"""
+    """Stop the job; finished work is kept and the job can be resumed"""
 
     bl_idname = "tg4mm.cancel_job"
     bl_label = "Cancel"
@@ -185,20 +187,20 @@ def train(context: Any) -> Job:
     settings = context.scene.tg4mm_train
     python = generating.core_python(context)
     if not python:
-        raise GenerateError("Python of the Core is not named in the preferences: training needs it")
+        raise GenerateError("Training needs the Python of the Core: set it in the preferences")
     dataset = _folder("Dataset", settings.dataset)
     if not dataset.is_dir():
-        raise GenerateError(f"Dataset: there is no folder {dataset}")
+        raise GenerateError(f"Dataset: folder {dataset} does not exist")
     run = run_folder(settings)
     if run == dataset or dataset in run.parents:
-        raise GenerateError(f"Run {run} lies in the dataset: choose another folder")
+        raise GenerateError(f"Run {run} is inside the dataset: choose another folder")
     splat = run.parent / f"{run.name}.ply"
     steps = commands.train_steps(python, dataset, run, splat, settings.device, settings.settings.split())
     return commands.start(commands.TRAIN, steps, lambda job: _ended(job, splat))
 
 
 def run_folder(settings: Any) -> Path:
-    """The folder of the run: the one chosen, else one beside the dataset. Raises GenerateError."""
+    """Return the run folder: the chosen one, else one beside the dataset. Raises GenerateError."""
     if settings.run.strip():
         return _folder("Run", settings.run)
     dataset = _folder("Dataset", settings.dataset)

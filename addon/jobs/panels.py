@@ -103,7 +103,7 @@ class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
         row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
         times = scene.render.fps / scene.render.fps_base / settings.fps
         if abs(times - 1.0) > 1e-3:
-            _draw_lines(layout, f"The timeline plays it {times:.3g} times as fast", "INFO")
+            _draw_lines(layout, f"The timeline plays {times:.3g} times faster than real time", "INFO")
 
 
 class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
@@ -142,7 +142,7 @@ class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
         layout, settings = self.layout, context.scene.tg4mm_train
         _spread(layout)
         if not preferences.get(context).core_python:
-            text = "Training needs tg4mm in a Python of its own. Name that Python in the preferences."
+            text = "Training needs tg4mm in a separate Python. Set that Python in the preferences."
             _draw_lines(layout, text, "INFO")
             layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
             return
@@ -177,12 +177,12 @@ def _draw_end(layout: Any, job: Job) -> None:
 
 
 def _spread(layout: Any) -> None:
-    """Names beside fields; none of the settings is to be keyed, so no room for that."""
+    """Use split labels without decorators, because these settings cannot be animated."""
     layout.use_property_split, layout.use_property_decorate = True, False
 
 
 def _draw_lines(layout: Any, text: str, icon: str) -> None:
-    """A message in lines that fit the sidebar, which cuts what is longer."""
+    """Draw a message in lines that fit the sidebar, which truncates longer ones."""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
     pixels = region.width / scale if region is not None and region.type == "UI" else _NARROW
     column = layout.column(align=True)
@@ -192,7 +192,7 @@ def _draw_lines(layout: Any, text: str, icon: str) -> None:
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """The text in lines of at most `width` characters, paths cut at their separators where possible."""
+    """Wrap text to lines of at most `width` characters, breaking paths at their separators where possible."""
     lines = [""]
     for word in text.replace("/", "/\u200b").replace("\\", "\\\u200b").split(" "):
         for i, piece in enumerate(word.split("\u200b")):

@@ -1,4 +1,4 @@
-"""The live preview: what is going to move is shown moving, at any gain, by modifiers that are taken away again."""
+"""The live preview: temporary modifiers show the motion at any gain."""
 
 import cmath
 import math
@@ -23,17 +23,17 @@ _problem = ""
 
 
 def active() -> bool:
-    """Whether a preview is shown."""
+    """Return whether a preview is shown."""
     return any(MARK in tree for tree in bpy.data.node_groups)
 
 
 def problem() -> str:
-    """Why the last refresh took the preview away; empty if it did not."""
+    """Return why the last refresh removed the preview, or an empty string."""
     return _problem
 
 
 def start(context: Any) -> int:
-    """Show the motion that the scene's settings describe; returns how many objects move.
+    """Show the motion that the scene's settings describe and return the number of moving objects.
 
     Raises GenerateError, one line, if they describe none; then there is no preview.
     """
@@ -53,7 +53,7 @@ def start(context: Any) -> int:
     chosen = objects.moving(settings)
     parts = [glob for glob in objects.parts([o for o in chosen if o in shown], depsgraph) if "/" not in glob]
     if chosen and not parts and settings.source == "PANEL":
-        raise GenerateError("none of the moving objects is a mesh that is visible here and in renders")
+        raise GenerateError("no moving object is a mesh visible here and in renders")
     if not bodies:
         raise GenerateError("the scene shows no mesh")
     motion = kinds.motion(settings, kinds.description(settings, parts), bodies, scene)
@@ -68,7 +68,7 @@ def start(context: Any) -> int:
 
 
 def stop() -> None:
-    """Take the preview away, every part of it."""
+    """Remove the preview completely."""
     trees = [tree for tree in bpy.data.node_groups if MARK in tree]
     helpers = [obj for obj in bpy.data.objects if MARK in obj]
     meshes = [mesh for mesh in bpy.data.meshes if MARK in mesh]
@@ -89,7 +89,7 @@ def set_gain(gain: float) -> None:
 
 
 def refresh(context: Any = None) -> None:
-    """Compute the preview anew if there is one; if that fails it is gone, and `problem` tells why."""
+    """Recompute the preview if there is one; on failure remove it and keep the reason in `problem`."""
     global _problem
     context = context or bpy.context
     if not active() or context.mode != "OBJECT":
@@ -101,7 +101,7 @@ def refresh(context: Any = None) -> None:
 
 
 def refresh_soon() -> None:
-    """`refresh`, from a timer: settings change many times a second while a slider is dragged."""
+    """Schedule `refresh` by a timer, because dragging a slider changes settings many times a second."""
     if active() and not bpy.app.background and not bpy.app.timers.is_registered(_refresh_once):
         bpy.app.timers.register(_refresh_once, first_interval=_DELAY_S)
 
@@ -168,12 +168,12 @@ GAIN = "tg4mm gain"  # the node that holds it
 
 
 def attribute(number: int) -> str:
-    """Vector attribute of the helper: basis shape `number`, the object's own axes."""
+    """Return the name of the helper's vector attribute for basis shape `number`, in local axes."""
     return f"basis_{number}"
 
 
 def build_tree(name: str, motion: Motion, gain: float, first_frame: int) -> Any:
-    """A node tree for the basis shapes of a motion."""
+    """Build a node tree for the basis shapes of a motion."""
     graph = Graph(bpy.data.node_groups.new(name, "GeometryNodeTree"))
     graph.tree.is_modifier = True
     graph.interface("Geometry", "Geometry")

@@ -1,4 +1,4 @@
-"""Programs in the background: started, listened to without waiting, interrupted; plain Python, no Blender."""
+"""Background processes, started, read without blocking, and interrupted; plain Python, no Blender."""
 
 import contextlib
 import json
@@ -25,7 +25,7 @@ _LONGEST = 400  # characters of a line that is shown
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a program is."""
+    """The progress of a program."""
 
     label: str  # what it does now
     done: int = 0
@@ -34,12 +34,12 @@ class Progress:
 
     @property
     def factor(self) -> float:
-        """0 … 1."""
+        """Return the completed fraction, 0 to 1."""
         return min(self.done / self.total, 1.0) if self.total > 0 else 0.0
 
     @property
     def text(self) -> str:
-        """For a progress bar."""
+        """Return the label of a progress bar."""
         if not self.total:
             return self.label
         left = "" if self.left_s is None else f", {clock_text(self.left_s)} left"
@@ -48,7 +48,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a program's output, and what it means; what it does not say is None or empty."""
+    """One parsed line of a program's output; fields it lacks are None or empty."""
 
     text: str
     progress: Progress | None = None
@@ -58,7 +58,7 @@ class Line:
 
 
 def read_line(line: str) -> Line:
-    """What a line says. Never raises: programs may print anything."""
+    """Parse a line. Never raises, because programs may print anything."""
     event = _event(line)
     kind, message = event.get("tg4mm"), _shown(event.get("message"))
     if kind == "progress":
@@ -78,7 +78,7 @@ def read_line(line: str) -> Line:
 
 
 def _event(line: str) -> dict[str, Any]:
-    """The event that a line is; {} for any other line."""
+    """Return the event in a line, or {} if it is not an event."""
     text = line.strip()
     if not text.startswith(_MARK) or len(text) > _LONGEST_EVENT:
         return {}
@@ -114,7 +114,7 @@ if _WINDOWS:
 
 
 class State(Enum):
-    """Where a job is."""
+    """The state of a job."""
 
     RUNNING = "running"
     DONE = "done"
@@ -131,13 +131,13 @@ class Step:
 
 
 class Job:
-    """Programs that run one after another, each when the one before has ended well.
+    """Programs that run one after another, each after the previous one succeeded.
 
     Whoever owns it calls `poll` a few times a second: only `close` waits, two seconds at most. To read: `state`;
     `progress` of the program that runs; `message`, one line, what went wrong; `results`, paths; `warnings`."""
 
     def __init__(self, steps: Sequence[Step], environment: Mapping[str, str] | None = None) -> None:
-        """Starts the first program. Raises OSError if that is impossible, ValueError without any."""
+        """Start the first program. Raises OSError if it cannot be started, ValueError if there is none."""
         if not steps:
             raise ValueError("a job needs at least one program")
         self._waiting = deque(steps[1:])
@@ -159,7 +159,7 @@ class Job:
         return self.running and self._asked_at is not None
 
     def poll(self) -> bool:
-        """Takes in what the program has said and done since; True if something changed. Does not wait."""
+        """Process new output and state without blocking; return True if something changed."""
         if not self.running:
             return False
         lines = self._program.heard()
@@ -174,14 +174,14 @@ class Job:
         return True
 
     def cancel(self) -> None:
-        """Asks the program to end, as Ctrl+C does. `poll` asks harder if it does not, and kills it at last."""
+        """Interrupt the program as Ctrl+C does. If it does not end, `poll` terminates and finally kills it."""
         if self.running and self._asked_at is None:
             self._asked_at, self._asked = time.monotonic(), 1
             self.message = "Stopping"
             self._program.end(0)
 
     def close(self) -> None:
-        """Ends the program now; waits for it, two seconds at most."""
+        """Terminate the program now, waiting at most two seconds."""
         if not self.running:
             return
         self._asked_at = self._asked_at or time.monotonic()
@@ -206,7 +206,7 @@ class Job:
             self._program.end(2)  # whatever the program itself had started
             self._over(State.CANCELLED, "Stopped")
         elif status:
-            error, last = self._program.error, self._program.last or "it said nothing"
+            error, last = self._program.error, self._program.last or "no output"
             self._over(State.FAILED, error or f"ended with status {status}: {last}")
         elif self._waiting:
             step = self._waiting.popleft()
@@ -223,10 +223,10 @@ class Job:
 
 
 class _Program:
-    """A process in a group of its own, and a thread that listens."""
+    """A process in its own process group, and a thread that reads its output."""
 
     def __init__(self, step: Step, environment: Mapping[str, str]) -> None:
-        """Raises OSError if it cannot be started."""
+        """Start the process. Raises OSError if it cannot be started."""
         self.error = self.last = ""  # the last line that says what is wrong; the last line of all
         self._ended_at: float | None = None
         self._silent = False
@@ -244,7 +244,7 @@ class _Program:
         threading.Thread(target=_read, args=arguments, daemon=True).start()
 
     def heard(self) -> list[Line]:
-        """What it said since the last call."""
+        """Return the lines printed since the last call."""
         found: list[Line] = []
         with contextlib.suppress(queue.Empty):
             while len(found) < _MOST_LINES:
@@ -259,7 +259,7 @@ class _Program:
         return found
 
     def over(self) -> bool:
-        """Whether it has ended and everything it said was heard."""
+        """Return whether it has ended and all of its output was read."""
         if self.process.poll() is None:
             return False
         if self._ended_at is None:
@@ -268,7 +268,7 @@ class _Program:
         return self._silent or time.monotonic() - self._ended_at >= _LISTEN_S
 
     def end(self, how: int) -> None:
-        """Ends it and what it started: 0 as Ctrl+C does, 1 at once, 2 by force."""
+        """Stop it and its children: 0 interrupts as Ctrl+C does, 1 terminates, 2 kills."""
         with contextlib.suppress(OSError):
             if not _WINDOWS:
                 # Its own session: the number of the process is that of its group.

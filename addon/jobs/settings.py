@@ -59,7 +59,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     # fmt: off
     moving: props.CollectionProperty(type=TG4MM_moving_object)  # type: ignore[valid-type]
     source: props.EnumProperty(  # type: ignore[valid-type]
-        name="Motion", description="Where the description of the motion comes from", default="PANEL", update=_changed,
+        name="Motion", description="Source of the motion description", default="PANEL", update=_changed,
         items=[("PANEL", "One Mode", "One mode, described here"),
                ("FILE", "File", "Any number of modes, in a file of your own (JSON, or YAML with the core)")])
     motion_file: props.StringProperty(  # type: ignore[valid-type]
@@ -88,24 +88,24 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     axis: _heading("Axis", "World axes, any length", (0, 0, 1))  # type: ignore[valid-type]
     direction: _heading("Direction", "World axes, any length", (1, 0, 0))  # type: ignore[valid-type]
     length: _length("Length",  # type: ignore[valid-type]
-                    "Way along the axis over which the twist grows; 0: everything turns alike", 0.0)
+                    "Distance along the axis over which the twist grows; 0: uniform rotation", 0.0)
     order: props.IntProperty(  # type: ignore[valid-type]
         name="Order", description="1 is the beam's lowest mode", default=1, min=1, max=3, update=_changed)
     wavelength: _length("Wavelength", "Of the plate", 1.0, 1e-6)  # type: ignore[valid-type]
     rayleigh: props.BoolProperty(  # type: ignore[valid-type]
-        name="Rayleigh", description="The surface wave of an elastic solid: points go round ellipses", update=_changed)
+        name="Rayleigh", description="The Rayleigh wave of an elastic solid: points move on ellipses", update=_changed)
     decay_length: _length("Decay Length",  # type: ignore[valid-type]
-                          "Distance from the surface's z for a fall by 1/e; 0: no fall", 0.0)
+                          "Depth below the surface's z at which the amplitude falls to 1/e; 0: constant", 0.0)
     level: props.FloatProperty(  # type: ignore[valid-type]
         name="Height", description="World z", unit="LENGTH", precision=4, update=_changed)
     hold: props.EnumProperty(  # type: ignore[valid-type]
-        name="Held", description="What holds the soft body", update=_changed,
+        name="Held", description="Support of the soft body", update=_changed,
         items=[("HEIGHT", "Below a Height", "It sways above a height"),
                ("POINT", "At a Point", "It sways with the distance from a point")])
     reach: _length("Reach",  # type: ignore[valid-type]
-                   "Distance from what holds it at which the displacement grows linearly", 1.0, 1e-6)
+                   "Distance from the support over which the displacement grows linearly", 1.0, 1e-6)
     random: props.BoolProperty(  # type: ignore[valid-type]
-        name="Random Direction", description="Every object sways its own way", update=_changed)
+        name="Random Direction", description="Every object sways independently", update=_changed)
     radius: _length("Radius", "Of the rim", 1.0, 1e-6)  # type: ignore[valid-type]
     drum_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Nodes", description="Nodal diameters, and nodal circles counting the rim", size=2, default=(0, 1),
@@ -115,12 +115,12 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     plate_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Half Waves", description="Along each side", size=2, default=(1, 1), min=1, max=20, update=_changed)
     thickness: _length("Thickness",  # type: ignore[valid-type]
-                       "How far along the normal it reaches; 0: without end", 0.0)
+                       "Extent along the normal; 0: unlimited", 0.0)
     group: props.StringProperty(  # type: ignore[valid-type]
-        name="Vertex Group", description="Its weights say how far each vertex goes", update=_changed)
+        name="Vertex Group", description="Its weights scale each vertex's displacement", update=_changed)
 
     gain: props.FloatProperty(  # type: ignore[valid-type]
-        name="Gain", description="The preview shows this many times the displacement; the data have it once",
+        name="Gain", description="Multiplies the displacement in the preview only, not in the data",
         default=20.0, soft_min=0.0, soft_max=200.0, update=_gain_changed)
     fps: props.FloatProperty(  # type: ignore[valid-type]
         name="Frame Rate", description="Timesteps of the dataset per second, Hz", default=30.0, min=0.01,
@@ -129,7 +129,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Timesteps", description="Number of frames of the dataset", default=30, min=1, max=1000)
 
     cameras: props.EnumProperty(  # type: ignore[valid-type]
-        name="Cameras", description="Where the training pictures are taken from", update=_changed,
+        name="Cameras", description="Camera positions of the training pictures", update=_changed,
         items=[("orbit", "Orbit", "A spiral around the scene, as in NeRF's synthetic sets"),
                ("rig", "Rig", "Fixed cameras on arcs around the scene"),
                ("sweep", "Sweep", "One fixed camera, after a hand-held round at the first timestep"),
@@ -148,7 +148,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Samples", description="Light paths per pixel", default=96, min=1, max=65536)
     device: props.EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Where Cycles renders",
-        items=[("cpu", "CPU", ""), ("gpu", "GPU", ""), ("auto", "GPU or CPU", "A GPU where there is one")])
+        items=[("cpu", "CPU", ""), ("gpu", "GPU", ""), ("auto", "GPU or CPU", "A GPU if available")])
     truth: props.EnumProperty(  # type: ignore[valid-type]
         name="Truth per Pixel", default="none",
         description="Depth, normal, position and displacement of every pixel; the core's Python writes it",
@@ -159,13 +159,13 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         description="Magnification factors of the ground truth: test pictures whose motion is 1 + factor times as "
                     "large")
     seed: props.IntProperty(  # type: ignore[valid-type]
-        name="Seed", description="Of the renderer, and of what is random in the motion", min=0, update=_changed)
+        name="Seed", description="Seed of the renderer and of random parts of the motion", min=0, update=_changed)
     processes: props.IntProperty(  # type: ignore[valid-type]
         name="Processes", description="Render processes at once; 0: one for each core", min=0, max=256)
     label: props.StringProperty(  # type: ignore[valid-type]
         name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
     out: props.StringProperty(  # type: ignore[valid-type]
-        name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH", options=_RELATIVE)
+        name="Output", description="Folder that receives the dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
     in_blender: props.BoolProperty(  # type: ignore[valid-type]
         name="This Blender", description="This Blender renders, not the one that the core's Python has: the same "
         "version as yours, but without truth per pixel and without a report")
@@ -179,13 +179,13 @@ class TG4MM_train(bpy.types.PropertyGroup):
     dataset: props.StringProperty(  # type: ignore[valid-type]
         name="Dataset", description="A dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
     run: props.StringProperty(  # type: ignore[valid-type]
-        name="Run", description="Folder for what training writes; an unfinished run there goes on",
+        name="Run", description="Folder for the run; an unfinished run there is resumed",
         subtype="DIR_PATH", options=_RELATIVE)
     device: props.EnumProperty(  # type: ignore[valid-type]
-        name="Device", description="Where the core computes",
+        name="Device", description="Device on which the core computes",
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])
     settings: props.StringProperty(  # type: ignore[valid-type]
-        name="Settings", description="Settings of training that differ from the defaults, with spaces between: "
+        name="Settings", description="Training settings that differ from the defaults, separated by spaces: "
         "space.iterations=3000 motion.gauss_newton=0")
     # fmt: on
 

@@ -1,4 +1,4 @@
-"""What Apply Transform (Ctrl+A) did to an object's points, read by nodes from four reference vertices.
+"""Nodes that recover the transform applied by Apply Transform (Ctrl+A) from four reference vertices.
 
 Apply moves the points and leaves what is kept beside them: phasors, turns, sizes, harmonics. So every mesh ends in four
 vertices that are no Gaussians: a middle, and a step from it along x, y and z, with their number, 1 to 4, and their
@@ -14,13 +14,13 @@ import bpy
 from .. import compat, names
 from .graph import Graph
 
-LOST = "Reference points are missing or doubled: motion and sizes do not follow Apply Transform"
-OTHER = "Joined with a file of other frequencies: that part moves at the frequencies of this one"
+LOST = "Reference points are missing or duplicated: motion and sizes do not follow Apply Transform"
+OTHER = "Joined with a file of other frequencies: that part moves at this file's frequencies"
 _EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Applied(NamedTuple):
-    """Sockets of the tree, each with one value."""
+    """Single-value sockets of the tree."""
 
     matrix: Any  # A, from rest to now; the identity where the references are lost
     back: Any  # A⁻¹
@@ -68,13 +68,13 @@ def build_applied(name: str, modes: int) -> Any:
 
 
 def applied(graph: Graph, tree: Any, points: Any) -> tuple[Applied, Any]:
-    """A node of the group: A of one part's points, and the points."""
+    """Add a node of the group; return A of one part's points, and the points."""
     outputs = graph.group(tree, Points=points)
     return Applied(*(outputs[name] for name in ("Matrix", "Back", "Changed"))), outputs["Points"]
 
 
 def at_rest(graph: Graph, applied: Applied, place: Any) -> Any:
-    """A place in the object, where it was before Apply."""
+    """Return a position as it was before Apply Transform."""
     there = graph.call("FunctionNodeTransformPoint", {"Vector": place, "Transform": applied.back})
     return graph.choose("VECTOR", applied.changed, place, there)
 
@@ -99,13 +99,13 @@ def put_back(graph: Graph, applied: Applied, drawn: Any, native: Any | None) -> 
 
 
 def growth(graph: Graph, applied: Applied) -> Any:
-    """How much larger A makes lengths, as the cube root of its volume: for round dots, which it does not transform."""
+    """Return A's mean length factor, the cube root of its volume factor, for dots, which A does not scale."""
     volume = graph.call("FunctionNodeMatrixDeterminant", {"Matrix": applied.matrix})
     return graph.math("POWER", graph.math("ABSOLUTE", volume), 1 / 3)
 
 
 def parts(graph: Graph, points: Any) -> tuple[Any, Any]:
-    """How many parts were joined, and of every point the number of its own, from 0.
+    """Return the number of joined parts, and each point's part index from 0.
 
     A part ends with its fourth reference. With four references in all there is one part, whatever else was added.
     """
@@ -141,13 +141,13 @@ def _sampled(graph: Graph, four: Any, value: Any) -> list[Any]:
 
 
 def _frame(graph: Graph, four: list[Any]) -> Any:
-    """The matrix from the steps along x, y and z to the places of four points."""
+    """Return the matrix that maps unit steps along x, y and z to the positions of four points."""
     edges = [graph.vector("SUBTRACT", place, four[0]) for place in four[1:]]
     return _combined(graph, (*edges, four[0]))
 
 
 def _combined(graph: Graph, columns: Any) -> Any:
-    """A matrix of four columns, vectors or numbers; the last is the place of the origin."""
+    """Combine four columns, vectors or numbers, into a matrix; the last is the origin."""
     node = graph.node("FunctionNodeCombineMatrix")
     for j, column in enumerate(columns):
         rows = graph.split(column) if hasattr(column, "is_output") else column

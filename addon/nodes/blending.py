@@ -1,4 +1,4 @@
-"""Materials of splats; the scene's settings for blending as trained; pictures from arrays of pixels."""
+"""Materials of splats, scene settings for blending as trained, and pictures from pixel arrays."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ _FACTOR = 2  # the Attribute node's output, "Fac" in 4.5 and "Factor" in 5.2
 
 
 def make_materials(name: str, made: Made) -> Materials:
-    """The three materials; each is kept in `made`."""
+    """Create the three materials and record them in `made`."""
     return Materials(
         solid=_emission(name, "INSTANCER", made),
         splat=_splat(f"{name} splat", made),
@@ -26,14 +26,14 @@ def make_materials(name: str, made: Made) -> Materials:
 
 
 def _emission(name: str, where: str, made: Made) -> Any:
-    """Emission in the attribute `colour` of the instance (INSTANCER) or of the mesh itself (GEOMETRY)."""
+    """Add an emission shader coloured by the attribute of the instance (INSTANCER) or the mesh (GEOMETRY)."""
     material, graph = _new(name, made)
     _finish(graph, _emit(graph, where))
     return material
 
 
 def _splat(name: str, made: Made) -> Any:
-    """What a Gaussian looks like: opacity · exp(−d²/2), d how far, in σ, the view ray passes the centre.
+    """Shade a Gaussian as opacity · exp(−d²/2), with d the distance, in σ, of the view ray from the centre.
 
     On a ball that ends at 3 σ, d = 3r with r the ray's distance from the origin in object space, where the
     ball's radius is 1. Back faces are clear, so every ray counts a Gaussian once. No camera is named: it
@@ -123,7 +123,7 @@ def true_colours(to: Any, as_trained: bool | None = None) -> str:
 
 
 def restore(to: Any) -> str:
-    """Give a scene back what it had before `true_colours`, with splats that blend in linear light."""
+    """Restore the scene's settings from before `true_colours`; splats then blend in linear light."""
     for obj in _splats(to):
         compat.set_input(scene.splat_modifier(obj), names.BLEND, False)
     before = dict(to.get(BEFORE, {}))
@@ -134,12 +134,12 @@ def restore(to: Any) -> str:
 
 
 def is_set_up(of: Any) -> bool:
-    """True where `true_colours` has nothing to set."""
+    """Return whether `true_colours` has nothing to change."""
     return not _needed(of)
 
 
 def blends_as_trained(of: Any) -> bool:
-    """True for a scene with splats that blend as trained."""
+    """Return whether the scene's splats blend as trained."""
     return any(compat.get_input(scene.splat_modifier(obj), names.BLEND) for obj in _splats(of))
 
 

@@ -1,4 +1,4 @@
-"""Time and frequency of a splat object: where in its recording it is; its modes' strengths, peaks and bands."""
+"""Time and frequency of a splat object: position in its recording; strengths, peaks and bands of its modes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,19 +11,19 @@ FEWEST_FRAMES = 4.0  # of a period: with fewer, a vibration does not look like o
 
 
 def rate(scene: Any) -> float:
-    """The scene's frames per second."""
+    """Return the scene's frames per second."""
     return float(scene.render.fps / scene.render.fps_base)
 
 
 def timestep(scene: Any, obj: Any, modifier: Any) -> float:
-    """Timesteps since the first frame at the current frame, fractions included."""
+    """Return the fractional number of timesteps since the first frame."""
     first, speed = (compat.get_number(modifier, name) for name in (names.FIRST, names.SPEED))
     fps = float(obj[names.FPS])
     return (scene.frame_current_final - first) * speed * (fps / rate(scene) if fps else 1.0)
 
 
 def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
-    """What the panel says: the time, how fast it passes, and whether the frames are too few to show it."""
+    """Return the panel's lines: time, playback speed, and a warning if frames undersample the motion."""
     fps, steps = float(obj[names.FPS]), int(obj[names.TIMESTEPS])
     if not fps:
         return []
@@ -34,12 +34,12 @@ def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
     fastest = max(inside, default=0.0)
     if fastest * abs(speed) * FEWEST_FRAMES > rate(scene):
         said.append(f"{rate(scene) / (fastest * abs(speed)):.1f} frames a period at {fastest:.4g} Hz")
-        said.append("Too few to see it: lower Speed")
+        said.append("Too few to show the motion: lower Speed")
     return said
 
 
 def not_finite(modifier: Any) -> list[str]:
-    """A line for each number of the modifier that is NaN or infinite, which a driver or a script can make it."""
+    """Return a warning for each non-finite input of the modifier; drivers and scripts can cause them."""
     shown = [name for name in (names.ALPHA, names.SPEED, names.FIRST) if compat.has_input(modifier, name)]
     values = {name: float(compat.get_input(modifier, name)) for name in shown}
     return [
@@ -48,7 +48,7 @@ def not_finite(modifier: Any) -> list[str]:
 
 
 def pace(speed: float) -> str:
-    """A speed in words: "real time", "10 × slower"."""
+    """Format a speed: "real time", "10 × slower"."""
     if speed in (0.0, 1.0):
         return "real time" if speed else "stopped"
     way = "" if speed > 0 else "backwards, "
@@ -65,13 +65,13 @@ MOST_PEAKS = 6
 
 
 def rms_amplitude(amplitudes: np.ndarray, weights: np.ndarray) -> float:
-    """√(Σ w a² / Σ w) of amplitudes [N] with weights [N]: 0 or more; plain rms where all weights are 0."""
+    """Return √(Σ w a² / Σ w) of amplitudes [N] with weights [N]; the plain rms if all weights are 0."""
     a, w = np.asarray(amplitudes, np.float64), np.asarray(weights, np.float64)
     return float(np.sqrt((w * a**2).sum() / w.sum() if w.sum() > 0 else (a**2).mean()))
 
 
 def peaks(freqs_hz: Sequence[float], amplitudes: Sequence[float], bin_hz: float) -> list[int]:
-    """Numbers of the modes that are peaks, by frequency; at most MOST_PEAKS, the largest.
+    """Return the indices of the modes that are peaks, by frequency; at most the MOST_PEAKS largest.
 
     A recording of T timesteps tells frequencies apart that lie `bin_hz` = fps / T from each other; what vibrates
     between two bins leaks into all, less the farther they are. So a mode is a peak if on the way to any larger
@@ -98,10 +98,10 @@ def _stands_out(f: np.ndarray, a: np.ndarray, i: int, step: int, bin_hz: float) 
 
 
 def band_around(frequency_hz: float, width_hz: float) -> tuple[float, float]:
-    """Low and high, Hz, of a band `width_hz` wide with a frequency in its middle; never below 0."""
+    """Return (low, high) in Hz of a band `width_hz` wide centred on a frequency; never below 0."""
     return max(0.0, frequency_hz - width_hz / 2), frequency_hz + width_hz / 2
 
 
 def whole_band(freqs_hz: Sequence[float], fps: float) -> tuple[float, float]:
-    """0 to half the frame rate, or to the highest frequency where that is above, Hz."""
+    """Return the band from 0 to half the frame rate or, if larger, the highest frequency, in Hz."""
     return 0.0, max([fps / 2, *freqs_hz])

@@ -1,4 +1,4 @@
-"""Colours of the file and of the two maps, in linear light: in numbers, and as groups of nodes for each point."""
+"""Colours of the file and of the two colour maps in linear light, as numbers and as node groups."""
 
 from typing import Any
 
@@ -39,12 +39,12 @@ def phase_and_still() -> np.ndarray:
 
 
 def still() -> float:
-    """Linear grey of what moves too little to have a phase."""
+    """Return the linear grey of points that move too little to have a phase."""
     return float(to_linear(np.array(STILL)))
 
 
 def build_colour_map(name: str) -> Any:
-    """A node group: amplitude (scene units) or phase (turns) to a linear colour."""
+    """Build a node group that maps amplitude (scene units) or phase (turns) to a linear colour."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Colour Map", "GeometryNodeTree"))
     for socket in ("Amplitude", "Phase", names.COLOUR_RANGE):
         graph.interface(socket, "Float")
@@ -65,7 +65,7 @@ def build_colour_map(name: str) -> Any:
 
 
 def build_harmonics(name: str, degree: int) -> Any:
-    """A node group: linear colour of each point seen from a place; degree 1 to 3.
+    """Build a node group for the view-dependent linear colour of each point; degree 1 to 3.
 
     max(0, 0.5 + Σ_k sh_k·Y_k(d)) as in docs/conventions.md, d from the place to the point, both of the object at rest.
     """
@@ -88,7 +88,7 @@ def build_harmonics(name: str, degree: int) -> Any:
 
 
 def camera_place(graph: Graph) -> Any:
-    """Where the scene's camera is, in the object's axes."""
+    """Return the scene camera's position in object axes."""
     camera = graph.node("GeometryNodeInputActiveCamera").outputs[0]
     return graph.call("GeometryNodeObjectInfo", {"Object": camera}, "Location", transform_space="RELATIVE")
 
@@ -131,7 +131,7 @@ def _basis(graph: Graph, direction: Any, degree: int) -> list[Any]:
 
 
 def _linear(graph: Graph, value: Any) -> Any:
-    """sRGB of one channel, clamped to 0..1, in linear light."""
+    """Convert one sRGB channel, clamped to 0..1, to linear light."""
     clamped = graph.math("MINIMUM", graph.math("MAXIMUM", value, 0.0), 1.0)
     low = graph.math("DIVIDE", clamped, 12.92)
     high = graph.math("POWER", graph.math("MULTIPLY_ADD", clamped, 1 / 1.055, 0.055 / 1.055), 2.4)
@@ -139,7 +139,7 @@ def _linear(graph: Graph, value: Any) -> Any:
 
 
 def build_encoded(name: str) -> Any:
-    """A node group: linear light in 0..1 as the display-referred sRGB numbers that it is shown with."""
+    """Build a node group that converts linear light in 0..1 to display-referred sRGB."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Encoded", "GeometryNodeTree"))
     graph.interface("Colour", "Color")
     graph.result("Colour", "Color")
@@ -156,7 +156,7 @@ def build_encoded(name: str) -> Any:
 
 
 def _ramp(graph: Graph, factor: Any, rows: np.ndarray) -> Any:
-    """Linear interpolation of linear RGB rows at equal steps from 0 to 1."""
+    """Interpolate linear RGB rows at equal steps from 0 to 1."""
     node = graph.node("ShaderNodeValToRGB")
     elements = node.color_ramp.elements
     for i, row in enumerate(rows):

@@ -1,4 +1,4 @@
-"""Which way to draw suits a file in this Blender, and where Blender's own splats are coarse."""
+"""The choice of a draw mode for a file, and the detection of outliers that cost precision."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ FARTHEST = 0.1 * 2**22 / 2048
 
 
 def best(count: int, n_modes: int) -> str:
-    """The best way to draw `count` Gaussians with modes of motion that a laptop plays at 24 pictures a second."""
+    """Return the best draw mode that a laptop plays at 24 frames per second with `count` moving Gaussians."""
     here = available(moves=n_modes > 0)
     if own := [name for name, mode in here.items() if mode.native]:
         return own[0]
@@ -35,7 +35,7 @@ def best(count: int, n_modes: int) -> str:
 
 
 def least_opacity(draw: str) -> str:
-    """The input that says what is too faint to be drawn so."""
+    """Return the input that sets the lowest opacity drawn in this mode."""
     return names.MIN_SPLAT_OPACITY if DRAW_MODES[draw].soft else names.MIN_OPACITY
 
 
@@ -54,12 +54,12 @@ def outliers(mesh: Any) -> np.ndarray:
 
 
 def far_out(mesh: Any) -> tuple[int, float]:
-    """How many outliers there are, and how many sizes of the rest all Gaussians span."""
+    """Return the number of outliers, and the total extent as a multiple of the size without them."""
     return int(outliers(mesh).sum()), _extent(mesh, values(mesh, "position").astype(np.float64))[2]
 
 
 def _extent(mesh: Any, places: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Middle [3] and size, scene units, of what is opaque, and how many sizes all places span."""
+    """Return the centre [3] and size (scene units) of opaque Gaussians, and the total extent in sizes."""
     if not len(places):
         return np.zeros(3), 1.0, 0.0
     low, high = np.percentile(main_points(mesh), ENDS, axis=0)

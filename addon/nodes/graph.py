@@ -1,4 +1,4 @@
-"""Short names for making and linking the nodes of one tree."""
+"""A short notation for creating and linking the nodes of one tree."""
 
 from collections.abc import Sequence
 from types import TracebackType
@@ -31,7 +31,7 @@ class Graph:
         self.tree.interface.new_socket(name, in_out="OUTPUT", socket_type=f"NodeSocket{kind}")
 
     def inputs(self) -> Any:
-        """The tree's inputs, by name, once all are made."""
+        """Return the tree's inputs by name, once all are declared."""
         return self.node("NodeGroupInput").outputs
 
     def finish(self, **results: Value) -> None:
@@ -42,7 +42,7 @@ class Graph:
         self.arrange()
 
     def node(self, kind: str, **properties: Any) -> Any:
-        """A new node with its properties set. MissingInBlender where there is no such node."""
+        """Create a node with its properties set. Raises MissingInBlender if the node type does not exist."""
         try:
             node = self.tree.nodes.new(kind)
         except RuntimeError as error:
@@ -76,7 +76,7 @@ class Graph:
         return self._operate("ShaderNodeMath", operation, values)
 
     def vector(self, operation: str, *values: Value) -> Any:
-        """Vector math with a vector for a result; constants are 3-tuples."""
+        """Add a vector math node with a vector result; constants are 3-tuples."""
         return self._operate("ShaderNodeVectorMath", operation, values)
 
     def length(self, vector: Value) -> Any:
@@ -114,7 +114,7 @@ class Graph:
         return self.call("FunctionNodeCompare", inputs, data_type=data_type, operation=operation)
 
     def finite(self, value: Value) -> Any:
-        """A number, or 0 in place of NaN and infinity (compat.is_number)."""
+        """Return a number, replacing NaN and infinity by 0 (compat.is_number)."""
         is_number = self.compare("LESS_THAN", self.math("ABSOLUTE", value), compat.LARGEST)
         return self.choose("FLOAT", is_number, 0.0, value)
 
@@ -124,7 +124,7 @@ class Graph:
         return self.call("GeometryNodeSwitch", inputs, input_type=data_type)
 
     def pick(self, data_type: str, index: Value, *values: Value) -> Any:
-        """values[index]; the others are not computed."""
+        """Return values[index]; the others are not evaluated."""
         node = self.node("GeometryNodeIndexSwitch", data_type=data_type)
         while len(node.index_switch_items) < len(values):
             node.index_switch_items.new()

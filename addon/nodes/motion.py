@@ -1,4 +1,4 @@
-"""The group "Motion": displacement, turn, amplitude and phase of each point now; and "Sequence": file after file.
+"""The node groups "Motion" (displacement, rotation, amplitude, phase of each point) and "Sequence" (a file per frame).
 
 x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md);
 t = (frame − first)·speed·fps / (the scene's own rate). A mode that is not shown contributes nothing.
@@ -25,7 +25,7 @@ _SUMS = (
 
 
 class Motion(NamedTuple):
-    """Fields over the points; sockets of the tree that the group is used in."""
+    """Fields over the points, as sockets of the tree that uses the group."""
 
     offset: Any  # scene units
     turn: Any  # rotation vector, radians, object axes
@@ -120,7 +120,7 @@ def _build_mode(name: str) -> Any:
 
 
 def use_motion(graph: Graph, tree: Any, inputs: Any) -> Motion:
-    """A node of the group, its inputs taken from those of the same names."""
+    """Add a node of the group, linked to the inputs of the same names."""
     node = graph.node("GeometryNodeGroup", node_tree=tree)
     for socket in node.inputs:
         graph.put(inputs[socket.name], socket)

@@ -19,7 +19,7 @@ MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
 
 @dataclass(frozen=True)
 class Content:
-    """What a tree is to play: modes of motion, or a collection with an object for every frame, or neither."""
+    """The content of a tree: modes of motion, a collection with one object per frame, or neither."""
 
     count: int  # Gaussians
     sh_degree: int = 0
@@ -54,7 +54,7 @@ _LOOK = (
 
 
 def build_player(name: str, content: Content, materials: Materials, made: Made) -> Any:
-    """The node group for the modifier; every group it makes is kept in `made`."""
+    """Build the modifier's node group; every group created is recorded in `made`."""
     graph = Graph(made.keep(bpy.data.node_groups.new(name, "GeometryNodeTree")))
     graph.tree.is_modifier = True
     graph.interface("Geometry", "Geometry")
@@ -144,7 +144,7 @@ def _native_colours(graph: Graph, points: Any, encoded: Any) -> Any:
 
 
 def _declare(graph: Graph, content: Content) -> None:
-    """The inputs of the modifier, in the order in which Blender shows them."""
+    """Declare the modifier's inputs in display order."""
     moves = len(content.freqs_hz) > 0
     rows = (*(_MOTION if moves else ()), *(_TIME if moves or content.n_frames else ()), *_LOOK)
     for name, default, least, most, text in rows:
@@ -155,15 +155,15 @@ def _declare(graph: Graph, content: Content) -> None:
         graph.interface(name, "Float", default, min_value=least, max_value=most, description=text)
     if content.n_frames:
         graph.interface(names.LOOP, "Bool", False, description="Start again after the last file")
-    graph.interface(names.DRAW, "Menu", description="What is drawn for every Gaussian")
+    graph.interface(names.DRAW, "Menu", description="Shape drawn for every Gaussian")
     if content.sh_degree:
-        text = "Colours as the scene's camera sees them, not the mean over all directions"
+        text = "Colours as seen from the scene's camera instead of the mean over all directions"
         graph.interface(names.VIEW_COLOUR, "Bool", False, description=text)
     text = (
         "Colours as the screen shows them, so that they mix as in training; view transform Raw goes with it"
     )
     graph.interface(names.BLEND, "Bool", False, description=text)
-    text = "One mesh, whose colours Solid view shows (Colour: Attribute); for small sets"
+    text = "Output one mesh, whose colours Solid view shows (Colour: Attribute); for small sets"
     graph.interface(names.SOLID_COLOUR, "Bool", False, description=text)
     if moves:
         _declare_analysis(graph, content)
@@ -172,9 +172,9 @@ def _declare(graph: Graph, content: Content) -> None:
 def _declare_analysis(graph: Graph, content: Content) -> None:
     text = "The file's colours, or the amplitude or the phase of the motion in the band"
     graph.interface(names.COLOUR_BY, "Menu", description=text)
-    text = "Amplitude that takes the last colour, scene units"
+    text = "Amplitude shown in the last colour, scene units"
     graph.interface(names.COLOUR_RANGE, "Float", content.amplitude or 1.0, min_value=0.0, description=text)
-    text = "Length of an arrow over the magnified displacement that it shows"
+    text = "Ratio of an arrow's length to the magnified displacement"
     graph.interface(names.ARROW_LENGTH, "Float", 1.0, min_value=0.0, description=text)
     every = -(-content.count // MANY_ARROWS)
     text = "Draw an arrow for every n-th Gaussian"
@@ -197,7 +197,7 @@ def _numbered(items: Iterable[str], offered: Container[str]) -> dict[str, int]:
 
 
 def _preset_menus(graph: Graph) -> None:
-    """A menu input learns its items by being linked, so its default comes last."""
+    """Set menu defaults last, because a menu input gets its items from its links."""
     for name, item in ((names.DRAW, USUAL), (names.COLOUR_BY, names.FILE_COLOUR)):
         if name in graph.tree.interface.items_tree:
             graph.tree.interface.items_tree[name].default_value = item

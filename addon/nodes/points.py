@@ -1,4 +1,4 @@
-"""Gaussians as a mesh of loose vertices: rest positions, and all else as attributes; the collection they go to.
+"""Gaussians as a mesh of loose vertices with attributes, and the collection that receives them.
 
 The last four vertices are no Gaussians but references for Apply Transform (applied.py). Their opacity is −1, so that no
 threshold draws them. Who reads a mesh's rows leaves them out by `values` or `gaussians`.
@@ -58,16 +58,16 @@ def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
 
 
 def fill_references(mesh: Any) -> None:
-    """Four references alone: of a sequence, whose points are in other meshes."""
+    """Fill a mesh with the four reference points only, for a sequence, whose points are in other meshes."""
     fill = _Rows(mesh, 0, 4)
     steps = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     fill.finish(np.zeros((0, 3)), steps, names.modes_number((), 0.0))
 
 
 def gaussians(mesh: Any) -> np.ndarray:
-    """[V] bool: which vertices of a mesh are Gaussians. `rows[gaussians(mesh)]` leaves the references out.
+    """Return a mask [V] of the vertices that are Gaussians: `rows[gaussians(mesh)]` drops the reference points.
 
-    Not in Edit Mode, where a mesh's attributes cannot be read: give a copy.
+    In Edit Mode a mesh's attributes cannot be read: pass a copy.
     """
     marks = mesh.attributes.get(names.REFERENCE)
     numbers = np.zeros(len(mesh.vertices), np.int32)
@@ -90,20 +90,20 @@ def values(mesh: Any, name: str) -> np.ndarray:
 
 
 def world(obj: Any, mesh: Any) -> np.ndarray:
-    """[N, 3] float64 rest positions in the world."""
+    """Return the rest positions [N, 3], float64, in world space."""
     matrix = np.array(obj.matrix_world)
     return values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 class Part(NamedTuple):
-    """Gaussians that one import brought, and what Apply Transform did to them."""
+    """The Gaussians of one import, and the transform that Apply Transform gave them."""
 
     rows: np.ndarray  # [n] their numbers among all Gaussians of the mesh
     applied: np.ndarray | None  # [4, 4] float64: place = applied · place in the file; None: references lost
 
 
 def parts(mesh: Any) -> list[Part]:
-    """What Join put together, the twin of applied.py's tree; one part for what was never joined. Not in Edit Mode."""
+    """Return the parts of a joined mesh (one if it was never joined), as applied.py's nodes do. Not in Edit Mode."""
     numbers, rest = np.zeros(len(mesh.vertices), np.int32), np.zeros(3 * len(mesh.vertices), np.float32)
     now = np.empty(3 * len(mesh.vertices), np.float32)
     for name, field, into in (
@@ -127,7 +127,7 @@ def parts(mesh: Any) -> list[Part]:
 
 
 def _affine(rest: np.ndarray, now: np.ndarray) -> np.ndarray | None:
-    """[4, 4] the map of four places [4, 3] on four others; None where there is none."""
+    """Return the affine map [4, 4] of four points [4, 3] to four others, or None if they are degenerate."""
     if len(rest) != 4:
         return None
     before, after = (np.eye(4) for _ in range(2))
@@ -139,19 +139,19 @@ def _affine(rest: np.ndarray, now: np.ndarray) -> np.ndarray | None:
 
 
 def growth(mesh: Any) -> float:
-    """How much longer Apply Transform made a mesh: the cube root of the volume's factor, by the last four vertices."""
+    """Return the mean length factor of Apply Transform: the cube root of its volume factor."""
     affine = _affine(*_last_four(mesh))
     return 1.0 if affine is None else float(abs(np.linalg.det(affine[:3, :3])) ** (1 / 3))
 
 
 def shown_size(obj: Any) -> float:
-    """Scene units that a unit of the file is shown as, by the object's scale and Apply Transform, on average."""
+    """Return the mean displayed size of one file unit in scene units, from object scale and Apply Transform."""
     linear = np.array(obj.matrix_world)[:3, :3]
     return float(abs(np.linalg.det(linear)) ** (1 / 3)) * growth(obj.data)
 
 
 def _last_four(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
-    """First and present places [4, 3] of the references that end a mesh, in Edit Mode too; [0, 3] without any."""
+    """Return the original and current reference points [4, 3], in Edit Mode too; [0, 3] if there are none."""
     if mesh.is_editmode:
         edited = bmesh.from_edit_mesh(mesh)
         edited.verts.ensure_lookup_table()
@@ -181,19 +181,19 @@ def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
 
 
 def drawable_scales(scales: np.ndarray) -> np.ndarray:
-    """[N, 3] scales with none thinner than can be drawn."""
+    """Return the scales [N, 3] clamped to the smallest that can be drawn."""
     return np.maximum(scales, np.maximum(scales.max(axis=1, keepdims=True) * THINNEST, SMALLEST))
 
 
 def main_axis(phasors: np.ndarray) -> np.ndarray:
-    """[3] unit vector along which phasors [N, 3] move most; its largest component is positive."""
+    """Return the unit vector [3] of largest motion of phasors [N, 3]; its largest component is positive."""
     re, im = phasors.real.astype(np.float64), phasors.imag.astype(np.float64)
     axis = np.linalg.eigh(re.T @ re + im.T @ im)[1][:, -1]
     return axis * np.sign(axis[np.argmax(np.abs(axis))])
 
 
 def strength(phasors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest displacement [N] (scene units) and phase [N] (turns, 0 to 1) of complex phasors [N, 3].
+    """Return the largest displacement [N] (scene units) and phase [N] (turns, 0 to 1) of complex phasors [N, 3].
 
     Re[m exp(iωt)] runs round an ellipse; its long half is the amplitude, √((|m|² + |m·m|) / 2), reached in
     the direction Re[m exp(−iψ)], ψ = arg(m·m)/2. Of the two ends the one on the side of `axis` is meant, so
@@ -210,20 +210,20 @@ def strength(phasors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 class _Rows:
-    """Writes a mesh's vertices: `count` Gaussians, then `extra` references."""
+    """Writer of a mesh's vertices: `count` Gaussians, then `extra` reference points."""
 
     def __init__(self, mesh: Any, count: int, extra: int) -> None:
         mesh.vertices.add(count + extra)
         self.mesh, self.count, self.extra = mesh, count, extra
 
     def __call__(self, name: str, data_type: str, rows: np.ndarray, other: Any = 0.0) -> None:
-        """A new attribute: rows [N] or [N, k] of the Gaussians, `other` of each reference."""
+        """Add an attribute: rows [N] or [N, k] for the Gaussians, `other` for each reference point."""
         field, width = _FIELDS[data_type]
         data = self.mesh.attributes.new(name, data_type, "POINT").data
         data.foreach_set(field, self._flat(np.reshape(rows, (-1, width)), other))
 
     def finish(self, places: np.ndarray, references: np.ndarray, modes: int) -> None:
-        """Places of all vertices. None is selected, as new ones are: the probe reads what a person selects."""
+        """Set all positions and deselect all vertices, because the probe reads the user's selection."""
         self.mesh.vertices.foreach_set("co", self._flat(places, references))
         if self.extra:
             self(names.REFERENCE_REST, "FLOAT_VECTOR", np.zeros((self.count, 3)), references)
@@ -245,7 +245,7 @@ class _Rows:
 
 
 def receiving(context: Any) -> Any:
-    """The context's collection; if it is excluded, hidden or linked, the nearest above it that is none of these.
+    """Return the active collection or, if it is excluded, hidden or linked, its nearest usable ancestor.
 
     The scene's own collection if there is no such, or if the collection is not in the view layer.
     """
@@ -263,7 +263,7 @@ def receiving(context: Any) -> Any:
 
 
 def _takes(layer: Any) -> bool:
-    """Whether an object that is linked to a layer's collection is seen."""
+    """Return whether objects linked to a layer collection are visible."""
     if layer.exclude or not layer.is_visible:
         return False
     return layer.collection.library is None and layer.collection.override_library is None

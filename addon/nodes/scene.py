@@ -1,4 +1,4 @@
-"""Splat files as Blender objects: a mesh of points, a node tree that plays it, its materials."""
+"""Splat files as Blender objects: a point mesh, the node tree that plays it, and its materials."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +21,7 @@ NAME_LENGTH = 40  # of what a name may have, so that what is added to it still f
 
 
 def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection: Any) -> list[Any]:
-    """Make an object of each and link them to `collection`. If anything fails, nothing made here is left."""
+    """Create one object per splat file and link it to `collection`. If anything fails, nothing is left behind."""
     with Made() as made:
         objects = [
             _object(splat, label[:NAME_LENGTH], made) for splat, label in zip(splats, labels, strict=True)
@@ -56,7 +56,7 @@ def make_sequence(
     read: Callable[[Path], SplatFile],
     step: Callable[[int], None],
 ) -> tuple[Any, int]:
-    """Make an object that shows one file after another, a timestep each; returns it and the largest count.
+    """Create an object that shows one file per timestep; return it and the largest Gaussian count.
 
     The frames are objects of a collection that is in no scene; files may differ in the number of Gaussians.
     `step(i)` is called after each. If anything fails, nothing made here is left.
@@ -83,14 +83,14 @@ def make_sequence(
 
 
 def splat_modifier(obj: Any) -> Any | None:
-    """The modifier that moves the object's splats; None if the object is not one of ours."""
+    """Return the modifier that moves the object's splats, or None for other objects."""
     if obj is None or names.MARK not in obj:
         return None
     return obj.modifiers.get(names.MODIFIER)
 
 
 def splat_object(context: Any) -> Any:
-    """The active splat object, or the one that the active probe sphere or crop box was made for; None without one."""
+    """Return the active splat object, or the one that owns the active probe sphere or crop box, else None."""
     obj = context.object
     if obj is None:
         return None
@@ -100,33 +100,35 @@ def splat_object(context: Any) -> Any:
 
 
 def sequence_frames(obj: Any) -> list[Any] | None:
-    """The objects that a sequence shows one after another; None for what is no sequence."""
+    """Return the frame objects of a sequence, or None if the object is not a sequence."""
     frames = bpy.data.collections.get(obj.get(names.FRAMES, ""))
     return None if frames is None else sorted(frames.objects, key=lambda frame: frame.name)
 
 
 def first_mesh(obj: Any) -> Any:
-    """The object's mesh, of a sequence that of its first frame."""
+    """Return the object's mesh, or the first frame's mesh for a sequence."""
     frames = sequence_frames(obj)
     return (obj if frames is None else frames[0]).data
 
 
 def moves(obj: Any) -> bool:
-    """True for a splat object with modes of motion."""
+    """Return whether the object is a splat object with modes of motion."""
     return splat_modifier(obj) is not None and len(obj[names.FREQUENCIES]) > 0
 
 
 def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> str:
-    """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is.
+    """Set the timeline to frames 1 … T and the recorded frame rate, if something moves.
 
     A scene in which something but the `new` objects moves keeps its timeline: another frame rate would retime its keys.
-    Returns what to tell about it, "" for nothing.
+    Returns a message, or "".
     """
     if not fps and n_timesteps <= 1:
         return ""
     others = [obj for obj in scene.objects if obj not in new]
     if any(moves(obj) for obj in others) or any(map(_has_keys, bpy.data.actions)):
-        return f"timeline left at {clock.rate(scene):g} frames a second, as something moves already"
+        return (
+            f"timeline left at {clock.rate(scene):g} frames per second, because the scene is already animated"
+        )
     last = min(max(1, n_timesteps), int(scene.bl_rna.properties["frame_end"].hard_max))
     scene.frame_start, scene.frame_end = 1, last
     cut = f"timeline ends at frame {last:,}, the last that Blender has" if last < n_timesteps else ""
@@ -168,12 +170,12 @@ def _describe(obj: Any, splat: SplatFile) -> None:
 
 
 def amplitudes_of(mesh: Any, n_modes: int) -> Iterator[np.ndarray]:
-    """[N] the amplitude of every Gaussian, units of the file, mode by mode."""
+    """Yield, mode by mode, the amplitude [N] of every Gaussian in file units."""
     return (values(mesh, names.amplitude(k)) for k in range(n_modes))
 
 
 def measure_modes(obj: Any) -> None:
-    """What the panel says of each mode: its largest amplitude and the rms over the Gaussians that are there."""
+    """Compute the panel's figures of each mode: largest and rms amplitude over the remaining Gaussians."""
     amplitudes = list(amplitudes_of(obj.data, len(obj[names.FREQUENCIES])))
     opacities = values(obj.data, names.OPACITY)
     obj[names.MODE_AMPLITUDES] = [float(a.max()) for a in amplitudes]

@@ -1,4 +1,4 @@
-"""The group "Shapes": what is drawn at each point: an ellipsoid, a splat, a dot or an arrow."""
+"""The node group "Shapes": draws an ellipsoid, splat, dot or arrow at each point."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ NO_ARROW = 1e-9  # scene units; a shorter displacement has no direction
 
 
 class Materials(NamedTuple):
-    """What the shapes are painted with."""
+    """The materials of the shapes."""
 
     solid: Any  # emission in the colour of the instance
     splat: Any  # the same, fading out like a Gaussian
@@ -32,18 +32,18 @@ class _Asked:
     materials: Materials
 
     def opaque(self, least: str) -> Any:
-        """Where a Gaussian is as opaque as an input of the tree says."""
+        """Return a field that is true where the opacity reaches the given input."""
         opacity = self.graph.attribute(names.OPACITY, "FLOAT")
         return self.graph.compare("GREATER_EQUAL", opacity, self.inputs[least])
 
     def size(self, deviations: Any) -> Any:
-        """Radius in standard deviations, times the input Size."""
+        """Return the radius in standard deviations, times the input Size."""
         return self.graph.math("MULTIPLY", self.inputs[names.SIZE], deviations)
 
 
 @dataclass(frozen=True)
 class DrawMode:
-    """A way to draw Gaussians: an item of the menu Draw As, and all that depends on which one is taken."""
+    """A draw mode: an item of the menu Draw As, and everything that depends on the choice."""
 
     about: str  # a line of the preferences
     build: Callable[[_Asked], Any]  # what is drawn of the points
@@ -59,7 +59,7 @@ class DrawMode:
 
 
 def build_shapes(name: str, materials: Materials) -> Any:
-    """A node group: points to what is drawn of them."""
+    """Build the node group that turns points into drawn shapes."""
     graph = Graph(bpy.data.node_groups.new(f"{name} Shapes", "GeometryNodeTree"))
     graph.interface("Points", "Geometry")
     graph.interface(names.DRAW, "Int")
@@ -88,7 +88,7 @@ def build_shapes(name: str, materials: Materials) -> Any:
 
 
 def available(moves: bool) -> dict[str, DrawMode]:
-    """The ways to draw that this Blender has for a file with or without motion, by name."""
+    """Return the names of the draw modes that this Blender offers for a file with or without motion."""
     here = compat.native_splats()
     return {
         name: mode
@@ -98,7 +98,7 @@ def available(moves: bool) -> dict[str, DrawMode]:
 
 
 def is_drawn(graph: Graph, draw: Any, wanted: Callable[[DrawMode], bool]) -> Any:
-    """A socket: whether the number `draw` of a way to draw is of one for which `wanted` holds."""
+    """Return a socket that is true if the draw mode with number `draw` satisfies `wanted`."""
     numbers = [i for i, mode in enumerate(DRAW_MODES.values()) if wanted(mode)]
     return graph.either(*(graph.compare("EQUAL", draw, i, "INT") for i in numbers))
 
@@ -127,7 +127,7 @@ def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any
 
 
 def _dots(asked: _Asked) -> Any:
-    """Round dots of the Gaussians' mean size: a point cloud, the quickest to draw.
+    """Draw round dots of the Gaussians' mean size: a point cloud, the fastest mode.
 
     Solid view shows point clouds white, so for it they are small balls. `Growth` is a factor for dots alone, which
     Transform Geometry leaves as large as they are.
@@ -156,7 +156,7 @@ def _dots(asked: _Asked) -> Any:
 
 
 def _native(asked: _Asked) -> Any:
-    """A point cloud of Blender's own splats; their attributes are on the points already (points.py)."""
+    """Draw a point cloud of Blender's native splats; points.py has already stored their attributes."""
     graph, points, size = asked.graph, asked.points, asked.inputs[names.SIZE]
     scales = graph.scaled(graph.attribute(names.SCALE, "FLOAT_VECTOR"), size)
     sized = graph.store(points, names.SCALE, "FLOAT_VECTOR", scales)
@@ -169,13 +169,13 @@ def _native(asked: _Asked) -> Any:
 
 
 def _gaussians(graph: Graph, points: Any) -> Any:
-    """The points without the references for Apply Transform, whose opacity is below 0 (points.py)."""
+    """Return the points without the reference points, whose opacity is negative (points.py)."""
     real = graph.compare("GREATER_EQUAL", graph.attribute(names.OPACITY, "FLOAT"), 0.0)
     return graph.call("GeometryNodeSeparateGeometry", {"Geometry": points, "Selection": real}, domain="POINT")
 
 
 def _arrows(asked: _Asked) -> Any:
-    """At every n-th point an arrow along its displacement, as long as it times the input's factor."""
+    """Draw an arrow along the displacement of every n-th point, scaled by the input's factor."""
     graph, inputs = asked.graph, asked.inputs
     shift = graph.attribute(names.DISPLACEMENT, "FLOAT_VECTOR")
     length = graph.length(shift)
@@ -209,7 +209,7 @@ def _arrow(graph: Graph) -> Any:
 
 
 def _realized(graph: Graph, points: Any, drawn: Any) -> Any:
-    """One mesh with the points' colours, which Solid view can show: it colours no instances.
+    """Realise the shapes as one mesh with the points' colours, because Solid view does not colour instances.
 
     Realising loses which colour attribute is the active one; joining with the points' own mesh, whose loose
     vertices nothing draws, brings that back.

@@ -1,1 +1,1 @@
-"""What the sidebar and the view show, and the pictures in them."""
+"""The sidebar's panels, the overlay in the 3D view, and their pictures."""

@@ -1,4 +1,4 @@
-"""What the panel shows of the object: spectrum, colours and their legend, as the view transform shows them.
+"""The panel's data: spectrum, colour maps and legends, as the view transform displays them.
 
 Only Blender itself can apply its view transforms, to a picture that it saves. That is done once for each setting of
 the transform, by a timer, since nothing may be made while a panel or a view is drawn.
@@ -27,7 +27,7 @@ _known: dict[Key, tuple[plots.Rows, plots.Rows]] = {}
 
 
 def amplitude(scene: Any, encoded: bool = False) -> plots.Rows:
-    """The map for amplitudes in this scene; as under Standard while it is not worked out yet.
+    """Return the amplitude colour map of this scene; until it is computed, the map under Standard.
 
     `encoded`: of an object whose colours are encoded for the screen before they are blended.
     """
@@ -35,12 +35,12 @@ def amplitude(scene: Any, encoded: bool = False) -> plots.Rows:
 
 
 def phase(scene: Any, encoded: bool = False) -> plots.Rows:
-    """The map for phases, then the grey of what hardly moves; likewise."""
+    """Return the phase colour map and the grey of points that hardly move, like `amplitude`."""
     return _rows(scene, encoded)[1]
 
 
 def through_view(linear: np.ndarray, scene: Any) -> np.ndarray:
-    """[K, 3] sRGB in 0..1 of linear colours [K, 3], by way of a saved picture."""
+    """Convert linear colours [K, 3] to sRGB in 0..1 through the view transform, by saving a picture."""
     image = bpy.data.images.new("tg4mm colours", len(linear), 1, float_buffer=True)
     try:
         rgba = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)
@@ -111,7 +111,7 @@ _AS_THEY_ARE = (("sRGB", "Standard", "None", 0.0, 1.0, False), ("sRGB", "Raw", "
 
 
 def active_modes(obj: Any) -> list[int]:
-    """Numbers of the modes that are shown and inside the band."""
+    """Return the indices of the enabled modes inside the band."""
     modifier = scene.splat_modifier(obj)
     freqs = [float(f) for f in obj[names.FREQUENCIES]]
     low, high = (compat.get_input(modifier, name) for name in (names.LOW, names.HIGH))
@@ -122,7 +122,7 @@ def active_modes(obj: Any) -> list[int]:
 
 
 def band_amplitude(obj: Any) -> np.ndarray:
-    """[N] scene units: √Σ a_k² over the active modes, not magnified; what Colour By: Amplitude shows.
+    """Return √Σ a_k² [N] over the active modes, unmagnified, scene units: the values of Colour By: Amplitude.
 
     Raises Tg4mmError if a person has removed the attributes that hold it.
     """
@@ -143,7 +143,7 @@ def fit_colour_range(obj: Any) -> float:
 
 
 def metres_per_unit(obj: Any) -> float | None:
-    """Metres per unit of the world, by the file and by how the object was scaled; None where the file does not say."""
+    """Return metres per world unit from the file's scale and the object's scaling, or None if unknown."""
     metres = obj.get(names.UNIT_SCALE)
     if metres is None or not (size := shown_size(obj)):
         return None
@@ -151,7 +151,7 @@ def metres_per_unit(obj: Any) -> float | None:
 
 
 def units_differ(obj: Any, scene_: Any) -> str:
-    """What to say where Blender's own lengths are in other metres than the file's; "" where they agree."""
+    """Return a warning if Blender's unit scale differs from the file's, else ""."""
     metres, settings = metres_per_unit(obj), scene_.unit_settings
     if (
         metres is None
@@ -163,7 +163,7 @@ def units_differ(obj: Any, scene_: Any) -> str:
 
 
 def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | None:
-    """The function of `plots` that draws the legend, and its arguments; None where there is no legend.
+    """Return the function of `plots` that draws the legend, with its arguments, or None.
 
     `settings`: the scene's, whose view transform the colours go through as the object's do.
     """
@@ -181,26 +181,26 @@ def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | Non
 
 
 def band(obj: Any) -> tuple[float, float]:
-    """Low and high of the band, Hz."""
+    """Return the band (low, high) in Hz."""
     low, high = (compat.get_number(scene.splat_modifier(obj), name) for name in (names.LOW, names.HIGH))
     return low, high
 
 
 def set_band(obj: Any, low: float, high: float) -> None:
-    """Set the band, Hz."""
+    """Set the band in Hz."""
     modifier = scene.splat_modifier(obj)
     compat.set_input(modifier, names.LOW, low)
     compat.set_input(modifier, names.HIGH, high)
 
 
 def mode_strengths(obj: Any, measure: str) -> list[float]:
-    """Amplitude of each mode, scene units: the largest of all Gaussians (PEAK) or their rms (RMS)."""
+    """Return each mode's amplitude in scene units: the maximum over Gaussians (PEAK) or the rms (RMS)."""
     largest = [float(a) for a in obj[names.MODE_AMPLITUDES]]
     return largest if measure == "PEAK" else [float(a) for a in obj.get(names.MODE_RMS, largest)]
 
 
 def peaks(obj: Any) -> list[float]:
-    """Frequencies, Hz, of the peaks of an object's spectrum."""
+    """Return the frequencies in Hz of the peaks of an object's spectrum."""
     freqs = [float(f) for f in obj[names.FREQUENCIES]]
     bin_hz = float(obj[names.FPS]) / max(int(obj[names.TIMESTEPS]), 1)
     return [freqs[k] for k in clock.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]

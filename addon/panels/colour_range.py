@@ -1,4 +1,4 @@
-"""The colour range as the panel shows it: in millimetres or scene units, with decimals that fit the file.
+"""The panel's colour range field, in millimetres or scene units, with suitable decimals.
 
 The modifier's own input is in scene units and shows three decimals, too few for most motions. Blender fixes a
 field's decimals when it is made, so there is a field for each number of them, all of one value.
@@ -18,14 +18,14 @@ DECIMALS = range(2, 7)  # 6 are the most that Blender shows
 
 
 def draw(layout: Any, context: Any, obj: Any) -> None:
-    """Draw the field, its unit beside it."""
+    """Draw the field with its unit."""
     unit = preferences.unit_for(context, obj)
     largest = max(obj[names.MODE_AMPLITUDES], default=0.0) * unit.per_scene_unit
     layout.prop(obj, _field(decimals_for(largest)), text=f"Range ({unit.short})")
 
 
 def decimals_for(length: float) -> int:
-    """How many decimals show four digits of a length; as many as Blender can at most."""
+    """Return the number of decimals that show four digits of a length, within Blender's limit."""
     digits = DECIMALS.stop if length <= 0 else 3 - math.floor(math.log10(length))
     return min(max(digits, DECIMALS.start), DECIMALS.stop - 1)
 

@@ -1,4 +1,4 @@
-"""Operators and the panel to crop, clean and hand on: boxes, selection, floaters, export, mesh."""
+"""The panel Crop and Export and its operators: boxes, selection, floaters, export, mesh."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from .panel import _SplatTab
 
 
 class _Removes(bpy.types.Operator):
-    """An operator that takes Gaussians of the active splat object away"""
+    """An operator that removes Gaussians of the active splat object"""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -31,16 +31,16 @@ class _Removes(bpy.types.Operator):
         finally:
             if edited:
                 bpy.ops.object.mode_set(mode="EDIT")
-        self.report({"INFO"}, f"{gone:,} Gaussians removed, {left:,} left")
+        self.report({"INFO"}, f"{gone:,} Gaussians removed, {left:,} remain")
         return {"FINISHED"}
 
     def choice(self, context: Any, obj: Any) -> cropping.Choice:
-        """Which go. Raises Tg4mmError."""
+        """Return the mask of Gaussians to remove. Raises Tg4mmError."""
         raise NotImplementedError
 
 
 class TG4MM_OT_crop(_Removes):
-    """Crop by rest position: what goes stays away at every magnification and time"""
+    """Crop by rest position: removed Gaussians stay removed at every magnification and time"""
 
     bl_idname = "tg4mm.crop"
     bl_label = "Crop"
@@ -72,7 +72,7 @@ class TG4MM_OT_crop(_Removes):
 
 
 class TG4MM_OT_remove_floaters(_Removes):
-    """Remove Gaussians that are hardly there, oversized, or far from the rest; the limit is in its settings"""
+    """Remove Gaussians that are faint, oversized, or far from the rest; the limit is in the settings"""
 
     bl_idname = "tg4mm.remove_floaters"
     bl_label = "Remove Floaters"
@@ -81,8 +81,8 @@ class TG4MM_OT_remove_floaters(_Removes):
         name="By",
         items=[
             ("OPACITY", "Opacity", "Less opaque than the limit"),
-            ("SIZE", "Size", "So many times as large as the median Gaussian, by the longest axis"),
-            ("DISTANCE", "Distance", "So many times as far from the middle as what an import frames"),
+            ("SIZE", "Size", "Larger than this multiple of the median Gaussian, by the longest axis"),
+            ("DISTANCE", "Distance", "Farther from the centre than this multiple of the framed radius"),
         ],
     )
     opacity: FloatProperty(name="Opacity Below", default=0.05, min=0.0, max=1.0)  # type: ignore[valid-type]
@@ -101,7 +101,7 @@ class TG4MM_OT_remove_floaters(_Removes):
 
 
 class TG4MM_OT_crop_outliers(_Removes):
-    """Remove Gaussians so far off that positions of all others become coarse in EEVEE and Workbench"""
+    """Remove Gaussians so distant that all other positions lose precision in EEVEE and Workbench"""
 
     bl_idname = "tg4mm.crop_outliers"
     bl_label = "Crop Far Outliers"
@@ -111,7 +111,7 @@ class TG4MM_OT_crop_outliers(_Removes):
 
 
 class TG4MM_OT_add_crop_box(bpy.types.Operator):
-    """Add a box around the splats; move, turn and scale it over what is to stay or to go"""
+    """Add a box around the splats; move, rotate and scale it over the region to keep or remove"""
 
     bl_idname = "tg4mm.add_crop_box"
     bl_label = "Add Crop Box"
@@ -132,7 +132,7 @@ class TG4MM_OT_add_crop_box(bpy.types.Operator):
 
 
 class TG4MM_OT_make_mesh(bpy.types.Operator):
-    """Add a mesh of what is drawn in this frame, ellipsoids and all, as an object of its own: for other programs"""
+    """Convert the shapes drawn in this frame to a separate mesh object, for other programs"""
 
     bl_idname = "tg4mm.make_mesh"
     bl_label = "Make Mesh"
@@ -146,14 +146,14 @@ class TG4MM_OT_make_mesh(bpy.types.Operator):
         try:
             made = cropping.make(scene.splat_object(context), points.receiving(context), context)
         except MemoryError:
-            self.report({"ERROR"}, "Not enough memory for it: crop, or draw as arrows")
+            self.report({"ERROR"}, "Not enough memory for the mesh: crop, or draw as arrows")
             return {"CANCELLED"}
         self.report({"INFO"}, f"{made.name}: {len(made.data.polygons):,} faces")
         return {"FINISHED"}
 
 
 class VIEW3D_PT_tg4mm_crop(_SplatTab, bpy.types.Panel):
-    """What is left of the active splat object, and where it goes"""
+    """Crop and export the active splat object"""
 
     bl_label = "Crop and Export"
     bl_idname = "VIEW3D_PT_tg4mm_crop"

@@ -1,4 +1,4 @@
-"""What lies inside boxes: which Gaussians are kept, and their surface as a mesh.
+"""Cropping by boxes and limits, and the conversion of the drawn shapes to a mesh.
 
 What goes is deleted from the mesh, by its rest position, so it stays away at every magnification and time. The
 references of Apply Transform (nodes/points.py) stay.
@@ -22,21 +22,19 @@ Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussi
 
 
 def boxes_of(obj: Any, selected: Sequence[Any]) -> list[Any]:
-    """The selected objects that are no splats; without one, the crop boxes that were made for the object.
+    """Return the selected objects other than splats or, if there are none, the object's crop boxes.
 
     Raises Tg4mmError where there is none.
     """
     chosen = [other for other in selected if other != obj and names.MARK not in other]
     chosen = chosen or [other for other in bpy.data.objects if other.get(names.CROP_OF) == obj]
     if not chosen:
-        raise Tg4mmError(
-            "No box is there: add one with the button beside, or select an object whose box crops"
-        )
+        raise Tg4mmError("No crop box: add one with the button beside, or select an object as the box")
     return chosen
 
 
 def outside(obj: Any, boxes: Sequence[Any], inside: bool = False) -> Choice:
-    """What rests in none of the objects' boxes; with `inside`, in any of them."""
+    """Return the mask of Gaussians that rest outside all boxes; with `inside`, in any of them."""
     frames = [(np.array(box.matrix_world.inverted_safe()), *_extent(box)) for box in boxes]
 
     def choice(mesh: Any) -> np.ndarray:
@@ -56,7 +54,7 @@ def outside(obj: Any, boxes: Sequence[Any], inside: bool = False) -> Choice:
 
 
 def not_selected(obj: Any, selected: bool = False) -> Choice:
-    """What is not selected in Edit Mode; with `selected`, what is. Raises Tg4mmError for a sequence or no selection."""
+    """Return the mask of Gaussians not selected in Edit Mode; with `selected`, of the selected. Raises Tg4mmError."""
     if scene.sequence_frames(obj) is not None:
         raise Tg4mmError(f"{obj.name} is a sequence, whose points cannot be selected: crop by a box")
 
@@ -72,12 +70,12 @@ def not_selected(obj: Any, selected: bool = False) -> Choice:
 
 
 def faint(opacity: float) -> Choice:
-    """What is less opaque."""
+    """Return the mask of Gaussians below an opacity."""
     return lambda mesh: points.values(mesh, names.OPACITY) < opacity
 
 
 def large(times: float) -> Choice:
-    """What is so many times as large as the median Gaussian, by the longest axis."""
+    """Return the mask of Gaussians larger than a multiple of the median, by the longest axis."""
 
     def choice(mesh: Any) -> np.ndarray:
         sizes = points.values(mesh, names.SCALE).max(axis=1)
@@ -87,21 +85,23 @@ def large(times: float) -> Choice:
 
 
 def far(obj: Any, radii: float) -> Choice:
-    """What is farther from the middle of what is framed than so many of its radii."""
+    """Return the mask of Gaussians farther from the centre than a multiple of the framed radius."""
     low, high = framing.box([obj])
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
     return lambda mesh: np.linalg.norm(points.world(obj, mesh) - middle, axis=1) > radii * radius
 
 
 def remove(obj: Any, choice: Choice) -> tuple[int, int]:
-    """Take the chosen Gaussians away, of a sequence in every frame; how many went, and how many are left.
+    """Remove the chosen Gaussians, in every frame of a sequence; return the counts removed and remaining.
 
     Raises Tg4mmError, and changes nothing, where none would be left or the mesh is another file's.
     """
     frames = scene.sequence_frames(obj)
     meshes = [obj.data] if frames is None else [frame.data for frame in frames]
     if linked := [mesh for mesh in meshes if not mesh.is_editable]:
-        raise Tg4mmError(f"{obj.name}: the mesh is of {linked[0].library.filepath}: make it local first")
+        raise Tg4mmError(
+            f"{obj.name}: the mesh is linked from {linked[0].library.filepath}: make it local first"
+        )
     dropped = [choice(mesh) for mesh in meshes]
     gone, total = sum(int(d.sum()) for d in dropped), sum(len(d) for d in dropped)
     if any(d.all() for d in dropped):
@@ -117,7 +117,7 @@ def remove(obj: Any, choice: Choice) -> tuple[int, int]:
 
 
 def add_box(obj: Any, collection: Any) -> Any:
-    """A box empty around what is framed of the object."""
+    """Add a box-shaped empty around the framed part of the object."""
     low, high = framing.box([obj])
     box = bpy.data.objects.new(f"{obj.name} crop", None)
     box.empty_display_type, box.empty_display_size = "CUBE", 1.0
@@ -141,7 +141,7 @@ def _delete(mesh: Any, rows: np.ndarray) -> None:
 
 
 def _extent(box: Any) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Least and largest corner [3] in an object's own axes, and whether it is a ball; an empty is as large as drawn."""
+    """Return the lowest and highest corner [3] in local axes, and whether the object is a ball."""
     if box.type == "EMPTY":
         size = np.full(3, box.empty_display_size)
         return -size, size, box.empty_display_type == "SPHERE"
@@ -150,7 +150,7 @@ def _extent(box: Any) -> tuple[np.ndarray, np.ndarray, bool]:
 
 
 def modifiers_after(obj: Any) -> list[str]:
-    """Names of modifiers after ours that see meshes alone, while what we draw is instances or points."""
+    """Return the names of later modifiers that only see meshes while ours outputs instances or points."""
     ours = scene.splat_modifier(obj)
     if ours is None or compat.get_input(ours, names.SOLID_COLOUR):
         return []
@@ -159,7 +159,7 @@ def modifiers_after(obj: Any) -> list[str]:
 
 
 def make(obj: Any, collection: Any, context: Any) -> Any:
-    """An object with a mesh of what the splat object draws in the current frame, in the object's place."""
+    """Create an object with a mesh of the shapes drawn in the current frame, at the same transform."""
     modifier = scene.splat_modifier(obj)
     before = compat.get_input(modifier, names.SOLID_COLOUR)
     compat.set_input(modifier, names.SOLID_COLOUR, True)

@@ -1,4 +1,4 @@
-"""What an import shows at once: objects framed in the 3D views, in their colours, and the panel's spectrum drawn."""
+"""The first view after an import: frames the objects in the 3D views and prepares the panel's spectrum."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ def show(context: Any, objects: Sequence[Any]) -> list[str]:
 
 
 def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest corner [3], in the world, of what is opaque of the objects."""
+    """Return the lowest and highest corner [3] of the objects' opaque Gaussians, in world space."""
     ends = []
     for obj in objects:
         points = drawing.main_points(scene.first_mesh(obj))  # all where none is opaque
@@ -56,9 +56,9 @@ def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.nda
         if _is_startup_cube(other) and (least < high).all() and (largest > low).all():
             other.hide_set(True)
             other.hide_render = True
-            told.append(f"the untouched {other.name} was in the way: hidden, in renders too")
+            told.append(f"the untouched {other.name} was in the way and is hidden, in renders too")
         elif other.display_type not in ("WIRE", "BOUNDS") and (least < low).all() and (largest > high).all():
-            told.append(f"they lie inside {other.name}")
+            told.append(f"the splats are inside {other.name}")
     return told
 
 

@@ -1,4 +1,4 @@
-"""Operators that set a scene or a view up for splats: true colours, Solid view, range of the colour map, band."""
+"""Operators that set up a scene or a view for splats: true colours, Solid view, colour range, band."""
 
 from functools import lru_cache
 from typing import Any
@@ -28,7 +28,7 @@ class _OnSplats(bpy.types.Operator):
 
 
 class _OnMotion(_OnSplats):
-    """One on an object with modes of motion"""
+    """An operator on an object with modes of motion"""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -36,10 +36,10 @@ class _OnMotion(_OnSplats):
 
 
 class _OnScene(_OnSplats):
-    """One that sets a scene up and says what it set"""
+    """An operator that sets up a scene and reports what it changed"""
 
     def execute(self, context: Any) -> set[str]:
-        self.report({"INFO"}, self.set_up(context) or "Nothing had to be set")
+        self.report({"INFO"}, self.set_up(context) or "Nothing to change")
         return {"FINISHED"}
 
 
@@ -55,7 +55,7 @@ class TG4MM_OT_true_colours(_OnScene):
 
 
 class TG4MM_OT_restore_picture(_OnScene):
-    """Give the scene back the view transform, samples and bounces that it had before its first splats"""
+    """Restore the view transform, samples and bounces that the scene had before its first splats"""
 
     bl_idname = "tg4mm.restore_picture"
     bl_label = "Undo Picture Settings"
@@ -66,7 +66,7 @@ class TG4MM_OT_restore_picture(_OnScene):
 
 class TG4MM_OT_exact_look(_OnScene):
     """Draw the active splats as they were trained: as Splats, in the colours that the camera sees, blended as trained.
-    Slow. Click again to have what was before"""
+    Slow. Click again to go back"""
 
     bl_idname = "tg4mm.exact_look"
     bl_label = "Exact Look"
@@ -88,7 +88,7 @@ class TG4MM_OT_exact_look(_OnScene):
 
 
 def is_exact(obj: Any) -> bool:
-    """True where an object is drawn as Exact Look draws it."""
+    """Return whether an object is drawn as by Exact Look."""
     modifier = scene.splat_modifier(obj)
     shown = {name: value for name, value in _EXACT.items() if compat.has_input(modifier, name)}
     return all(compat.get_input(modifier, name) == value for name, value in shown.items())
@@ -104,7 +104,7 @@ def _far_out(name: str, count: int) -> tuple[int, float]:
 
 
 def far_out(obj: Any) -> tuple[int, float]:
-    """As `drawing.far_out`, worked out once for a mesh and its number of vertices; none in Edit Mode."""
+    """Return `drawing.far_out`, cached per mesh and vertex count; no outliers in Edit Mode."""
     mesh = obj.data
     in_edit_mode = mesh.is_editmode or scene.sequence_frames(obj) is not None
     return (0, 0.0) if in_edit_mode else _far_out(mesh.name, len(mesh.vertices))
@@ -152,7 +152,7 @@ class TG4MM_OT_one_mesh(_OnSplats):
 
 
 class TG4MM_OT_file_units(_OnSplats):
-    """Let Blender's own lengths in this scene be those of the file, by the scene's Unit Scale"""
+    """Set the scene's Unit Scale so that Blender's lengths are those of the file"""
 
     bl_idname = "tg4mm.file_units"
     bl_label = "Take the File's Metres"
@@ -161,14 +161,14 @@ class TG4MM_OT_file_units(_OnSplats):
     def execute(self, context: Any) -> set[str]:
         metres = analysis.metres_per_unit(scene.splat_object(context))
         if metres is None:
-            raise Tg4mmError("The file does not say how long its unit is")
+            raise Tg4mmError("The file does not state its scale")
         context.scene.unit_settings.scale_length = metres
         self.report({"INFO"}, f"Unit Scale of the scene set to {metres:.4g} m")
         return {"FINISHED"}
 
 
 class TG4MM_OT_fit_colour_range(_OnMotion):
-    """Let the last colour stand for the largest amplitude of the modes shown in the band"""
+    """Set the last colour to the largest amplitude of the enabled modes in the band"""
 
     bl_idname = "tg4mm.fit_colour_range"
     bl_label = "Fit Colour Range"

@@ -1,4 +1,4 @@
-"""Settings of the session, on the window manager; legends over the lower left corner of the 3D view."""
+"""Session settings, and the legends in the lower left corner of the 3D view."""
 
 from typing import Any
 
@@ -20,11 +20,11 @@ _drawn: dict[tuple[Any, ...], Any] = {}  # the legends that were drawn last, and
 
 
 class TG4MM_view(bpy.types.PropertyGroup):
-    """Kept on the window manager, in no file"""
+    """Session settings, kept on the window manager and not saved in files"""
 
     measure: EnumProperty(  # type: ignore[valid-type]
         name="Amplitude",
-        description="What a bar of the spectrum shows, over all Gaussians",
+        description="Statistic over all Gaussians that the spectrum's bars show",
         items=[
             ("RMS", "RMS", "Root mean square of the Gaussians' amplitudes, weighted by opacity"),
             ("PEAK", "Largest", "Amplitude of the Gaussian that moves most"),
@@ -38,7 +38,7 @@ class TG4MM_view(bpy.types.PropertyGroup):
 
 
 def of(context: Any) -> Any:
-    """The settings of the session."""
+    """Return the session settings."""
     return context.window_manager.tg4mm_view
 
 

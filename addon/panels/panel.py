@@ -18,7 +18,7 @@ class _Tab:
 
 
 class _SplatTab(_Tab):
-    """A panel that is there where a splat object is active; sub-panels name their parent."""
+    """A panel shown for an active splat object; sub-panels name their parent."""
 
     bl_parent_id = "VIEW3D_PT_tg4mm"
 
@@ -28,7 +28,7 @@ class _SplatTab(_Tab):
 
 
 class _MotionTab(_SplatTab):
-    """A panel that is there where a splat object with modes of motion is active."""
+    """A panel shown for an active splat object with modes of motion."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -36,7 +36,7 @@ class _MotionTab(_SplatTab):
 
 
 class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
-    """Splats that move"""
+    """Moving splats"""
 
     bl_label = "TG4MM"
     bl_idname = "VIEW3D_PT_tg4mm"
@@ -71,7 +71,7 @@ class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         layout, modifier = self.layout, scene.splat_modifier(scene.splat_object(context))
         if not compat.has_input(modifier, names.FIRST):
-            layout.label(text="This file holds no motion", icon="INFO")
+            layout.label(text="This file contains no motion", icon="INFO")
             return
         column = _fields(layout)
         _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
@@ -85,7 +85,7 @@ class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
 
 
 class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
-    """Which frequencies are magnified, beside the spectrum of the file"""
+    """The magnified frequency band, on the file's spectrum"""
 
     bl_label = "Band"
     bl_idname = "VIEW3D_PT_tg4mm_band"
@@ -102,7 +102,7 @@ class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
 
 
 class VIEW3D_PT_tg4mm_frequencies(_MotionTab, bpy.types.Panel):
-    """Which modes are played at all, and what the spectrum shows of them"""
+    """The modes that are played, and the statistic that the spectrum shows"""
 
     bl_label = "Frequencies"
     bl_idname = "VIEW3D_PT_tg4mm_frequencies"
@@ -136,7 +136,7 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
         if blind := cropping.modifiers_after(obj):
-            layout.label(text=f"{', '.join(blind)}: sees meshes alone", icon="INFO")
+            layout.label(text=f"{', '.join(blind)}: works on meshes only", icon="INFO")
             layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
         if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
             layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
@@ -154,7 +154,7 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
 
 
 class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
-    """Sizes, what is left out, and colours that depend on the view"""
+    """Sizes, opacity limits, and view-dependent colours"""
 
     bl_label = "Size and Opacity"
     bl_idname = "VIEW3D_PT_tg4mm_details"
@@ -177,7 +177,7 @@ class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
 
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
-    """The function that draws an object's spectrum, and its arguments."""
+    """Return the function that draws an object's spectrum, with its arguments."""
     measure = overlay.of(context).measure
     freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
     highest = clock.whole_band(freqs, float(obj[names.FPS]))[1]
@@ -188,14 +188,14 @@ def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
 
 
 def _draw_peaks(layout: Any, obj: Any) -> None:
-    """A button for the band round each peak, and one for everything."""
+    """Draw a button for the band around each peak, and one for all frequencies."""
     for frequency in analysis.peaks(obj):
         layout.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
     layout.operator("tg4mm.band", text="All").frequency = 0.0
 
 
 def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
-    """What belongs to colours by amplitude or phase; nothing for the file's."""
+    """Draw the settings of colouring by amplitude or phase; nothing for the file's colours."""
     picture = analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
     if picture is None:
         return

@@ -19,7 +19,7 @@ Key = tuple[Hashable, ...]
 
 
 class Pictures:
-    """The icons and what they show; one for the extension, from `register` to `unregister`."""
+    """The extension's icons and their contents, from `register` to `unregister`."""
 
     def __init__(self) -> None:
         self._previews = bpy.utils.previews.new()
@@ -29,7 +29,7 @@ class Pictures:
         self._last: dict[Hashable, Key] = {}  # of each function, what was shown last
 
     def icon(self, function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
-        """Number of the icon, or of the one before it while this is not drawn yet; 0 without any."""
+        """Return the icon's id, or the previous picture's while it is not drawn yet, or 0."""
         key: Key = (function, *arguments)
         if key not in self._names:
             self._wanted[key] = None
@@ -41,17 +41,17 @@ class Pictures:
 
     @property
     def waiting(self) -> int:
-        """How many pictures are asked for and not drawn."""
+        """Return the number of requested pictures that are not drawn yet."""
         return len(self._wanted)
 
     def refresh(self) -> None:
-        """Draw what is wanted."""
+        """Draw the requested pictures."""
         wanted, self._wanted = self._wanted, {}
         for key in list(wanted)[-MOST:]:
             self._put(key, key[0](*key[1:]))  # type: ignore[operator]
 
     def pixels(self, function: Callable[..., np.ndarray], *arguments: Hashable) -> np.ndarray | None:
-        """[H, W, 4] uint8 of a picture as the icon has it, row 0 at the top; None while it is not drawn."""
+        """Return an icon's pixels [H, W, 4], uint8, row 0 at the top, or None if it is not drawn yet."""
         name = self._names.get((function, *arguments))
         if name is None:
             return None
@@ -81,7 +81,7 @@ _pictures: Pictures | None = None
 
 
 def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
-    """As `Pictures.icon`; has what is wanted drawn soon."""
+    """Return `Pictures.icon` and schedule the drawing of missing pictures."""
     assert _pictures is not None, "the extension is not registered"
     number = _pictures.icon(function, *arguments)
     if _pictures.waiting and not bpy.app.timers.is_registered(_refresh):
@@ -90,25 +90,25 @@ def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
 
 
 def prepare(function: Callable[..., np.ndarray], *arguments: Hashable) -> None:
-    """Draw a picture now, for a panel that is going to ask for it. Not to be called while a panel is drawn."""
+    """Draw a picture now, before a panel requests it. Must not be called while a panel is drawn."""
     number = shared().icon(function, *arguments)
     if not number or shared().waiting:
         shared().refresh()
 
 
 def shared() -> Pictures:
-    """The extension's pictures."""
+    """Return the extension's pictures."""
     assert _pictures is not None, "the extension is not registered"
     return _pictures
 
 
 def draw(layout: Any, width: float, function: Callable[..., np.ndarray], *arguments: Hashable) -> None:
-    """A square picture in a panel, `width` in units of a button's height."""
+    """Draw a square picture in a panel, `width` in units of a button's height."""
     layout.template_icon(icon_value=icon(function, *arguments), scale=width)
 
 
 def fitting_width(context: Any, most: float = 11.0) -> float:
-    """The width of a picture, in units of a button's height, that the region has room for."""
+    """Return the width, in units of a button's height, that fits the region."""
     region = getattr(context, "region", None)
     if region is None or region.width <= 1:
         return most

@@ -33,7 +33,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 92.0, 312.0  # of the plot's area
 
 
 def standard_rows(linear: np.ndarray) -> Rows:
-    """Linear colours [K, 3] as the view transform Standard shows them."""
+    """Convert linear colours [K, 3] to those displayed under the view transform Standard."""
     return tuple((float(r), float(g), float(b)) for r, g, b in to_display(linear))
 
 
@@ -48,7 +48,7 @@ def spectrum(
     title: str,
     unit: Unit,
 ) -> np.ndarray:
-    """A bar for each mode, amplitude (scene units) over frequency from 0 to `highest_hz`; the band is shaded."""
+    """Draw a bar per mode, amplitude (scene units) over frequency from 0 to `highest_hz`, with the band shaded."""
     canvas = Canvas(SIDE, SIDE, _BACK)
     most = max(amplitudes, default=0.0)
     ceiling = most if most > 0 else 1.0
@@ -74,7 +74,7 @@ def spectrum(
 
 
 def series(seconds: np.ndarray, moved: np.ndarray, unit: Unit) -> np.ndarray:
-    """Displacements [S, 3] (scene units) along x, y, z over times [S] in seconds."""
+    """Plot displacements [S, 3] (scene units) along x, y, z over times [S] in seconds."""
     canvas = Canvas(SIDE, SIDE, _BACK)
     most = float(np.abs(moved).max(initial=0.0))
     middle, height = (_TOP + _BOTTOM) / 2, (_BOTTOM - _TOP) / 2 * 0.94
@@ -94,7 +94,7 @@ def series(seconds: np.ndarray, moved: np.ndarray, unit: Unit) -> np.ndarray:
 
 
 def mark_time(picture: np.ndarray, part: float) -> np.ndarray:
-    """A copy of a picture of `series` with a line at `part` (0 to 1) of its time; none outside."""
+    """Return a copy of a picture of `series` with a line at `part` (0 to 1) of its time, if inside."""
     canvas = Canvas(1, 1, _BACK)
     canvas.pixels = picture.copy()
     if 0 <= part <= 1:
@@ -104,7 +104,7 @@ def mark_time(picture: np.ndarray, part: float) -> np.ndarray:
 
 
 def amplitude_legend(highest: float, unit: Unit, rows: Rows = STANDARD_AMPLITUDE) -> np.ndarray:
-    """The bar of colours `rows`, from 0 to `highest`, scene units, with numbers."""
+    """Draw the colour bar of `rows` from 0 to `highest`, scene units, with numbers."""
     canvas = Canvas(SIDE, SIDE, _BACK)
     canvas.text(_LEFT, 32, "Amplitude in the band,", _FRONT, _TEXT)
     canvas.text(_LEFT, 64, unit.name, _FRONT, _TEXT)
@@ -124,7 +124,7 @@ def amplitude_legend(highest: float, unit: Unit, rows: Rows = STANDARD_AMPLITUDE
 
 
 def phase_legend(still_below: float, unit: Unit, rows: Rows = STANDARD_PHASE) -> np.ndarray:
-    """The wheel of phases, 0° on the right and counter-clockwise, and grey for less than `still_below`.
+    """Draw the phase wheel, 0° on the right and counter-clockwise, and grey for less than `still_below`.
 
     `rows`: the colours of the turn, then the grey.
     """
@@ -152,13 +152,13 @@ def phase_legend(still_below: float, unit: Unit, rows: Rows = STANDARD_PHASE) ->
 
 
 def _between(parts: np.ndarray, rows: Rows) -> np.ndarray:
-    """[..., 3] the colours of a map at `parts` of its length, any shape."""
+    """Interpolate the colours [..., 3] of a map at `parts` (0 to 1) of its length."""
     table = np.array(rows)
     return np.stack([np.interp(parts, np.linspace(0, 1, len(table)), table[:, c]) for c in range(3)], axis=-1)
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """At most `most` + 1 round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+    """Return at most `most` + 1 round numbers from low to high, in steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not span > 0 or not math.isfinite(span):
         return [low]
@@ -185,31 +185,31 @@ def _ticks(canvas: "Canvas", low: float, high: float, title: str, size: float, m
 
 
 class Canvas:
-    """An opaque picture [height, width, 4] float32, row 0 at the top. Places are x right, y down, pixels."""
+    """An opaque picture [height, width, 4], float32, row 0 at the top. Positions are x right, y down, in pixels."""
 
     def __init__(self, width: int, height: int, background: Colour) -> None:
         self.pixels = np.ones((height, width, 4), np.float32)
         self.pixels[..., :3] = background
 
     def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, alpha: float = 1.0) -> None:
-        """Fill a rectangle; its edges cover pixels in part."""
+        """Fill a rectangle with antialiased edges."""
         left, top = math.floor(x0), math.floor(y0)
         across = _overlap(x0 - left, x1 - left, max(math.ceil(x1) - left, 0))
         down = _overlap(y0 - top, y1 - top, max(math.ceil(y1) - top, 0))
         self._paint(down[:, None] * across[None], left, top, colour, alpha)
 
     def line(self, points: np.ndarray, colour: Colour, thickness: float = 2.0, alpha: float = 1.0) -> None:
-        """A line with round ends through points [K, 2]."""
+        """Draw a line with round ends through points [K, 2]."""
         cover, x, y = _stroke(np.asarray(points, float), thickness)
         self._paint(cover, x, y, colour, alpha)
 
     def text(self, x: float, y: float, words: str, colour: Colour, size: float, anchor: float = 0.0) -> None:
-        """Words with their baseline at y, capitals `size` high; `anchor`: the part of them left of x."""
+        """Draw text with its baseline at y, capitals `size` high; `anchor` is the fraction left of x."""
         cover, rise = _words(words, size)
         self._paint(cover, round(x - anchor * cover.shape[1]), round(y) - rise, colour, 1.0)
 
     def paste(self, rgb: np.ndarray, cover: np.ndarray, x: int, y: int) -> None:
-        """Blend colours [h, w, 3] in, covering by [h, w]."""
+        """Blend in colours [h, w, 3] with coverage [h, w]."""
         self._paint(cover, x, y, rgb, 1.0)
 
     def _paint(self, cover: np.ndarray, x: int, y: int, colour: Colour | np.ndarray, alpha: float) -> None:
@@ -226,7 +226,7 @@ class Canvas:
 
 @lru_cache(maxsize=512)
 def _words(words: str, size: float) -> tuple[np.ndarray, int]:
-    """Coverage of words in Blender's font, capitals `size` high, and how many of its rows lie above the baseline."""
+    """Return the coverage of text in Blender's font, capitals `size` high, and its rows above the baseline."""
     blf.size(0, size / _CAPITAL)
     width, rise, drop = (
         math.ceil(blf.dimensions(0, words)[0]) + 2,
@@ -265,6 +265,6 @@ def _stroke(points: np.ndarray, thickness: float) -> tuple[np.ndarray, int, int]
 
 
 def _overlap(start: float, stop: float, count: int) -> np.ndarray:
-    """[count] the part of each pixel that start … stop covers."""
+    """Return the fraction [count] of each pixel that start … stop covers."""
     pixels = np.arange(count)
     return np.clip(np.minimum(pixels + 1, stop) - np.maximum(pixels, start), 0.0, 1.0)

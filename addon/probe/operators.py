@@ -1,4 +1,4 @@
-"""Operators of the probe: read a point or a region, add a sphere, write CSV."""
+"""Operators of the probe: measure a point or a region, add a sphere, write CSV."""
 
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ class TG4MM_OT_add_probe_sphere(_OnMotion):
 
 
 class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
-    """Write what the probe read as a CSV file; its first lines name the units"""
+    """Write the probe's reading as a CSV file; its first lines name the units"""
 
     bl_idname = "tg4mm.export_probe"
     bl_label = "Export Probe as CSV"
@@ -153,14 +153,14 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
 def _reading(obj: Any) -> probe.Probe:
     found = picking.stored(obj)
     if found is None:
-        raise Tg4mmError("Nothing is probed yet: use one of the buttons in the panel Probe first")
+        raise Tg4mmError("Nothing probed yet: use one of the buttons in the panel Probe first")
     return found
 
 
 def _write(path: Path, text: str) -> None:
     """UTF-8, whole or not at all. Raises Tg4mmError or OSError, and leaves what was there."""
     if path.exists() and not path.is_file():
-        raise Tg4mmError(f"{path}: cannot be written: it is no ordinary file")
+        raise Tg4mmError(f"{path}: cannot be written: not a regular file")
     try:
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""From what a person chose in Blender to what the probe read there, kept on the splat object; its panel."""
+"""The probe's selection, its reading, which is stored on the splat object, and its panel."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ from .probe import Probe, mean_deviation, mean_phasor
 
 
 class PickError(Tg4mmError):
-    """Nothing to probe, in one line that says what to do."""
+    """Raised when there is nothing to probe; the message says what to do."""
 
 
 def probe_selection(obj: Any) -> Probe:
@@ -55,7 +55,7 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
 def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
     """Probe the Gaussians whose rest positions are inside any of the empties, each as large as it is drawn."""
     if not spheres:
-        raise PickError("No sphere is there: add one with the button beside, and move it over the region")
+        raise PickError("No probe sphere: add one with the button beside, and move it over the region")
     with _readable(obj) as mesh:
         places = world(obj, mesh)
         places = np.column_stack([places, np.ones(len(places))])
@@ -69,7 +69,7 @@ def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
 
 
 def spheres_of(obj: Any, selected: Sequence[Any]) -> list[Any]:
-    """The selected sphere empties; without one, the probe spheres that were made for the object."""
+    """Return the selected sphere empties or, if there are none, the object's probe spheres."""
     chosen = [other for other in selected if other.type == "EMPTY" and other.empty_display_type == "SPHERE"]
     return chosen or [other for other in bpy.data.objects if other.get(names.PROBE_OF) == obj]
 
@@ -91,7 +91,7 @@ def add_sphere(obj: Any, collection: Any, place: Sequence[float]) -> Any:
 
 
 def store(obj: Any, probe: Probe) -> None:
-    """Keep a probe's reading on its object."""
+    """Store a probe's reading on its object."""
     pairs = np.stack([probe.phasors.real, probe.phasors.imag], axis=-1)
     forget(obj)
     obj[names.PROBE_PHASORS], obj[names.PROBE_LABEL] = pairs.ravel().tolist(), probe.label
@@ -126,7 +126,7 @@ def _probe(obj: Any, label: str, phasors: np.ndarray, deviations: np.ndarray | N
 
 def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
     if not len(obj[names.FREQUENCIES]):
-        raise PickError(f"{obj.name} holds no motion")
+        raise PickError(f"{obj.name} contains no motion")
     phasors = []
     for k in range(len(obj[names.FREQUENCIES])):
         part = names.phasor(k)
@@ -168,7 +168,7 @@ Phasors = tuple[complex, ...]  # hashable, x y z of each mode
 
 
 class VIEW3D_PT_tg4mm_probe(_MotionTab, bpy.types.Panel):
-    """The motion that was measured at a point or in a region"""
+    """The measured motion at a point or in a region"""
 
     bl_label = "Probe"
     bl_idname = "VIEW3D_PT_tg4mm_probe"

@@ -32,7 +32,7 @@ class Ellipse:
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """What was read at a point or as the mean of a region."""
+    """The reading at a point, or the mean over a region."""
 
     label: str  # "Point 12", "34 points"
     freqs_hz: np.ndarray  # [M]
@@ -45,7 +45,7 @@ class Probe:
 
     @property
     def duration_s(self) -> float:
-        """Seconds that the recording covers."""
+        """Return the duration of the recording in seconds."""
         return self.n_timesteps / self.fps
 
 
@@ -71,7 +71,7 @@ def _weights(opacities: np.ndarray) -> np.ndarray:
 
 
 def ellipses(probe: Probe) -> list[Ellipse]:
-    """The path at each frequency."""
+    """Return the elliptical path at each frequency."""
     found = [
         ellipse(float(f), m, axis)
         for f, m, axis in zip(probe.freqs_hz, probe.phasors, probe.axes, strict=True)
@@ -132,7 +132,7 @@ def envelope(probe: Probe, columns: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def series_csv(probe: Probe, unit: Unit, source: str, per_timestep: int = 1) -> str:
-    """Text of a CSV file: a row for each time, displacement along the axes of the file."""
+    """Return CSV text with a row per time: displacement along the file's axes."""
     seconds, moved = series(probe, per_timestep)
     rows = np.column_stack([seconds, moved * unit.per_scene_unit])
     columns = ["time_s", *(f"{axis}_{unit.column}" for axis in "xyz")]
@@ -141,7 +141,7 @@ def series_csv(probe: Probe, unit: Unit, source: str, per_timestep: int = 1) -> 
 
 
 def phasor_csv(probe: Probe, unit: Unit, source: str) -> str:
-    """Text of a CSV file: a row for each frequency."""
+    """Return CSV text with a row per frequency."""
     factor = unit.per_scene_unit
     rows = [
         [

@@ -1,4 +1,4 @@
-"""Where and when pictures are taken: orbit, rig, sweep, handheld, clips, flat and given cameras. Pure numpy.
+"""Camera positions and times: orbit, rig, sweep, handheld, clips, flat and given cameras. Pure numpy.
 
 A camera-to-world matrix has OpenGL axes (x right, y up, looks along −z), as in NeRF-synthetic.
 """

@@ -96,7 +96,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Aim:
-    """What a path of cameras goes around, how far away, and with which lens."""
+    """The target of a camera path, its distance, and the lens."""
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # looked at, scene units
     distance: float = DISTANCE  # from the centre, scene units

@@ -227,7 +227,7 @@ def farther(points: np.ndarray, cameras: Callable[[float], Sequence[Camera]]) ->
 
 
 def half_widths(camera: Camera, points: np.ndarray) -> float:
-    """How far off the picture's middle any of the points [P, 3] lands, in half widths of the square picture.
+    """Return the largest distance of the projected points [P, 3] from the picture's centre, in half widths.
 
     Infinite if one lies behind the camera.
     """
@@ -236,7 +236,7 @@ def half_widths(camera: Camera, points: np.ndarray) -> float:
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    """Those of the points [P, 3] that lie farthest in one of 400 directions, evenly spread over the sphere."""
+    """Return the points of [P, 3] that are extreme in one of 400 directions spread evenly over the sphere."""
     return points[np.unique([int((points @ direction).argmax()) for direction in _directions()])]
 
 

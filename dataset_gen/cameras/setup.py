@@ -1,4 +1,4 @@
-"""Which cameras take the pictures: one frozen description, and the cameras of every timestep that follow."""
+"""The camera setup: one frozen description, and the cameras of every timestep that follow from it."""
 
 import functools
 import math
@@ -209,7 +209,7 @@ _DIGITS = 6  # of a second
 
 
 def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | None:
-    """Seconds on the scene's clock at which a training camera takes this picture; None: the scene is at rest.
+    """Return the scene time in seconds of a training picture, or None if the scene is at rest.
 
     The scene's clock is the one that the exact motion and the test views go by, and it is camera 0's: a time that all
     clocks are off by cannot be told from pictures. On its camera's own clock a picture is taken at timestep / fps, as
@@ -221,7 +221,7 @@ def scene_time(setup: CameraSetup, camera: Camera, timestep: int) -> float | Non
 
 
 def films(setup: CameraSetup, camera: Camera) -> bool:
-    """Whether a training camera records over time; the pictures of a sweep show the scene before it moves."""
+    """Return whether a training camera records over time; sweep pictures show the scene before it moves."""
     return setup.kind != "sweep" or camera.index == 0
 
 

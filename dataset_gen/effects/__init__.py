@@ -1,4 +1,4 @@
-"""What a real camera adds to a record: shake, drifting exposure, flicker, rows in turn, a codec. All seeded."""
+"""Effects of a real camera: shake, exposure drift, flicker, rolling shutter, a codec. All are seeded."""
 
 from .options import CODECS, Effects
 from .record import Record

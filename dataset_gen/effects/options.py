@@ -1,4 +1,4 @@
-"""Which effects the training pictures of a record have."""
+"""The camera effects on the training pictures of a record."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -42,12 +42,12 @@ class Effects:
 
     @property
     def gain(self) -> bool:
-        """Whether the brightness of a frame is its own."""
+        """Return whether the brightness varies from frame to frame."""
         return self.exposure_drift > 0 or self.flicker > 0
 
     @property
     def coded(self) -> bool:
-        """Whether the pictures of each camera go through a video."""
+        """Return whether the pictures of each camera are encoded as a video."""
         return self.codec != "none"
 
     @property

@@ -39,7 +39,7 @@ def fine_camera(camera: Camera, size: int, margin: int) -> Camera:
 
 
 def pixels_before(camera: Camera, size: int, vector: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Where the camera as it stands sees what it sees at `pixels` [..., 2] when turned by a rotation vector [3].
+    """Map `pixels` [..., 2] of a camera turned by a rotation vector [3] to pixels of the unturned camera.
 
     The vector is in camera axes (x right, y up, z back), radians; pixel centres lie at +0.5.
     """
@@ -100,7 +100,7 @@ class Record:
     _gains: dict[int, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def shakes(self, split: str, camera: Camera) -> bool:
-        """Whether pictures of this camera are taken with its pose disturbed."""
+        """Return whether this camera's pose is disturbed."""
         return self.effects.shake_px > 0 and split == "train" and films(self.setup, camera)
 
     def turn(self, camera: Camera, timestep: int) -> np.ndarray:
@@ -213,7 +213,7 @@ def turns(camera: Camera, size: int, shake_px: float, n_timesteps: int, fps: flo
 
 
 def largest_shift(camera: Camera, size: int, vectors: np.ndarray) -> float:
-    """How far any place of the picture goes at most, pixels."""
+    """Return the largest shift anywhere in the picture, in pixels."""
     return max(float(np.linalg.norm(_shift(camera, size, vector), axis=-1).max()) for vector in vectors)
 
 

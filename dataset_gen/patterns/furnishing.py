@@ -111,7 +111,7 @@ def canvas(
 
 @dataclass(frozen=True)
 class Planks:
-    """Where planks lie in a picture [H, W]; they run along u."""
+    """The layout of planks in a picture [H, W]; they run along u."""
 
     tone: np.ndarray  # [H, W] one random value in −1..1 per plank
     seam: np.ndarray  # [H, W] 1 in the gaps between planks and at their butts

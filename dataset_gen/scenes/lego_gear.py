@@ -1,4 +1,4 @@
-"""What the toy bulldozer works with: tracks, blade with teeth, push arms and pistons, ripper. Units: studs."""
+"""Working parts of the toy bulldozer: tracks, blade with teeth, push arms and pistons, ripper. Units: studs."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What stands on the decks of the scene "ship", and her dimensions. Bow along +x, starboard at y < 0."""
+"""Deck fittings of the scene "ship", and her dimensions. Bow along +x, starboard at y < 0."""
 
 from dataclasses import dataclass
 

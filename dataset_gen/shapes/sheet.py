@@ -86,7 +86,7 @@ def puff(middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.nda
 def puff_points(
     middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.ndarray | None = None
 ) -> np.ndarray:
-    """Where the texture of a `puff` of these lies in space: [2R − 1, S, 3], rows from v = 0 to 1."""
+    """Return the spatial positions [2R − 1, S, 3] of a puff's texture, rows from v = 0 to 1."""
     direction = normals(middle) if along is None else np.broadcast_to(along, middle.shape)
     up = middle + above[..., None] * direction
     down = middle - below[..., None] * direction
@@ -194,7 +194,7 @@ class Outline:
 
 
 def tufts(points: np.ndarray, buttons: np.ndarray, pull: float, width: float, crease: float) -> np.ndarray:
-    """How deep [...] buttons [N, 2] and the creases between neighbouring ones pull a cushion in at points [..., 2]."""
+    """Return the depth [...] at points [..., 2] of a cushion's buttons [N, 2] and the creases between them."""
     gap = np.linalg.norm(buttons[:, None] - buttons[None], axis=2) + 9.0 * np.eye(len(buttons))
     depth = np.zeros(points.shape[:-1])
     for button in buttons:

@@ -1,4 +1,4 @@
-"""From what was gathered to a stage: a fresh scene with plain meshes, the lights, the world, nothing else."""
+"""Assemble a stage from gathered pieces: a new scene with plain meshes, lights and world only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Loaded(Found):
 
 @dataclass(frozen=True)
 class Origin:
-    """What is known of a file beside its geometry."""
+    """Information about a file other than its geometry."""
 
     path: Path
     unit_scale_m: float | None  # metres per scene unit
@@ -160,7 +160,7 @@ _TARGET = "tg4mm weight {}"
 
 
 def group_weights(objects: Sequence[bpy.types.Object]) -> list[dict[str, np.ndarray]]:
-    """For each mesh object of the context's scene: group name → weights [V] float64, 0 where not assigned.
+    """Return, per mesh object of the scene, {group name: weights [V]}, float64, 0 where unassigned.
 
     The objects must have no modifiers.
     """

@@ -1,4 +1,4 @@
-"""What a .blend file says before Blender opens it; what opening found, as one .npz for the process that plans."""
+"""Checks of a .blend file before Blender opens it, and its contents as one .npz for the planning process."""
 
 import gzip
 import json
@@ -23,7 +23,7 @@ _PLAIN = ("unit_scale_m", "own_unit", "camera_names", "warnings", "centre", "rad
 
 @dataclass(frozen=True)
 class Found:
-    """What a user's file holds, without Blender's handles."""
+    """The contents of a user's file, without Blender's handles."""
 
     bodies: tuple[Body, ...]
     unit_scale_m: float | None  # metres per scene unit, None where the file does not say

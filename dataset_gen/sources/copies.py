@@ -102,7 +102,7 @@ def _plain(name: str) -> bpy.types.Material:
 
 
 def has_nodes(block: bpy.types.Material | bpy.types.World) -> bool:
-    """Whether its look comes from nodes; from 5.0 on it always does."""
+    """Return whether the material uses nodes; from Blender 5.0 on it always does."""
     return bpy.app.version >= (5, 0, 0) or bool(block.use_nodes)
 
 
@@ -129,7 +129,7 @@ def using(materials: Iterable[bpy.types.Material], test: Callable[[bpy.types.Nod
 
 
 def above(node: bpy.types.Node, socket: str, least: float = 0.0) -> bool:
-    """Whether a socket's value is linked or above a number."""
+    """Return whether a socket is linked or its value exceeds a number."""
     found = node.inputs.get(socket)
     return found is not None and (found.is_linked or found.default_value > least)
 
@@ -202,7 +202,7 @@ def _shines(node: bpy.types.Node) -> bool:
 
 
 def glows(materials: Iterable[bpy.types.Material]) -> bool:
-    """Whether any of the materials gives light."""
+    """Return whether any of the materials emits light."""
     return bool(using(materials, _glows))
 
 

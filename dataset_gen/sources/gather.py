@@ -1,4 +1,4 @@
-"""What a renderer would be handed: every object and instance, with render settings of modifiers applied.
+"""Collects what a renderer receives: every object and instance, with modifiers at render settings.
 
 A render engine of our own is run in place of Cycles. So visibility, excluded collections, instances,
 particles, render levels of subdivision and all view layers are as they would be in the picture: Blender
@@ -200,7 +200,7 @@ def _shape(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Shape | Non
 
 
 def _is_own(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether a mesh is what its object evaluates to, and not what its nodes instance or its curve becomes."""
+    """Return whether a mesh is its object's evaluated mesh, not an instance from nodes or a converted curve."""
     own = obj.original.evaluated_get(depsgraph).data
     return own is not None and bool(own.as_pointer() == obj.data.as_pointer())
 

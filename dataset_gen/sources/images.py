@@ -1,4 +1,4 @@
-"""What the materials of a user's file read: lost images, found near it or replaced; coordinates, nailed to the surface.
+"""Inputs of a user's materials: missing images are found or replaced, coordinates are fixed to the surface.
 
 A texture in object, generated or world coordinates would stay where it is while the surface vibrates
 through it, and all of these change when an object is replaced by a mesh in world space. So they are written
@@ -145,7 +145,7 @@ _PROCEDURAL = {
 
 @dataclass
 class Anchors:
-    """Which attributes the rewritten materials read."""
+    """The attributes that the rewritten materials read."""
 
     needed: set[str] = field(default_factory=set)
     frames: dict[str, np.ndarray] = field(default_factory=dict)  # attribute → world to an object's axes

@@ -214,7 +214,7 @@ _NO_NUMBER = re.compile(rb"(?<![\w.])[+-]?(?:nan|inf)", re.I)
 
 
 def count_not_finite(path: Path) -> int:
-    """How many vertices have a coordinate that is not finite; 0 where the layout is not one this can read.
+    """Return the number of vertices with a non-finite coordinate; 0 for layouts that cannot be read here.
 
     An ASCII file counts by lines, of whatever element. Raises GenerateError for a file shorter than its header says.
     """

@@ -1,4 +1,4 @@
-"""From gathered pieces to plain mesh objects in world space, one per part of the scene."""
+"""Convert gathered pieces to plain mesh objects in world space, one per part of the scene."""
 
 from collections.abc import Sequence
 
@@ -57,7 +57,7 @@ def _join(objects: list[bpy.types.Object]) -> bpy.types.Object:
 
 
 def _look_as(obj: bpy.types.Object, group: list[Piece], seen: bool) -> None:
-    """What of the original object, beside its mesh, has an effect on the picture."""
+    """Copy the original object's properties that affect the picture, apart from its mesh."""
     source = group[0].source
     obj.color, obj.pass_index = source.color, source.pass_index
     obj.visible_camera = seen
@@ -142,7 +142,7 @@ def _corner_normals(mesh: bpy.types.Mesh, pieces: Sequence[Piece]) -> np.ndarray
 
 
 def _flipped_corners(mesh: bpy.types.Mesh) -> np.ndarray:
-    """Which corner [L] comes where when faces are turned over: the first stays, the others go backwards."""
+    """Return the corner order [L] of flipped faces: the first corner stays, the others are reversed."""
     starts, sizes = np.empty((2, len(mesh.polygons)), np.int32)
     mesh.polygons.foreach_get("loop_start", starts)
     mesh.polygons.foreach_get("loop_total", sizes)

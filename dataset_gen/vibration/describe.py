@@ -87,7 +87,7 @@ class MotionDescription:
 
     @classmethod
     def from_json(cls, data: Any, source: str = "motion") -> "MotionDescription":
-        """From the data of a file. Raises GenerateError with the mode and the key."""
+        """Build the description from a file's data. Raises GenerateError with the mode and the key."""
         try:
             _check_keys(data, ("modes",), "a motion description")
             if not isinstance(data.get("modes"), list):

@@ -274,11 +274,11 @@ class Mode:
 
     @property
     def steady(self) -> bool:
-        """Whether it goes on for ever, the same in every period."""
+        """Return whether the motion is stationary, the same in every period."""
         return isinstance(self.law, Vibration) and self.law.decay_s is None
 
     def moves(self, part: str) -> bool:
-        """Whether a part takes part in the mode."""
+        """Return whether a part moves in the mode."""
         return not self.parts or any(fnmatchcase(part, glob) for glob in self.parts)
 
     def phasor(self, part: str, seed: int) -> complex:

@@ -62,7 +62,10 @@ def whole(
     vqa_python: VqaPython = "python3",
     device: DeviceOption = Device.cpu,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="With --preset: print the commands, one a line, and run none.")
+        bool,
+        typer.Option(
+            "--dry-run", help="With --preset: print the commands, one per line, without running them."
+        ),
     ] = False,
 ) -> None:
     if context.invoked_subcommand is not None:
@@ -127,11 +130,14 @@ def scenes(
     vqa_python: VqaPython = "python3",
     goals: Annotated[
         Path | None,
-        typer.Option(help="Also write to this Markdown file which of the project's goals are reached."),
+        typer.Option(help="Also write a Markdown file that lists which of the project's goals are met."),
     ] = None,
     device: DeviceOption = Device.cpu,
     collect: Annotated[
-        bool, typer.Option("--collect", help="Run nothing: the tables of what is finished, and what is not.")
+        bool,
+        typer.Option(
+            "--collect", help="Run nothing; write the tables of finished jobs and list unfinished ones."
+        ),
     ] = False,
 ) -> None:
     """Run and score every method on every dataset.

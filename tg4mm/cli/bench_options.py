@@ -41,13 +41,13 @@ Settings = Annotated[
 ]
 Lpips = Annotated[
     list[Path] | None,
-    typer.Option(help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS."),
+    typer.Option(help="Local file(s) with the AlexNet trunk and LPIPS heads; LPIPS is omitted without them."),
 ]
 Banded = Annotated[
     bool,
     typer.Option(
         "--band-around-motion/--all-frequencies",
-        help="Magnify the motion's frequencies and 1.5 Hz on either side, or everything.",
+        help="Magnify the motion's frequencies ± 1.5 Hz, or all frequencies.",
     ),
 ]
 
@@ -69,9 +69,9 @@ Outside = Annotated[
     ),
 ]
 MdVqa = Annotated[
-    Path | None, typer.Option(help="Checkout of MD-VQA with its weights; without it no MD-VQA.")
+    Path | None, typer.Option(help="Checkout of MD-VQA with its weights; MD-VQA is omitted without it.")
 ]
 FastVqa = Annotated[
-    Path | None, typer.Option(help="Checkout of FAST-VQA with its weights; without it no FAST-VQA.")
+    Path | None, typer.Option(help="Checkout of FAST-VQA with its weights; FAST-VQA is omitted without it.")
 ]
-VqaPython = Annotated[str, typer.Option(help="The Python that runs the two.")]
+VqaPython = Annotated[str, typer.Option(help="Python interpreter for MD-VQA and FAST-VQA.")]

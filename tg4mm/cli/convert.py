@@ -23,7 +23,7 @@ def convert(
             metavar="DATASET", help="A dataset of tg4mm generate or tg4mm sfm, or any other that tg4mm reads."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The folder to write, which must be new or empty.")],
+    out: Annotated[Path, typer.Option(help="Output folder; must be new or empty.")],
     to: Annotated[
         Layout,
         typer.Option(

@@ -8,7 +8,7 @@ import typer
 
 def demo(
     out: Annotated[
-        Path, typer.Option(help="Folder for all results; steps that are finished are not repeated.")
+        Path, typer.Option(help="Folder for all results; finished steps are not repeated.")
     ] = Path("demo"),
     size: Annotated[int, typer.Option(help="Width and height of the pictures, 16 to 4096 pixels.")] = 128,
 ) -> None:

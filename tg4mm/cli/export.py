@@ -46,8 +46,8 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            help="The file to write, or for a sequence the folder. With spz a name that ends in .spz is the scene "
-            "at rest, any other a folder for a sequence."
+            help="Output file, or output folder for a sequence. With spz, a name ending in .spz writes the scene "
+            "at rest, any other name a sequence folder."
         ),
     ],
     format: Annotated[
@@ -64,7 +64,7 @@ def export(
     alpha: Annotated[
         list[float] | None,
         typer.Option(
-            help="Magnification: a displacement δ becomes (1 + alpha) δ; with several --band once for each. Not for "
+            help="Magnification: a displacement δ becomes (1 + alpha) δ; with several --band one for each. Not for "
             "ply and html, which hold the motion itself. [default: 0]"
         ),
     ] = None,
@@ -148,9 +148,9 @@ _TAKEN = {
     Format.gltf: ("--alpha", "--band"),
 }
 _HOLDS = {
-    Format.ply: "a splat file holds the motion itself",
-    Format.html: "a page holds the motion itself",
-    Format.gltf: "a .glb holds modes, all of their time",
+    Format.ply: "a splat file contains the motion itself",
+    Format.html: "a page contains the motion itself",
+    Format.gltf: "a .glb contains complete modes",
 }
 
 
@@ -160,7 +160,7 @@ def _refuse(format: Format, rest: bool, given: Sequence[str]) -> None:
     wrong = [name for name in given if name not in taken]
     if not wrong:
         return
-    reason = "a file named .spz holds the scene at rest; give a folder" if rest else _HOLDS[format]
+    reason = "a .spz file contains the scene at rest; give a folder" if rest else _HOLDS[format]
     formats = [one.value for one, names in _TAKEN.items() if all(name in names for name in wrong)]
     verb = "belongs" if len(wrong) == 1 else "belong"
     raise Tg4mmError(f"{' and '.join(wrong)} {verb} to --format {', '.join(formats)}; {reason}")
@@ -182,7 +182,7 @@ def parse_timesteps(text: str | None) -> list[int] | None:
             low, high = 0, -1
         if not 0 <= low <= high < _MOST_TIMESTEPS:
             raise Tg4mmError(
-                f"--timesteps {text!r}: {part!r} is no timestep such as 7, nor a range such as 0-9"
+                f"--timesteps {text!r}: {part!r} is neither a timestep such as 7 nor a range such as 0-9"
             )
         wanted += range(low, high + 1)
     return wanted

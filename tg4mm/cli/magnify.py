@@ -68,7 +68,7 @@ EmptyBandOption = Annotated[
 MethodOption = Annotated[
     Method | None,
     typer.Option(
-        help="modal: multiplies modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
+        help="modal: scales the modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
         "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
         "paper-tuned linear]"
     ),

@@ -29,7 +29,7 @@ def measure(
     ] = None,
     regions: RegionsOption = None,
     reference: Annotated[
-        str | None, typer.Option(help="The sensor that phases and coherence refer to. [default: the first]")
+        str | None, typer.Option(help="Reference sensor of phases and coherence. [default: the first]")
     ] = None,
     band: Annotated[
         list[str] | None,
@@ -43,15 +43,15 @@ def measure(
         str,
         typer.Option(
             metavar="LIST",
-            help="Files for other programs, by comma: csv, uff (universal file), mat (MATLAB), hdf5, xlsx.",
+            help="Output formats, separated by commas: csv, uff (universal file), mat (MATLAB), hdf5, xlsx.",
         ),
     ] = "csv,uff,mat,hdf5,xlsx",
     keep: Annotated[
         bool,
         typer.Option(
             "--keep/--no-keep",
-            help="Keep what is read from the pictures in the run folder, so that the next call is fast; of a flat "
-            "capture nothing is kept.",
+            help="Cache what is read from the pictures in the run folder, so that the next call is fast; for a flat "
+            "capture nothing is cached.",
         ),
     ] = True,
     animate: Annotated[
@@ -85,7 +85,7 @@ def measure(
     checked_names(asked)
     if reference is not None and asked and reference not in [s.name for s in asked]:
         raise Tg4mmError(
-            f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
+            f"--reference {reference!r} is not a sensor; sensors: {', '.join(s.name for s in asked)}"
         )
     bands = parse_bands(band)
     if len(bands) > 1 or None in bands:

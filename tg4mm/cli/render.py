@@ -57,20 +57,18 @@ def render(
             "inverted. With several --band give one for each."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; pictures that are complete are kept.")],
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; finished pictures are not repeated.")],
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
     suppressed: Annotated[
         bool,
-        typer.Option(
-            "--suppressed", help="Of phase: what lies outside the bands does not move at all, as in 3DMM."
-        ),
+        typer.Option("--suppressed", help="With phase: remove all motion outside the bands, as in 3DMM."),
     ] = False,
     amplitude_percentile: Annotated[
         float,
         typer.Option(
-            help="Of phase: what of a sub-band is weaker than this percentile of its amplitudes keeps its phase, as in "
+            help="With phase: keep the phase where a sub-band's amplitude is below this percentile, as in "
             "3DMM."
         ),
     ] = 0.0,
@@ -82,12 +80,12 @@ def render(
         int | None,
         typer.Option(
             min=1,
-            help="Number of pictures on one turn around the scene; to and fro, where cameras saw it from one side.",
+            help="Number of pictures on one orbit around the scene; back and forth if it was filmed from one side.",
         ),
     ] = None,
     path: Annotated[
         PathOf | None,
-        typer.Option(help="capture: one video along the capture's own path, picture t from pose t."),
+        typer.Option(help="capture: one video along the capture's path, picture t from pose t."),
     ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
@@ -95,8 +93,8 @@ def render(
         str | None,
         typer.Option(
             metavar="HZ,HZ,…",
-            help="Of a splat file with motion that lost its line with the frequencies in another program: one for each "
-            "mode. Without them it is drawn still.",
+            help="For a splat file with motion whose header line was lost in another program: the frequency of each "
+            "mode. Without them it is drawn without motion.",
         ),
     ] = None,
     fps: Annotated[float, typer.Option(help="With --frequencies: timesteps per second, Hz.")] = 30.0,

@@ -31,7 +31,7 @@ def report(
     pdf: Annotated[
         bool,
         typer.Option(
-            "--pdf", help="Also as PDF, beside the page; by Chromium, Chrome or Edge, or the extra pdf."
+            "--pdf", help="Also write a PDF beside the page; needs Chromium, Chrome, Edge, or the extra pdf."
         ),
     ] = False,
 ) -> None:

@@ -57,8 +57,8 @@ def train(
         typer.Option(
             "--band",
             metavar="LO HI",
-            help="A band in which a frequency is fitted even if none stands out, Hz: --set motion.band. For records of "
-            "one or two periods. [default: what stands out]",
+            help="Frequency band in Hz in which motion is fitted even if no peak stands out, for "
+            "records of one or two periods (--set motion.band). [default: significant peaks]",
         ),
     ] = None,
     region: Annotated[

@@ -37,11 +37,11 @@ def view(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Where regions are saved, and read if it is there. [default: NAME-regions.json in the current folder]",
+            help="File of the regions, read if it exists. [default: NAME-regions.json in the current folder]",
         ),
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(help="Pictures a second of a folder of pictures, or of slow motion.")
+        float | None, typer.Option(help="Frame rate in Hz of a folder of pictures, or of slow motion.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for snapshots and clips. [default: RUN/view]")

@@ -1,1 +1,1 @@
-"""What all stands on: errors, files, checked values, pictures, pages, splat files, magnification."""
+"""Shared foundations: errors, files, checked values, pictures, pages, splat files, magnification."""

@@ -5,7 +5,7 @@ from typing import Any
 
 
 class _OfKind:
-    """What follows from a capture's kind, and what holds unless the kind's own entry says otherwise."""
+    """Properties of a capture kind, with the defaults of kinds that do not override them."""
 
     about: str = ""  # for `tg4mm sfm --help`
     found_in: tuple[str, ...] = ()  # what of LAYOUTS it can lie in

@@ -75,7 +75,7 @@ STILL_BELOW, MOVES_ABOVE = (
 
 
 def phase_share(part: np.ndarray) -> np.ndarray:
-    """How much of a phase's colour is shown, 0..1, of what moves by `part` of the scale's top, any shape."""
+    """Return the saturation (0..1) of a phase colour for an amplitude of `part` times the scale's maximum."""
     return np.clip((part - STILL_BELOW) / (MOVES_ABOVE - STILL_BELOW), 0.0, 1.0)
 
 

@@ -21,7 +21,7 @@ def one_line(text: str) -> str:
 
 
 def system_says(error: OSError, named: bool = False) -> str:
-    """What the system says, and what to do about it where that is known. named: after the file's name."""
+    """Return the operating system's error message with a remedy if known; `named` puts the file name first."""
     where = f"{error.filename}: " if named and error.filename is not None else ""
     remedy = _REMEDIES.get(error.errno or 0)
     return f"{where}{error.strerror or error}{'' if remedy is None else f'; {remedy}'}"

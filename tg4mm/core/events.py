@@ -1,4 +1,4 @@
-"""What a command says about its work while it works: text for people or, where TG4MM_EVENTS=json asks for it, events.
+"""Progress and messages of a running command: text or, with TG4MM_EVENTS=json, one JSON event per line.
 
 An event is one line of JSON on stderr, with the key `tg4mm` first; what else is printed is not meant for programs.
 
@@ -22,12 +22,12 @@ VARIABLE = "TG4MM_EVENTS"
 
 
 def wanted() -> bool:
-    """Whether events are asked for."""
+    """Return whether events are requested."""
     return os.environ.get(VARIABLE) == "json"
 
 
 def print_any_text() -> None:
-    """From now on a character that stdout's encoding lacks is printed as "?": α, say, in a pipe on Windows."""
+    """Print characters that stdout's encoding lacks as "?", such as α in a pipe on Windows."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
 

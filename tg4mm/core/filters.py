@@ -22,7 +22,7 @@ _AT_ONCE = 1 << 16  # series filtered at a time, bounds the memory of the spectr
 
 @dataclass(frozen=True)
 class TemporalFilter:
-    """Which filter, and its length. taps 0: one second of the capture, as in [TG4MM] (odd for `zero-phase`)."""
+    """A temporal filter and its length. taps 0: one second of the capture, as in [TG4MM] (odd for `zero-phase`)."""
 
     kind: str = "zero-phase"
     taps: int = 0

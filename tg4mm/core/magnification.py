@@ -1,4 +1,4 @@
-"""What is magnified, and by how much: frequency bands that do not overlap, each with its own α."""
+"""The magnification: frequency bands that do not overlap, each with its own α."""
 
 import math
 from collections.abc import Sequence
@@ -135,7 +135,7 @@ class Magnification:
 
     @property
     def is_identity(self) -> bool:
-        """Whether nothing is magnified."""
+        """Return whether nothing is magnified."""
         return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands) and not self.suppressed
 
     def ideal(self, freqs_hz: np.ndarray) -> np.ndarray:

@@ -65,7 +65,7 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def has_flip() -> bool:
-    """Whether the package that `flip` needs is installed."""
+    """Return whether the package that `flip` needs is installed."""
     return importlib.util.find_spec("flip_evaluator") is not None
 
 

@@ -1,4 +1,4 @@
-"""A process that ends with the one that started it, however that dies: also by a kill that tells it nothing."""
+"""Ends this process when its parent dies, even if the parent is killed."""
 
 import ctypes
 import os

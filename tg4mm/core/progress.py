@@ -61,7 +61,7 @@ def progress(
 
 @contextmanager
 def listened_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Within it `listener` is told, twice a second at most, how far the jobs of this thread are: a line of text."""
+    """Call `listener` with a line of text about this thread's progress, at most twice a second."""
     token = _listener.set(listener)
     try:
         yield
@@ -203,7 +203,7 @@ class PlainProgress:
 
 
 class HeardProgress(PlainProgress):
-    """Progress told to a listener (`listened_to`)."""
+    """Progress reported to a listener (`listened_to`)."""
 
     first_s = every_s = EVENTS_EVERY_S
 

@@ -55,7 +55,7 @@ class Record:
         return CaptureError(f"{self.where}: {key} is {shown(self.values[key])}; expected {expected}")
 
     def has(self, key: str) -> bool:
-        """Whether `key` is there with a value other than null."""
+        """Return whether `key` exists with a value other than null."""
         return self.values.get(key) is not None
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:

@@ -1,4 +1,4 @@
-"""Regions drawn on a picture, and the scale of what it shows: one small JSON file that look, measure and process read.
+"""Regions drawn on a picture and its scale, in a small JSON file that look, measure and process read.
 
     {"format": "tg4mm", "kind": "regions", "version": 1, "size": [480, 272],
      "regions": [{"name": "plate", "box": [150, 95, 330, 207]}, {"name": "bolt", "point": [240, 195, 8]},
@@ -102,7 +102,7 @@ def inside(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Regions:
-    """What a file holds."""
+    """The contents of a regions file."""
 
     size: tuple[int, int]  # of the picture, width and height
     regions: tuple[Region, ...] = ()
@@ -134,7 +134,7 @@ class Regions:
 
 
 def read_regions(path: Path) -> Regions:
-    """What `write_regions` wrote, or a hand. Raises RegionError of one line, with the file's name."""
+    """Read a regions file, written by `write_regions` or by hand. Raises RegionError with the file's name."""
     try:
         values = read_formed(path, _FORM)
         return _regions(values)
@@ -194,7 +194,7 @@ def _pixel(values: list[Any]) -> Pixel:
 
 
 def write_regions(path: Path, regions: Regions) -> None:
-    """As `read_regions` reads it; whole or not at all."""
+    """Write a regions file for `read_regions`, atomically."""
     values: dict[str, Any] = {"format": "tg4mm", "kind": "regions", "version": 1, "size": list(regions.size)}
     values |= {"source": regions.source} if regions.source else {}
     values["regions"] = [

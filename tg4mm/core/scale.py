@@ -1,4 +1,4 @@
-"""How pixels become metres on a plane, by what a hand marked in the picture."""
+"""The scale of a plane, pixels to metres, from lengths marked in the picture."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,7 +14,7 @@ _DISAGREE = 4.0  # deviations between two lengths
 
 @dataclass(frozen=True)
 class Scale:
-    """How pixels become metres on a plane: by lengths on it, or by a rectangle, which tells its tilt, too."""
+    """The scale of a plane from marked lengths, or from a rectangle, which also gives its tilt."""
 
     lengths: tuple[tuple[Pixel, Pixel, float], ...] = ()  # both ends, metres
     corners: tuple[Pixel, ...] = ()  # of a rectangle, from its upper left one on, clockwise

@@ -15,7 +15,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """What one step makes, of what, and how."""
+    """A step: its outputs, inputs and action."""
 
     name: str
     title: str  # as it is said

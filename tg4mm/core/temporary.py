@@ -67,7 +67,7 @@ def flush(path: Path) -> None:
 
 
 def is_temporary(path: Path, of: str | None = None) -> bool:
-    """Whether a file has such a name; of: the name of the file that was to be written."""
+    """Return whether a file has a temporary name; `of` restricts this to temporaries of one target name."""
     form = _FORM.fullmatch(path.name)
     return form is not None and of in (None, form["name"])
 
@@ -105,7 +105,7 @@ def _remove_if_left(path: Path) -> None:
 
 
 def _writes(process: int, changed: float) -> bool:
-    """Whether a process of this machine may still be writing what was last changed at that time."""
+    """Return whether a process on this machine may still be writing a file last changed at that time."""
     if process == os.getpid():  # in a container every process may have this number
         return changed >= _STARTED
     return _lives(process)

@@ -1,4 +1,4 @@
-"""Values of files, headers, settings and options: what each must be is said once, before anything computes with it.
+"""Rules for values of files, headers, settings and options, checked before anything computes with them.
 
 A rule is one of
 
@@ -37,7 +37,7 @@ class Number:
     whole: bool = False  # an int, for 1.0 is not written for one
 
     def fits(self, value: Any) -> bool:
-        """Whether a value, of any type, is such a number."""
+        """Return whether a value of any type is such a number."""
         is_number = isinstance(value, Integral if self.whole else Real)  # numpy's numbers too
         if not is_number or isinstance(value, bool) or not abs(value) <= sys.float_info.max:  # NaN is not
             return False
@@ -71,7 +71,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Either:
-    """What fits one of two rules."""
+    """A value that fits one of two rules."""
 
     first: Any
     second: Any
@@ -82,7 +82,7 @@ class Either:
 
 @dataclass(frozen=True)
 class Maybe:
-    """What fits a rule, or null."""
+    """A value that fits a rule, or null."""
 
     rule: Any
 
@@ -126,7 +126,7 @@ def shown(value: Any, limit: int = 60) -> str:
 
 
 def fits(value: Any, rule: Any) -> bool:
-    """Whether a value fits a rule that is no list or object of others."""
+    """Return whether a value fits a rule other than a list or an object."""
     if isinstance(rule, Maybe):
         return value is None or fits(value, rule.rule)
     if isinstance(rule, Either):

@@ -85,7 +85,7 @@ class WorkFolder:
             )
 
     def read(self) -> dict[str, Any] | None:
-        """What the record holds; None without one. Raises for one that is no JSON object."""
+        """Return the record's contents, or None if there is none. Raises if it is not a JSON object."""
         if not self._file.exists():
             return None
         try:

@@ -1,1 +1,1 @@
-"""From pictures to Gaussians at rest, their motion, and its magnification."""
+"""Fitting: Gaussians at rest, their motion, and its magnification."""

@@ -1,4 +1,4 @@
-"""Where tensors live: whether a device can be used, and what using it needs and costs."""
+"""Compute devices: availability, requirements and memory."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,9 +25,9 @@ def check_device(device: str) -> str:
 
 @contextmanager
 def full_precision(device: str) -> Iterator[None]:
-    """float32 that is float32. On the CPU it always is.
+    """Disable reduced-precision float32 on the GPU; the CPU always uses full precision.
 
-    torch lets cuDNN round the factors of a convolution to 10 bits (TF32) unless told otherwise. SSIM takes a
+    By default torch lets cuDNN round the factors of a convolution to 10 bits (TF32). SSIM takes a
     variance as E[x²] − E[x]² of two convolutions: most of those bits cancel, and the loss would be noise.
     """
     if device == "cpu":
@@ -48,7 +48,7 @@ def reset_gpu_peak(device: str) -> None:
 
 
 def gpu_figures(device: str) -> dict[str, float]:
-    """For a stage's log: peak_gpu_memory_mib, the most that torch's tensors held; {} on the CPU."""
+    """Return {"peak_gpu_memory_mib": …}, torch's peak allocation, for a stage's log; {} on the CPU."""
     if device != "cuda":
         return {}
     return {"peak_gpu_memory_mib": torch.cuda.max_memory_allocated() / (1 << 20)}

@@ -1,4 +1,4 @@
-"""What the files of a run may hold: types, sizes and numbers are checked before anything computes with them.
+"""Checks of a run's files: types, sizes and values, before anything computes with them.
 
 The kernels trust the shapes of their arrays, and a time of NaN would be a wrong result in silence. All raise RunError
 with the file, what was found and what was expected.
@@ -124,7 +124,7 @@ _MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 
 
 def tensors_of(motion: ModalMotion) -> dict[str, Tensor]:
-    """What the file holds."""
+    """Return the file's tensors."""
     tensors = {"freqs_hz": torch.tensor(np.asarray(motion.freqs_hz, dtype=np.float64))}
     fields, series = fields_of(motion)
     if len(fields) < 2 * len(motion.freqs_hz):

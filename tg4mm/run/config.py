@@ -86,7 +86,7 @@ def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
 
 
 def request_of(path: Path, config: Mapping[str, Any]) -> dict[str, Any]:
-    """What a run was asked for: its dataset, preset and settings, as `WorkFolder.claim` compares them."""
+    """Return a run's request (dataset, preset, settings), as `WorkFolder.claim` compares it."""
     return {"dataset": str(dataset_folder(path, config)), "preset": config["preset"], **config["settings"]}
 
 

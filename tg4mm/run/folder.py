@@ -104,12 +104,12 @@ class Run:
 
     @property
     def has_space(self) -> bool:
-        """Whether the scene at rest is finished."""
+        """Return whether the scene at rest is finished."""
         return self._file("space").is_file()
 
     @property
     def has_motion(self) -> bool:
-        """Whether the motion is finished."""
+        """Return whether the motion is finished."""
         return self._file("motion").is_file()
 
     def save_space(self, gaussians: Gaussians, info: Mapping[str, Any]) -> None:
@@ -167,11 +167,11 @@ class Run:
     # Parts: further results of a preset, bound to this run's settings.
 
     def part_file(self, name: str) -> Path:
-        """Where the part `name` (`kind` or `kind_number`) lies."""
+        """Return the path of the part `name` (`kind` or `kind_number`)."""
         return self._file(name)
 
     def has_part(self, name: str) -> bool:
-        """Whether the part `name` was written."""
+        """Return whether the part `name` exists."""
         return self._file(name).is_file()
 
     def save_part(self, name: str, tensors: Mapping[str, Tensor], **extra: Any) -> None:

@@ -95,7 +95,7 @@ FORM = {
 
 
 def read_figures(path: Path) -> dict[str, Any]:
-    """What `evaluate_run` wrote. Raises RunError for a file that is damaged, edited, or of another kind."""
+    """Read the figures written by `evaluate_run`. Raises RunError for a damaged, edited or foreign file."""
     try:
         return read_formed(path, FORM)
     except (OSError, ValueError) as error:

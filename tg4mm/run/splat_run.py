@@ -31,12 +31,12 @@ class SplatRun(Run):
 
     @cached_property
     def splat(self) -> SplatFile:
-        """What the file holds."""
+        """Return the splat file."""
         return read_splat(self.path, *self._said)
 
     @property
     def low_pass_px2(self) -> float:
-        """What is left to draw each Gaussian wider by, square pixels: the file says what its scales hold already."""
+        """Return the low-pass still to add when drawing, square pixels, given what the file's scales include."""
         return max(0.0, LOW_PASS_PX2 - (self.splat.low_pass_px2 or 0.0))
 
     @property
@@ -51,7 +51,7 @@ class SplatRun(Run):
 
     @property
     def has_motion(self) -> bool:
-        """Whether the file has modes."""
+        """Return whether the file has modes."""
         return self.splat.n_modes > 0
 
     def load_space(self) -> Gaussians:

@@ -79,7 +79,7 @@ def train(
 def _capture(dataset: Path) -> Capture:
     """The capture of a dataset. For a video or pictures, CaptureError with the command that makes a dataset.
 
-    One timestep of a dataset is a still scene, which may be meant; it is said.
+    A dataset of one timestep is a still scene, which may be intended; a message says so.
     """
     if (part := whole_dataset(dataset)) is not None:
         root, what = part
@@ -98,7 +98,7 @@ def _capture(dataset: Path) -> Capture:
 
 
 def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
-    """What is left of the stages."""
+    """Run the unfinished stages."""
     # texts that are not set stay out: a run of a program without that setting is the same request
     plain = {
         stage: {k: v for k, v in dataclasses.asdict(config).items() if v != ""}

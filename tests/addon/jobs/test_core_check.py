@@ -28,7 +28,7 @@ def test_all_is_there(extension, tmp_path):
     check = extension.jobs.core_check.check
     python = report(tmp_path, dict.fromkeys(ALL, True))
     assert check(python, "0.1.0") == "tg4mm 0.1.0 on Python 3.11.7, ready to generate and to train"
-    assert check(python, "0.2.0").endswith("; this extension is 0.2.0: better install the same of both")
+    assert check(python, "0.2.0").endswith("; this extension is 0.2.0: install the same version of both")
 
 
 @pytest.mark.parametrize("lost", ALL)

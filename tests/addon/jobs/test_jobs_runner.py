@@ -119,8 +119,8 @@ def test_chain_of_programs_runs_to_its_end(jobs, step):
             "no /ä",
         ),
         ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
-        ("import sys; sys.exit(5)", "ended with status 5: it said nothing"),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),
+        ("import sys; sys.exit(5)", "ended with status 5: no output"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: no output"),
     ],
 )  # fmt: skip
 def test_failure_is_one_line(jobs, step, code, message):

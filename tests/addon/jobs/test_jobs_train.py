@@ -103,7 +103,7 @@ def test_training_can_be_stopped(extension, core):
     ("values", "message"),
     [
         ({"dataset": ""}, "Dataset is empty: choose a folder"),
-        ({"dataset": "/no/such"}, "Dataset: there is no folder /no/such"),
+        ({"dataset": "/no/such"}, "Dataset: folder /no/such does not exist"),
         ({"run": "//x"}, "Run //x lies beside the .blend file, which is not saved yet"),
         ({"run": "DATASET/run"}, "lies in the dataset"),
     ],

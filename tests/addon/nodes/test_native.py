@@ -61,7 +61,7 @@ def test_a_node_that_is_missing_is_one_line_and_nothing_is_left(extension, splat
         ),
     )
     with pytest.raises(
-        RuntimeError, match=r"Blender \S+.* has no node GeometryNodeOfTomorrow; TG4MM is tried up to"
+        RuntimeError, match=r"Blender \S+.* has no node GeometryNodeOfTomorrow; TG4MM is tested up to"
     ):
         bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path))
     assert not bpy.data.objects

@@ -100,7 +100,7 @@ def test_a_kept_pass_gives_the_same_and_needs_no_pictures(run, out, tmp_path, mo
         (["--sensor", "tip=pixel:nowhere,1,2"], "is no camera"),
         (["--sensor", "tip=pixel:r_000,999,2"], "outside the picture"),
         (["--sensor", "tip=cluster:9"], "no such cluster"),
-        (["--sensor", "tip=all", "--reference", "tap"], "is no sensor"),
+        (["--sensor", "tip=all", "--reference", "tap"], "is not a sensor"),
     ],
 )
 def test_what_cannot_be_measured_is_one_line(run, tmp_path, capsys, words, message):

@@ -1,4 +1,4 @@
-"""How matplotlib's plots look, here and on pages. Needs nothing that is not Python's own."""
+"""The style of matplotlib plots in files and on pages. Needs the standard library only."""
 
 from typing import Any
 

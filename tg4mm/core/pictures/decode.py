@@ -30,7 +30,7 @@ _LARGEST_WEBP = 178_956_970  # pixels, Pillow's own limit
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What the first bytes of an image file say."""
+    """The header of an image file."""
 
     width: int  # pixels
     height: int  # pixels

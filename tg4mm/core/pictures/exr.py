@@ -112,7 +112,7 @@ def _opened(path: Path, header_only: bool) -> Any:
 
 @contextmanager
 def _damage_told(path: Path) -> Iterator[None]:
-    """What the package raises for a file that is torn, foreign or absent is a CaptureError."""
+    """Convert the package's exceptions for damaged, foreign or missing files to CaptureError."""
     try:
         yield
     except CaptureError:

@@ -1,4 +1,4 @@
-"""Picture files: written whole or not at all, and told apart from truncated ones without decoding them."""
+"""Picture files: written atomically, and checked for truncation without decoding."""
 
 import io
 import os
@@ -37,7 +37,7 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 
 def is_complete_png(path: Path, width: int, height: int) -> bool:
-    """Whether `path` is a PNG of that size with its end in place (a killed copy lacks the end)."""
+    """Return whether `path` is a PNG of that size with an intact end (a killed copy lacks it)."""
     try:
         with path.open("rb") as file:
             head = file.read(24)

@@ -18,7 +18,7 @@ from tg4mm.fit.rasterize.kernels.project_backward import project_backward
 
 @dataclass(frozen=True)
 class View:
-    """What one call needs besides tensors. `degree` is the SH degree, -1 for plain channels."""
+    """The non-tensor arguments of one call. `degree` is the SH degree, -1 for plain channels."""
 
     width: int
     height: int
@@ -31,7 +31,7 @@ class View:
 
 @dataclass
 class Projected:
-    """What the forward pass found out about one view: for meta, and for the backward pass."""
+    """Results of one view's forward pass, for meta and the backward pass."""
 
     splats: np.ndarray  # [N, SPLAT_WIDTH]
     bins: Bins

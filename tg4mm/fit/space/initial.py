@@ -24,7 +24,7 @@ SEEN = 0.5  # share of the views of the hull's best-seen point that must see the
 
 @dataclass(frozen=True)
 class InitialPoints:
-    """Coloured points with a spacing that tells how large a Gaussian on each should be."""
+    """Coloured points, with a spacing that sets the size of each point's Gaussian."""
 
     xyz: np.ndarray  # [M, 3] float32, scene units
     rgb: np.ndarray  # [M, 3] float32 in 0..1
@@ -210,7 +210,7 @@ def _thinned(count: int, source: str) -> int:
 
 
 def extent_of(xyz: np.ndarray, views: RestViews) -> float:
-    """How far the points [M, 3] reach from their middle, scene units; at most what the cameras see together.
+    """Return the extent of the points [M, 3] from their centre in scene units, at most the cameras' common view.
 
     Cameras at one place see no distance, and set no limit.
     """

@@ -36,7 +36,7 @@ class Level:
 
 
 def automatic(size: tuple[int, int]) -> int:
-    """How many levels pictures of (width, height) take."""
+    """Return the number of levels for pictures of (width, height)."""
     count = 1
     while max(size) >> (count - 1) > LONGEST:
         count += 1
@@ -106,12 +106,12 @@ def level_at(levels: tuple[Level, ...], iteration: int) -> Level:
 
 
 def work(levels: tuple[Level, ...], iteration: int) -> int:
-    """What the iterations before this one took, in units of one at the pictures' own size: as pixels, so time."""
+    """Return the cost of all earlier iterations, in units of one at full picture size."""
     return int(sum(max(0, min(iteration, a.end) - a.begin) / (a.shrink * a.spacing) ** 2 for a in levels))
 
 
 def turn_of(view: int, iteration: int, n_views: int, spacing: int) -> int:
-    """Which of the spacing² grids of pixels of a view an iteration sees: each in turn from round to round."""
+    """Return which of a view's spacing² pixel grids an iteration uses; the grids take turns."""
     return (view + iteration // n_views) % spacing**2
 
 

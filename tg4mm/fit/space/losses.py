@@ -1,4 +1,4 @@
-"""How the space stage compares pictures: its loss, and the gains of pictures that were exposed differently."""
+"""The space stage's loss, and gains for pictures with different exposure."""
 
 from typing import Any
 

@@ -25,7 +25,7 @@ class SceneUnit:
 
     @classmethod
     def of(cls, views: RestViews, points: SurfacePoints | None) -> "SceneUnit":
-        """By the cameras; where they are at one place, by the points."""
+        """Compute the unit from the cameras or, if they share one position, from the points."""
         xyz = None if points is None else points.xyz
         centre, distance = middle_distance(views.viewmats, views.Ks, views.size, xyz)
         return cls(centre, distance / DISTANCE)

@@ -55,7 +55,7 @@ def activate(parameters: dict[str, Tensor]) -> Gaussians:
 
 
 def stride(extent: float, width: int, height: int) -> float:
-    """What the means' rate is per unit of, scene units: the scene's extent, less where pixels are smaller."""
+    """Return the length (scene units) that scales the means' learning rate: the extent, limited by pixel size."""
     return extent * min(1.0, _FULL_STRIDE / max(width, height))
 
 

@@ -1,4 +1,4 @@
-"""What the static Gaussians are fitted to: one picture per camera, the mean over time."""
+"""The targets of the static Gaussians: one picture per camera, its mean over time."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,4 +1,4 @@
-"""What the preset `paper` trains: base Gaussians, space planes, decoder; and the motion planes of each timestep.
+"""The model of the preset `paper`: base Gaussians, space planes, decoder, and motion planes per timestep.
 
 Files in the run folder, beside those every run has:
 

@@ -66,7 +66,7 @@ class _Stage:
         return fit.parameters["values"].detach().cpu()
 
     def _compared(self, views: RestViews) -> RestViews:
-        """What phase 2 is compared with: the pictures; or, for the difference loss, what the model renders at rest plus
+        """Return the targets of phase 2: the pictures or, for the difference loss, the model's rendering at rest plus
         the pictures' change since timestep 0, so that |rendered − that| is |change rendered − change seen|."""
         if self.first is None:
             return views
@@ -141,7 +141,7 @@ class AtRest:
     missing: np.ndarray  # [V, H, W, 3] float32: rendered at rest − picture of timestep 0
 
     def row_of(self, views: RestViews, v: int) -> int:
-        """Which of these cameras took picture v of `views`. Raises CaptureError if it had moved since timestep 0."""
+        """Return the index of the camera that took picture v of `views`. Raises CaptureError if it has moved."""
         same = (self.viewmats == views.viewmats[v]).all((1, 2)) & (self.Ks == views.Ks[v]).all((1, 2))
         if not same.any():
             raise CaptureError(

@@ -92,7 +92,7 @@ def series_of(run: Run, method: str, plan: Magnification, device: str = "cpu") -
 
 
 def digest(run: Run, method: str, plan: Magnification) -> str:
-    """What the magnified embeddings depend on, as a file name."""
+    """Return a file name from a digest of everything that the magnified embeddings depend on."""
     own = {k: v for k, v in asdict(plan).items() if k not in ("suppressed", "amplitude_percentile")}
     parts = [_VERSION, model_hash(run.path), method, own | {"method": None}, asdict(PyramidConfig())]
     if plan.of_phase:

@@ -41,7 +41,7 @@ def views_at(capture: Capture, images: ImageStack, t: int) -> RestViews:
 
 
 def first_views(capture: Capture, images: ImageStack) -> RestViews:
-    """Those of timestep 0, which [TG4MM] takes for the scene at rest; of a moving camera every picture."""
+    """Return the views of timestep 0, [TG4MM]'s scene at rest, or every picture of a moving camera."""
     return rest_views(capture, images) if capture.kind.moving else views_at(capture, images, 0)
 
 

@@ -1,4 +1,4 @@
-"""What one fixed camera filmed, looked at region by region before its motion is fitted; kept in the run's log."""
+"""The look at a fixed camera's recording, region by region before the fit, kept in the run's log."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,7 +22,7 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
-    """What its one fixed camera shows, looked at once; None where there are several, or too few pictures."""
+    """Look at the recording of a single fixed camera; return None for several cameras or too few pictures."""
     if len(fixed_cameras(capture)) != 1 or capture.n_timesteps < FEWEST:
         return None
     if (kept := look_of(run)) is None:
@@ -36,7 +36,7 @@ def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePicture
 
 
 def look_of(run: Run) -> Found | None:
-    """What the run's log holds."""
+    """Return the look stored in the run's log."""
     values = run.log().get(_STAGE)
     return None if not values else from_record(values)
 

@@ -127,7 +127,7 @@ def _animation(splat: SplatFile, buffer: _Buffer) -> dict[str, Any]:
 
 
 def _about(splat: SplatFile, alphas: np.ndarray) -> dict[str, Any]:
-    """What the targets are: of mode k, number 2k holds the real part of (1 + α_k) m_k, and 2k + 1 the imaginary one."""
+    """Describe the morph targets: 2k holds the real part of (1 + α_k) m_k, and 2k + 1 the imaginary part."""
     return {
         "fps": splat.fps or None,
         "n_timesteps": splat.n_timesteps,

@@ -54,7 +54,7 @@ _NEARER = 0.9  # of the finest training sampling; a test view from among the tra
 def _sampled(
     means: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a square pixel is at each mean, scene units² [N], and which means are in the picture or beside it."""
+    """Return the area of a pixel at each mean [N], scene units², and which means are in or near the picture."""
     x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
     depth = np.maximum(z, 1e-9)
     u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]

@@ -210,7 +210,7 @@ class Frames:
         return self._made(self.timesteps)
 
     def missing(self, out: Path, suffix: str) -> Iterator[tuple[int, SplatFile]]:
-        """Those of which OUT holds no file yet."""
+        """Return the timesteps for which OUT has no file yet."""
         return self._made([t for t in self.timesteps if not (out / f"frame_{t:04d}{suffix}").exists()])
 
     def _made(self, timesteps: Sequence[int]) -> Iterator[tuple[int, SplatFile]]:

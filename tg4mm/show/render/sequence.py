@@ -33,7 +33,7 @@ Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gauss
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """What is rendered; recorded in DIR/render.json, so that DIR never holds pictures of two requests."""
+    """A render request, recorded in DIR/render.json so that DIR never mixes pictures of two requests."""
 
     magnified: Magnification = AS_CAPTURED
     background: tuple[float, float, float] = WHITE

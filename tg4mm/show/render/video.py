@@ -31,7 +31,7 @@ def check_rate(fps: float) -> None:
 
 
 def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
-    """How many times `n_frames` at `fps` must be repeated to last at least `seconds`."""
+    """Return how often `n_frames` at `fps` must be repeated to last at least `seconds`."""
     return max(1, math.ceil(seconds * fps / max(n_frames, 1) - 1e-9))
 
 

@@ -22,7 +22,7 @@ _HALF = 65504.0  # float16's largest number
 
 @dataclass(frozen=True)
 class Layout:
-    """How many float16 values a Gaussian has, in this order.
+    """The number of float16 values per Gaussian, in this order.
 
     3 logarithms of the scales; 4 of the quaternion, xyzw; 3 · `sh_count` of the spherical harmonics, 3 channels of one
     coefficient together; 6 · `n_fields` of the motion, over the fields' sizes; 3 · `light_count` · `n_lights` of the

@@ -35,7 +35,7 @@ _SUFFIXES = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Page:
-    """What goes into the template."""
+    """The values of the page's template."""
 
     scene: dict[str, Any]
     block: bytes
@@ -194,7 +194,7 @@ def _nearest(motion: ModalMotion, hz: float) -> float:
 
 
 def _amplitude(phasors: np.ndarray) -> float:
-    """How far the 1 % of Gaussians that move most in a mode [N, 3] move at least, scene units."""
+    """Return the 99th percentile of a mode's displacement [N, 3], scene units."""
     return float(np.percentile(peak_displacement(phasors), 99))
 
 
