@@ -32,7 +32,7 @@ _PINHOLE = "the images of a pinhole camera: undistort them first"
 
 
 def check_picture_size(where: Any, width: int, height: int) -> None:
-    """Raise CaptureError, naming `where`, for pictures that are too small to tell any motion."""
+    """Raise CaptureError, naming `where`, for pictures too small to show any motion."""
     if min(width, height) < SMALLEST:
         raise CaptureError(
             f"{where}: pictures are {width}×{height} pixels, expected {SMALLEST} or more along each side"
@@ -86,7 +86,7 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
 
 
 def check_near(pose: np.ndarray, where: str) -> None:
-    """Raise CaptureError for a camera-to-world [4, 4] farther from the origin than places are told there."""
+    """Raise CaptureError for a camera-to-world [4, 4] so far from the origin that positions lose precision."""
     far = float(np.abs(pose[:3, 3]).max())
     if not far <= FARTHEST:
         raise CaptureError(f"{where} lies {far:g} units from the origin; expected at most {FARTHEST:g}")
@@ -208,7 +208,7 @@ FAR = 64.0  # times what the cameras look at is away from them: beyond, float32 
 def far_origin(
     viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int], xyz: np.ndarray | None
 ) -> np.ndarray:
-    """[3] where coordinates begin best: 0, or a round place amid a scene that lies far from there.
+    """Return the best origin [3] of coordinates: 0, or a rounded position inside a scene far from 0.
 
     Arguments as `middle_distance` takes them.
     """
@@ -245,7 +245,7 @@ def working_box(viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int]) -> 
 def middle_distance(
     viewmats: np.ndarray, Ks: np.ndarray, size: tuple[int, int], xyz: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
-    """What the cameras look at together [3], and how far it is: the median over the cameras, scene units.
+    """Return the point [3] that the cameras look at, and its median distance from them in scene units.
 
     Cameras at one place see no distance: of these, the middle of the points xyz [M, 3] and their distance, if given.
     """

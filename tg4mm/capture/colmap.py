@@ -75,7 +75,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def _guarded(path: Path, reader: Callable[[Path], T]) -> T:
-    """What the reader finds; CaptureError where it stumbles."""
+    """Call the reader and convert its failures to CaptureError."""
     try:
         return reader(path)
     except CaptureError:
@@ -257,7 +257,7 @@ def _bends(camera: ColmapCamera) -> bool:
 
 
 def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
-    """How pictures of each camera become those of a pinhole, all of one size. Raises Tg4mmError without pycolmap."""
+    """Return each camera's mapping to a pinhole of one common size. Raises Tg4mmError without pycolmap."""
     from tg4mm.capture.sfm.engine import colmap
     from tg4mm.capture.sfm.undistort import lenses
 

@@ -96,8 +96,7 @@ def write_colmap(capture: Capture, out: Path) -> Path:
     """Write OUT/sparse/0/{cameras,images,points3D}.txt and OUT/images/.
 
     Images of all timesteps are in one model, called after their timestep's folder; lenses that are alike are one
-    camera. Points have no tracks: no picture is said to see them. Goes on after a kill. Raises CaptureError for an
-    `out` that holds anything else.
+    camera. Points have no tracks. Resumable. Raises CaptureError for an `out` that holds anything else.
     """
     capture = capture.moved_to(np.zeros(3))
     with _owned(out, "colmap", [capture]):
@@ -151,7 +150,7 @@ def _owned(out: Path, layout: str, captures: Sequence[Capture]) -> Iterator[None
 
 
 def _is_there(source: Path, target: Path) -> bool:
-    """Whether a picture has been linked or copied whole: the same file, or one of its size that is no older."""
+    """Return whether a picture is completely linked or copied: the same file, or one of equal size, not older."""
     if not target.is_file():
         return False
     there, wanted = target.stat(), source.stat()

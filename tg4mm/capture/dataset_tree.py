@@ -15,7 +15,7 @@ LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
 
 
 def recognises(root: Path) -> bool:
-    """Whether there are numbered folders, or a scene.json without frames of its own beside it."""
+    """Return whether there are numbered folders, or a scene.json without frames of its own beside it."""
     if _numbered(root):
         return True
     single = any(reader.recognises(root) for reader in (nerf_synthetic, nerfstudio, colmap))

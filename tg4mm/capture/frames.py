@@ -30,7 +30,7 @@ _OPEN = 32  # videos that stay open, and their indices
 
 @dataclass(frozen=True)
 class Index:
-    """Where a video's frames lie, by time."""
+    """The index of a video's frames by time."""
 
     stamps: tuple[int, ...]  # [T] rising, in units of `tick`
     keys: tuple[int, ...]  # frames that decoding can begin with

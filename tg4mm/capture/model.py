@@ -1,4 +1,4 @@
-"""What every reader produces: one `Capture`, the images of a scene with their cameras and times."""
+"""`Capture`, the output of every reader: the images of a scene with their cameras and times."""
 
 from __future__ import annotations
 

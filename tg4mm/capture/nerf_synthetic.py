@@ -11,7 +11,7 @@ LAYOUT = "a NeRF-synthetic folder (transforms_train.json)"
 
 
 def recognises(root: Path) -> bool:
-    """Whether a transforms_<split>.json lies in the folder."""
+    """Return whether the folder has a transforms_<split>.json."""
     return any((root / f"transforms_{split}.json").is_file() for split in SPLITS)
 
 

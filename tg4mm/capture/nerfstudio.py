@@ -28,7 +28,7 @@ _BENT = {
 
 
 def recognises(root: Path) -> bool:
-    """Whether a transforms.json lies in the folder."""
+    """Return whether the folder has a transforms.json."""
     return (root / FILE).is_file()
 
 

@@ -54,7 +54,7 @@ def luma(frame: Any) -> np.ndarray:
 
 
 def _is_deep(frame: Any) -> bool:
-    """Whether it is a high-speed camera's grey of more than 8 bits."""
+    """Return whether the format is a high-speed camera's grey of more than 8 bits."""
     return frame.format.name.startswith("gray") and frame.format.components[0].bits > 8
 
 

@@ -1,4 +1,4 @@
-"""Which reader a folder gets: each layout is a module with LAYOUT, recognises(root) and load(…)."""
+"""The choice of a folder's reader: each layout is a module with LAYOUT, recognises(root) and load(…)."""
 
 import logging
 import math

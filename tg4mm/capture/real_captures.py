@@ -27,7 +27,7 @@ START = "dynamic_start"
 
 
 def recognises(root: Path) -> bool:
-    """Whether a COLMAP folder has a tripod's frames beside it, or a scene.json that says where the motion begins."""
+    """Return whether a COLMAP folder has a tripod's frames beside it, or a scene.json with the motion's start."""
     if not colmap.recognises(root):
         return False
     return (root / FRAMES).is_dir() or (

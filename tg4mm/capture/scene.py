@@ -50,7 +50,7 @@ def codec_period(root: Path) -> int | None:
 
 
 def picture_kinds(root: Path, count: int) -> list[int] | None:
-    """How each of the one video's pictures was coded, as FFmpeg numbers I, P and B; None where that is not known."""
+    """Return the coding of each of the video's pictures, as FFmpeg numbers I, P and B, or None if unknown."""
     told = read_scene(root, needs_fps=False).values.get("picture_kinds") or ""
     if len(told) != count or told.strip(KINDS_OF_PICTURES):
         return None
@@ -58,7 +58,7 @@ def picture_kinds(root: Path, count: int) -> list[int] | None:
 
 
 def is_coded(root: Path) -> bool:
-    """Whether the pictures are a video's, as far as is known."""
+    """Return whether the pictures are known to come from a video."""
     values = read_scene(root, needs_fps=False).values
     return bool(values.get("video") or values.get("codec_period") or values.get("picture_kinds"))
 

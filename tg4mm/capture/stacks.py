@@ -38,14 +38,14 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Stack:
-    """What a file says of its pictures."""
+    """A stack file's description of its pictures."""
 
     count: int
     rate: Fraction | None  # pictures a second; None: it does not say
 
 
 def is_stack(path: Path) -> bool:
-    """Whether the name is that of such a file."""
+    """Return whether the name is that of a stack file."""
     return path.suffix.lower() in STACK_SUFFIXES
 
 

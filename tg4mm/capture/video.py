@@ -34,7 +34,7 @@ _NOMINAL = 25  # pictures a second of what does not say
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What a container says of its video; none of it is certain until all frames are decoded."""
+    """A container's description of its video; none of it is certain until all frames are decoded."""
 
     rates: tuple[Fraction, ...]  # frames per second: average, then nominal; empty if it does not say
     tick: Fraction  # seconds, in whole numbers of which time stamps are written
@@ -117,7 +117,7 @@ def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> I
 
 
 def is_untimed(path: Path) -> bool:
-    """Whether the file tells neither times nor a rate, by its name."""
+    """Return whether the file has neither times nor a rate, judged by its name."""
     return path.suffix.lower() in (*BARE_SUFFIXES, *TIFF_SUFFIXES)
 
 
@@ -201,7 +201,7 @@ def _settled(path: Path) -> Iterator[None]:
 
 
 def turns_of(path: Path) -> int:
-    """By how many quarter turns pictures are turned upright, as the container asks."""
+    """Return the number of quarter turns that the container prescribes to make pictures upright."""
     if is_stack(path):
         return 0
     with opened(path) as container:
@@ -210,7 +210,7 @@ def turns_of(path: Path) -> int:
 
 
 def file_url(path: Path) -> str:
-    """What FFmpeg takes for this file, whatever it is called: it reads `12:30:00.mp4` and `http:o` as addresses."""
+    """Return the file as a URL, because FFmpeg reads names such as `12:30:00.mp4` and `http:o` as addresses."""
     return f"file:{path}"
 
 

@@ -1,4 +1,4 @@
-"""What the model says about the motion, as maps seen from a camera and as single figures."""
+"""Maps of the model's motion as seen from a camera, and single figures of it."""
 
 from dataclasses import dataclass
 

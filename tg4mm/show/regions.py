@@ -1,4 +1,4 @@
-"""What the look at a flat capture's regions found, drawn: the composite spectrum, and where what is."""
+"""Drawings of a look at a flat capture: the composite spectrum, and the regions of each vibration."""
 
 from typing import Any
 

@@ -25,14 +25,14 @@ UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate 
 
 @dataclass(frozen=True)
 class Window:
-    """Which part of every recording is taken, seconds since its first frame."""
+    """The time window used of every recording, seconds since its first frame."""
 
     start_s: float = 0.0
     stop_s: float = math.inf
 
     @property
     def is_all(self) -> bool:
-        """Whether nothing is left out."""
+        """Return whether the window covers everything."""
         return self.start_s <= 0 and math.isinf(self.stop_s)
 
 
@@ -58,12 +58,12 @@ class Clip:
 
     @property
     def is_video(self) -> bool:
-        """Whether the pictures are the frames of one file."""
+        """Return whether the pictures are frames of one file."""
         return self.path.suffix.lower() in RECORDING_SUFFIXES and self.path.is_file()
 
     @property
     def is_coded(self) -> bool:
-        """Whether that file is a video, from which frames can be asked for."""
+        """Return whether that file is a video that can be decoded frame by frame."""
         return self.is_video and not is_stack(self.path)
 
     @property
@@ -121,7 +121,7 @@ def frame_rate(
 
 
 def is_regular(times: list[Fraction], fps: Fraction, tick: Fraction) -> bool:
-    """Whether time stamps [T] are those of a regular clock, rounded to whole numbers of `tick` seconds."""
+    """Return whether time stamps [T] are those of a regular clock rounded to multiples of `tick` seconds."""
     return all(abs(times[0] + k / fps - time) <= tick for k, time in enumerate(times))
 
 

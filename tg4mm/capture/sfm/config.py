@@ -1,4 +1,4 @@
-"""What `tg4mm sfm` was asked for, checked, and kept in the folder it works in, where only the same request goes on."""
+"""The request of `tg4mm sfm`, checked and kept in its working folder, where only the same request is resumed."""
 
 import json
 import math
@@ -30,7 +30,7 @@ MATCHING = ("auto", "exhaustive", "sequential")
 
 @dataclass(frozen=True)
 class SfmConfig:
-    """How poses are found and what the dataset says."""
+    """Settings of the reconstruction and of the dataset."""
 
     kind: str | None = None  # of capture; None: told from what lies on disk
     camera_model: str = "SIMPLE_RADIAL"  # COLMAP's name of the lens model; one bend is enough for most
@@ -108,7 +108,7 @@ class Work:
 
     @property
     def folder(self) -> Path:
-        """Where everything unfinished lies."""
+        """Return the folder of unfinished work."""
         return self.owned.path
 
     @property
@@ -124,7 +124,7 @@ class Work:
             self.out.rmdir()
 
     def finished(self) -> dict[str, Any] | None:
-        """What scene.json says of the reconstruction; None if the dataset is not complete, or of another scale."""
+        """Return scene.json's record of the reconstruction, or None if the dataset is incomplete or has another scale."""
         path = self.out / "scene.json"
         if not path.is_file():
             return None

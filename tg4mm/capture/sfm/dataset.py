@@ -42,7 +42,7 @@ class Track:
         return len(self.viewmats)
 
     def copied(self, source: Path | None) -> bool:
-        """Whether the file is the dataset's picture as it is: a pinhole's is copied byte by byte."""
+        """Return whether the file is copied unchanged, as for a pinhole camera."""
         return self.lens.keeps and source is not None and source.suffix.lower() in COPIED
 
     def file(self, row: int) -> str:
@@ -166,7 +166,7 @@ def video_frames_of(out: Path, track: Track) -> list[str] | None:
 
 
 def _file(split: str, track: Track, frames: list[str] | None, t: int, up: str) -> str:
-    """Where picture t lies, from its timestep's folder; `up`: from there to the dataset."""
+    """Return the path of picture t relative to its timestep's folder; `up` leads from there to the dataset."""
     return f"./{split}/{track.file(_rows(track)[t])}" if frames is None else f"{up}/{frames[t]}"
 
 

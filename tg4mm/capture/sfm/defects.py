@@ -1,4 +1,4 @@
-"""Which parts of a recording cannot be used: black, frozen, of another scene, or on the other side of a knock."""
+"""Unusable parts of a recording: black, frozen, of another scene, or beyond a knock of the camera."""
 
 import math
 import warnings
@@ -28,14 +28,14 @@ OTHER_RATE = 0.01  # part of the container's frame rate that --fps must differ b
 
 @dataclass(frozen=True)
 class Stretches:
-    """What a recording falls into, as frames: first, end (not included)."""
+    """The segments of a recording, as frame ranges: first, end (exclusive)."""
 
     faults: list[tuple[int, int, str]]  # with what is wrong; a knock has first = end
     good: list[tuple[int, int]]
 
 
 def is_fixed(survey: Survey) -> bool:
-    """Whether the camera stayed put, but for some knocks, cuts and dark moments."""
+    """Return whether the camera was fixed apart from knocks, cuts and dark moments."""
     knocks = _knocks(survey)
     if len(knocks) > MOST_KNOCKS:
         return False

@@ -1,4 +1,4 @@
-"""What pycolmap is asked to do, in steps that can be stopped, resumed and repeated."""
+"""Calls of pycolmap, in steps that can be stopped, resumed and repeated."""
 
 import importlib.util
 import os
@@ -24,7 +24,7 @@ LARGE_PX = 3000
 
 
 def available() -> bool:
-    """Whether pycolmap is installed."""
+    """Return whether pycolmap is installed."""
     return importlib.util.find_spec("pycolmap") is not None
 
 

@@ -1,4 +1,4 @@
-"""Which kind of capture a folder holds, why it is taken for one, and which options such a one has no use for."""
+"""The kind of capture in a folder, the reason for the decision, and the options that do not apply to it."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -40,7 +40,7 @@ def check_kind(sources: Sources, asked: str | None) -> None:
 
 
 def held(sources: Sources) -> str:
-    """What lies on disk, in words."""
+    """Describe the files on disk."""
     if sources.photographs is not None:
         return f"{len(sources.photographs.pictures)} photographs"
     n = len(sources.clips)
@@ -65,7 +65,7 @@ def kind_of(sources: Sources, surveys: Sequence[Survey], asked: str | None) -> t
 
 
 def _one_after_another(surveys: Sequence[Survey]) -> bool:
-    """Whether the containers say that no two recordings overlap in time."""
+    """Return whether no two recordings overlap in time, according to their containers."""
     spans = []
     for survey in surveys:
         if survey.created_s is None or survey.times is None:

@@ -1,4 +1,4 @@
-"""How a fixed camera's exposure and white balance go: a phone changes both by itself, in steps."""
+"""Exposure and white balance of a fixed camera over time: a phone changes both automatically, in steps."""
 
 import warnings
 from collections.abc import Iterable

@@ -177,15 +177,15 @@ def bend_px(camera: Any) -> float:
 
 
 def squared_error(model: Any) -> float:
-    """Sum of squared reprojection errors over all observations, as far as each point's mean error tells."""
+    """Return the sum of squared reprojection errors over all observations, from each point's mean error."""
     model.update_point_3d_errors()
     return float(sum(point.error**2 * point.track.length() for point in model.points3D.values()))
 
 
 def adjust(model: Any, threads: int) -> None:
-    """Bundle adjustment of all placed pictures and points, in place; of lenses the focal length alone.
+    """Run bundle adjustment of all placed pictures and points, in place; of the lenses only the focal length.
 
-    COLMAP does not tell how far it is, so only the time that passes is shown.
+    COLMAP does not report progress, so only the elapsed time is shown.
     """
     c = colmap("tg4mm sfm")
     options = c.BundleAdjustmentOptions()

@@ -1,4 +1,4 @@
-"""Which pictures are matched: each with all others, frames with their neighbours, or each with those most like it."""
+"""Picture pairs to match: all pairs, neighbouring frames, or the most similar pictures."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -92,7 +92,7 @@ def _largest(db: Any, name: str) -> np.ndarray:
 
 
 def matched(first: np.ndarray, second: np.ndarray) -> int:
-    """How many of the descriptors [F, D] and [G, D], of unit length, are mutually nearest, and clearly so."""
+    """Return the number of unambiguous mutual nearest neighbours of unit descriptors [F, D] and [G, D]."""
     if len(first) < 2 or len(second) < 2:
         return 0
     cosine = first @ second.T

@@ -21,7 +21,7 @@ class SfmPoints(SurfacePoints):
         return len(self.xyz)
 
     def kept(self, keep: np.ndarray) -> "SfmPoints":
-        """Those where `keep` [M] is true."""
+        """Return the points where `keep` [M] is true."""
         return SfmPoints(self.xyz[keep], self.rgb[keep], self.errors_px[keep], self.n_views[keep])
 
 

@@ -1,10 +1,10 @@
-"""From photographs or recordings to a dataset: the steps of `tg4mm sfm`, each done once.
+"""Reconstruction of a dataset from photographs or recordings: the steps of `tg4mm sfm`, each done once.
 
-OUT/sfm/request.json   what was asked for, so that another request is refused
-OUT/sfm/survey/        what a look through each recording found, and its mean picture
+OUT/sfm/request.json   the request, so that another one is refused
+OUT/sfm/survey/        the survey of each recording, and its mean picture
 OUT/sfm/frames/        frames of moving cameras' videos
 OUT/sfm/images/, masks/, database.db, sparse/0/   COLMAP's own files, the last the result in its own world
-OUT/…                  the dataset; scene.json, written last, says that it is complete
+OUT/…                  the dataset; scene.json, written last, marks it as complete
 """
 
 import sys
@@ -55,7 +55,7 @@ FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though re
 
 @dataclass(frozen=True)
 class _Job:
-    """What is known once the recordings have been looked through."""
+    """The results of the survey of all recordings."""
 
     work: Work
     sources: Sources
@@ -241,7 +241,7 @@ def _first_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
 
 
 def _moving_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
-    """That of sharp frames and the sweep, into which all other frames are placed."""
+    """Return the model of sharp frames and the sweep, against which all other frames are registered."""
     frames = [shot for shot in taken if shot.clip != SWEEP]
     keys = set(sharp_rows(job.surveys[0].sharpness, job.config.frames or KEYS).tolist())
     first = [shot for shot in taken if shot.clip == SWEEP or shot.index in keys]
@@ -260,7 +260,7 @@ def _moving_model(job: _Job, taken: list[Shot], workspace: Workspace) -> Any:
 
 
 def _why_moving(job: _Job) -> str:
-    """What to say beside an error where the kind was told and not given."""
+    """Return an explanation for an error if the kind was detected, not given."""
     if job.config.kind is not None:
         return ""
     other, why = next(kind for kind in possible_kinds(job.sources) if kind.fixed), motion_of(job.surveys[0])

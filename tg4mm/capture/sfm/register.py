@@ -50,7 +50,7 @@ def register_frames(model: Any, work: Workspace, names: Sequence[str], keys: Seq
 
 
 def nearest_keys(names: Sequence[str], keys: Sequence[str]) -> dict[str, list[str]]:
-    """For each frame the NEIGHBOURS keys before and after it in time."""
+    """Return, for each frame, the NEIGHBOURS key frames before and after it in time."""
     where = [i for i, name in enumerate(names) if name in set(keys)]
     at = np.searchsorted(where, np.arange(len(names)))
     return {
@@ -84,7 +84,7 @@ def _place(model: Any, db: Any, name: str, keys: Sequence[str], seed: int) -> bo
 
 
 def _seen_points(model: Any, db: Any, image_id: int, keys: Sequence[str]) -> dict[int, int]:
-    """For features of a picture the point of the model that most matches with the frames `keys` say it shows."""
+    """Return, for a picture's features, the model point supported by most matches with the frames `keys`."""
     votes: dict[int, Counter[int]] = {}
     for key in keys:
         image = model.find_image_with_name(key)

@@ -33,7 +33,7 @@ class Length:
 
 @dataclass(frozen=True)
 class MeasuredLength:
-    """That distance in the dataset's world."""
+    """A measured length in the dataset's world."""
 
     points: np.ndarray  # [2, 3] scene units
     units: float  # between them
@@ -46,7 +46,7 @@ class MeasuredLength:
         return self.metres / self.units
 
     def record(self) -> dict[str, Any]:
-        """For scene.json."""
+        """Return the record for scene.json."""
         return {
             "points": np.round(self.points, 6).tolist(),
             "units": round(self.units, 6),
@@ -117,7 +117,7 @@ def measured_length(
 
 
 def _located(end: tuple[Pixel, ...], taken: Sequence[Shot], placed: Mapping[str, Any], model: Any) -> Spot:
-    """Where a point is: triangulated from several pictures, by the points around it in a single one."""
+    """Locate a point: by triangulation from several pictures, or by surrounding points in a single one."""
     sights = []
     for name, x, y in end:
         shot = _shot(name, taken, placed)

@@ -1,4 +1,4 @@
-"""What lies on disk: photographs, one recording, or several, perhaps with a sweep; and the command that takes it."""
+"""The input on disk: photographs, one or several recordings, perhaps a sweep; and the command for it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +40,7 @@ class Sources:
 
 
 def find_sources(path: Path, timed: bool = False) -> Sources:
-    """What `path` holds. Raises CaptureError where it is missing, holds nothing usable, or mixes layouts.
+    """Return the contents of `path`. Raises CaptureError if it is missing, unusable, or mixes layouts.
 
     timed: a frame rate is given, so that a folder of pictures is a recording.
     """
@@ -80,7 +80,7 @@ def find_sources(path: Path, timed: bool = False) -> Sources:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether the folder is one that `tg4mm train` reads."""
+    """Return whether the folder is a dataset that `tg4mm train` reads."""
     return any(next(path.glob(pattern), None) is not None for pattern in DATASET)
 
 

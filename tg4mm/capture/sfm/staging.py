@@ -119,7 +119,7 @@ def stage(taken: list[Shot], folder: Path) -> Path | None:
 
 
 def _stage_one(path: Path, target: Path, mask: Path) -> None:
-    """One picture, decoded whole: that also tells a damaged one."""
+    """Decode one picture completely, which also detects damage."""
     pixels = decode(path)
     maximum = np.iinfo(pixels.dtype).max
     opaque = pixels[..., 3].min() == maximum

@@ -1,4 +1,4 @@
-"""How the whole picture shifts over a recording: whether its camera stayed put, and when it was knocked.
+"""Global shifts of the picture over a recording: whether the camera was fixed, and when it was knocked.
 
 The shift of a frame from the first one is found by phase correlation (Kuglin & Hines 1975) on a reduced grey picture
 and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority. Where
@@ -154,7 +154,7 @@ class Knock:
 
 
 def stays(shifts_px: np.ndarray, longer_side: int) -> bool:
-    """Whether a camera with these shifts [T, 2] (pixels; NaN: no likeness) stayed put."""
+    """Return whether a camera with these shifts [T, 2] (pixels; NaN: no match) was fixed."""
     if np.isnan(shifts_px).any(axis=1).mean() > 0.5:
         return False
     middle = np.nanmedian(shifts_px, axis=0)
@@ -163,7 +163,7 @@ def stays(shifts_px: np.ndarray, longer_side: int) -> bool:
 
 
 def stays_in_parts(shifts_px: np.ndarray, stretches: list[tuple[int, int]], longer_side: int) -> bool:
-    """Whether a camera stayed put in nearly all of its stretches (first frame, end): it stands, but was knocked."""
+    """Return whether a camera was fixed in nearly all of its segments (first frame, end), but was knocked."""
     steady = sum(
         stop - first
         for first, stop in stretches
@@ -214,7 +214,7 @@ def find_bumps(shifts_px: np.ndarray, times_s: np.ndarray) -> list[tuple[int, in
 
 
 def _window(times_s: np.ndarray) -> int:
-    """Frames before and after a moment that tell of it."""
+    """Return the frames before and after a moment that are compared."""
     step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
     return max(KNOCK_FRAMES, round(KNOCK_WINDOW_S / step_s))
 

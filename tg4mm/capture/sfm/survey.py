@@ -43,7 +43,7 @@ _EVERY = 8  # pixels in each direction of which one tells the light
 
 @dataclass(frozen=True)
 class Survey:
-    """What a look through a clip's T pictures found."""
+    """The results of one pass through a clip's T pictures."""
 
     name: str
     path: Path  # of the clip
@@ -68,9 +68,9 @@ class Survey:
         return len(self.sharpness)
 
     def clock(self, fps: float | None = None) -> tuple[float, np.ndarray]:
-        """Frames per second and the times [T] in seconds; fps, where given, is what it was filmed at.
+        """Return the frame rate and the times [T] in seconds; a given fps is the filmed rate.
 
-        Raises CaptureError where neither a container nor fps tells.
+        Raises CaptureError if neither the container nor fps gives a rate.
         """
         if self.times is None or self.fps is None:
             if fps is None:

@@ -62,7 +62,7 @@ def guided_matches(
 def _nearest(
     first: Features, second: Features, E: np.ndarray, tolerance: float, ratio: float, distance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """For each feature of `first` its match in `second` (−1: none) and their angle (inf: none)."""
+    """Return, for each feature of `first`, its match in `second` (−1: none) and their angle (inf: none)."""
     nearest = np.full(len(first.rays), -1, np.int64)
     angles = np.full(len(first.rays), np.inf)
     lines1 = (second.rays @ E)[:, :2]  # of each second feature, in the first picture
@@ -110,7 +110,7 @@ class PosedViews(Protocol):
 
 @dataclass(frozen=True)
 class TriangulationConfig:
-    """What counts as a match, and as a point."""
+    """Thresholds for matches and points."""
 
     ratio: float = 0.8  # of the descriptor's angle to that of the second nearest on the epipolar line
     distance: float = 0.6  # radians between descriptors, at most
@@ -266,7 +266,7 @@ def _options(c: Any, views: PosedViews, config: TriangulationConfig) -> Any:
 
 
 def _fewest_views(views: PosedViews) -> int:
-    """Two rays always meet near enough somewhere on their epipolar lines; a third one tells whether they should."""
+    """Return the least number of views: two rays always nearly meet on their epipolar lines, a third verifies."""
     return 3 if len(views.viewmats) > 3 else 2
 
 

@@ -19,7 +19,7 @@ Key = tuple[int, int]  # number of a camera, and quarter turns counterclockwise 
 
 @dataclass(frozen=True)
 class Lens:
-    """How pictures of one camera become those of a pinhole."""
+    """The mapping from one camera's pictures to a pinhole's."""
 
     K: np.ndarray  # [3, 3] of the pinhole, pixels
     size: tuple[int, int]  # width and height of the new pictures
@@ -31,7 +31,7 @@ class Lens:
 
     @property
     def keeps(self) -> bool:
-        """Whether pictures stay as they are."""
+        """Return whether pictures are unchanged."""
         return self.source is None and self.turns % 4 == 0
 
     def checked(self, path: Path, size: tuple[int, int]) -> "Lens":

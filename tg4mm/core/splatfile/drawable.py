@@ -1,4 +1,4 @@
-"""What readers of splat files share; from what a file stores to a SplatFile, without what cannot be drawn."""
+"""Shared code of splat file readers: stored values to a SplatFile, without undrawable Gaussians."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ Decode = Callable[
 
 @dataclass(frozen=True)
 class Options:
-    """What the one who opens a file adds to it."""
+    """Options given by the caller who opens a file."""
 
     freqs_hz: tuple[float, ...] = ()  # of the modes of a PLY that lost the line which says them
     fps: float = 30.0  # Hz, of that motion
@@ -26,7 +26,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Head:
-    """What a file says before its data are read."""
+    """The header of a file."""
 
     kind: str  # such as "PLY" or "SPZ 3"
     count: int  # Gaussians
@@ -86,7 +86,7 @@ def drawable(fields: dict[str, Any], notes: Sequence[str] = ()) -> SplatFile:
 
 
 def _reasons(fields: dict[str, Any]) -> dict[str, np.ndarray]:
-    """What is wrong with some Gaussians, and with which: [N] bool."""
+    """Yield the defects of Gaussians, each with a mask [N] of the affected ones."""
     found: dict[str, np.ndarray] = {}
     for name in (*_FIRST, *_SECOND):
         if name in fields and not np.isfinite(fields[name]).all():

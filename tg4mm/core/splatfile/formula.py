@@ -1,4 +1,4 @@
-"""Where the Gaussians are at a time and a magnification: the numpy reference of x(t, α)."""
+"""Positions of the Gaussians at a time and a magnification: the numpy reference of x(t, α)."""
 
 import math
 

@@ -26,7 +26,7 @@ _MOST_NODES = 10_000  # with splats
 
 
 def head_of_gltf(path: Path) -> Head:
-    """What the document says."""
+    """Return the header of the document."""
     document = Document(path)
     count = sum(
         document.accessor(p.get("attributes", {}).get("POSITION"))["count"] for _, p in _splats(document)
@@ -158,7 +158,7 @@ def _gaussians(document: Document, primitive: dict[str, Any], about: dict[str, A
 
 
 def _ours(document: Document) -> dict[str, Any] | None:
-    """What tg4mm wrote of the one splat in the document; None for the work of others."""
+    """Return tg4mm's own record of the splat in the document, or None for other writers."""
     nodes = [node for node in document.objects("nodes") if isinstance(node.get("extras"), dict)]
     told = [node["extras"]["tg4mm"] for node in nodes if "tg4mm" in node["extras"]]
     if len(told) != 1 or len(_splats(document)) != 1:

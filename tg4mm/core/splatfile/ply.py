@@ -26,7 +26,7 @@ DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
 
 @dataclass(frozen=True)
 class Plan:
-    """Which properties hold what; () where there are none."""
+    """The properties that hold each quantity; () if there are none."""
 
     colour: tuple[str, ...]
     rest: tuple[str, ...]
@@ -39,7 +39,7 @@ class Plan:
 
 
 def head_of_ply(file: BinaryIO) -> Head:
-    """What the header says."""
+    """Return the file's header."""
     header = read_header(file)
     vertex = _vertex(header)
     known = len((header.about or {}).get("frequencies_hz", []))
@@ -135,7 +135,7 @@ def _modes_of(names: dict[str, str]) -> int:
 def _motion(
     names: dict[str, str], about: dict[str, Any] | None, options: Options, notes: list[str]
 ) -> tuple[dict[str, Any], int]:
-    """What the file says of its motion, or the one who opens it, and the number of modes to read."""
+    """Return the motion's description, from the file or the caller, and the number of modes to read."""
     n_mode, there = sum(MODE_NAME.fullmatch(name) is not None for name in names), _modes_of(names)
     if about is not None:
         m = len(about["frequencies_hz"])
@@ -233,7 +233,7 @@ def _said(about: dict[str, Any], m: int) -> dict[str, Any]:
 
 
 def _infinite(logs: np.ndarray, logits: np.ndarray) -> list[str]:
-    """What is said of Gaussians that are legal and odd: log 0 and the logits of 0 and 1."""
+    """Return notes on Gaussians with valid but infinite values: log 0 and the logits of 0 and 1."""
     flat, ends = int(np.isneginf(logs).any(axis=1).sum()), int(np.isinf(logits).sum())
     told = []
     if flat:

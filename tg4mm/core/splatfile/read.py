@@ -1,4 +1,4 @@
-"""Opening a splat file, of whatever kind: told by its first bytes, and by its name where these say nothing.
+"""Opening a splat file of any kind, recognised by its first bytes or, failing that, by its name.
 
 .splat, of antimatter15's viewer: 32 bytes a Gaussian and nothing else, so that a file cut between two is one.
 Position and linear scale as float32, colour and opacity, rotation wxyz as bytes. Axes are those of the PLY that it
@@ -26,7 +26,7 @@ _RECORD = np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4),
 
 
 def head_of_splat(size: int) -> Head:
-    """What the length of a file says."""
+    """Derive the header from the file's length."""
     if size == 0 or size % _RECORD.itemsize:
         raise SplatFileError(
             f"is {size} bytes long; a .splat has {_RECORD.itemsize} a Gaussian: it is cut off, or something else"
@@ -106,7 +106,7 @@ def read_splat(
 
 
 def read_head(path: str | Path) -> Head:
-    """What a file says before its data are read. Raises SplatFileError as `read_splat` does."""
+    """Read a file's header. Raises SplatFileError as `read_splat` does."""
     path = Path(path)
     with _named(path):
         kind = _kind(path)

@@ -85,7 +85,7 @@ class _Files:
 
 
 def head_of_sog(path: Path) -> Head:
-    """What meta.json says."""
+    """Return the header from meta.json."""
     meta = _Files(path).meta()
     return Head(f"SOG {_version(meta)}", _count(meta))
 

@@ -58,7 +58,7 @@ class _Header:
 
 
 def head_of_spz(file: BinaryIO) -> Head:
-    """What the header says."""
+    """Return the file's header."""
     start = file.read(1 << 16)
     raw = start if start.startswith(NGSP) else _unpacked(zlib.decompressobj(31), start, _HEAD.size)
     header = _header(raw)

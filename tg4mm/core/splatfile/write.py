@@ -38,7 +38,7 @@ def write_splat(path: str | Path, splat: SplatFile) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """As `temporary.replacing`; raises SplatFileError, which names the file, for what the system or the writer says."""
+    """Like `temporary.replacing`, but raise SplatFileError naming the file for errors of system or writer."""
     try:
         with temporary.replacing(path, path.suffix) as name:
             yield name

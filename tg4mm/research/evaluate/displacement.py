@@ -1,4 +1,4 @@
-"""How far an estimated motion is from the true one: displacement error, direction, leak."""
+"""Errors of an estimated motion against the true one: displacement, direction, leak."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ def displacement_figures(
 def frequency_figures(
     estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, unit_scale_m: float | None = None
 ) -> list[dict[str, Any]]:
-    """For each true frequency, what both motions do there over the capture's timesteps.
+    """Compare both motions at each true frequency over the capture's timesteps.
 
     Both are projected on that frequency (their discrete-time Fourier sum over t = 0 … T−1), so an estimate
     whose bins do not hold the frequency is still compared fairly. Per frequency, over Gaussians:

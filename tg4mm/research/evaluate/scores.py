@@ -117,7 +117,7 @@ class Scorer:
     def _keys(
         self, methods: list[Candidate], capture: Capture, images: ImageStack, alpha: float
     ) -> dict[str, list[Key]]:
-        """For each method the key (motion state, camera, pixels) of each image."""
+        """Return, for each method, the key (motion state, camera, pixels) of each image."""
         n = range(len(images))
         if not self.use_cache:
             return {m.name: [((m.name, int(capture.timesteps[i])), i, alpha) for i in n] for m in methods}

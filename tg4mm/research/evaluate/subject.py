@@ -1,4 +1,4 @@
-"""What is evaluated: the Gaussians of a run, their estimated motion, and the exact one."""
+"""The subject of an evaluation: a run's Gaussians with their estimated and exact motion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 
 @dataclass(frozen=True)
 class Subject:
-    """What is evaluated: the Gaussians of a run, their estimated and their exact motion."""
+    """A run's Gaussians with their estimated and exact motion."""
 
     gaussians: Gaussians
     estimated: ModalMotion | None
@@ -77,7 +77,7 @@ def subject_of(
 
 
 def _posing(run: Run, magnified: Magnification, device: str) -> Posing | None:
-    """How the run poses and magnifies, None where its modes say it all."""
+    """Return the run's method of posing and magnification, or None if its modes are sufficient."""
     if method_of(run, magnified) == "modal":
         return None
 

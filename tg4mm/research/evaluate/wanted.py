@@ -1,4 +1,4 @@
-"""What an evaluation is asked for, checked before anything is loaded; its figures as a table."""
+"""The request of an evaluation, checked before anything is loaded, and its figures as a table."""
 
 import math
 import tempfile

@@ -147,7 +147,7 @@ class _Meter:
         self._count = 0
 
     def rate(self, now: float) -> float | None:
-        """To be asked in every round; once a second a number, else None."""
+        """Count a round; return the rate once a second, else None."""
         if now - self._last > 0.5:  # it stood still in between
             self._since, self._count = now, -1
         self._last = now

@@ -19,7 +19,7 @@ class Standpoint:
 
 
 def standpoint_of(camera: Camera, depth: float, aspect: float) -> Standpoint:
-    """Where the browser stands to see all that `camera` sees, on a canvas of width / height `aspect`.
+    """Return the browser camera that sees all that `camera` sees, on a canvas of width / height `aspect`.
 
     `depth` (scene units) along its axis is the point to turn around.
     """

@@ -16,7 +16,7 @@ Band = tuple[float, float] | None
 
 
 class Colour(StrEnum):
-    """What the colours show."""
+    """The quantity shown by the colours."""
 
     picture = "as filmed"
     amplitude = "amplitude"
@@ -103,7 +103,7 @@ def main_peaks(frequencies: np.ndarray, peaks: np.ndarray, duration: float) -> n
 
 
 def peak_labels(frequencies: Sequence[float] | np.ndarray) -> tuple[str, ...]:
-    """`3.4 Hz` for each, with as many digits as it takes to tell them apart."""
+    """Return labels such as `3.4 Hz` with enough digits to distinguish them."""
     for digits in (3, 4, 5, 6):
         labels = tuple(f"{number(float(f), digits)} Hz" for f in frequencies)
         if len(set(labels)) == len(labels):
@@ -112,7 +112,7 @@ def peak_labels(frequencies: Sequence[float] | np.ndarray) -> tuple[str, ...]:
 
 
 def band_words(band: Band, frequencies: np.ndarray) -> str:
-    """What the band holds, in one line."""
+    """Describe the band's contents in one line."""
     if not len(frequencies):
         return "This run has no frequencies to magnify."
     count = len(frequencies)

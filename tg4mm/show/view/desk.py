@@ -101,7 +101,7 @@ class Desk:
         self._listen()
 
     def _own_camera(self) -> str:
-        """What a region says of its camera: nothing where there is one."""
+        """Return the camera name stored in a region, or nothing if there is only one camera."""
         return self._shot.camera if len(self._shots) > 1 else ""
 
     def _add_panel(self) -> None:
@@ -182,7 +182,7 @@ class Desk:
         self._change(lambda d: replace(d, camera=camera, clicks=(), size=(width, height)))
 
     def _change(self, change: Any) -> None:
-        """The drawing after `change`; what cannot be is said, and its last click is taken back."""
+        """Apply `change` to the drawing; an impossible change is reported and its last click undone."""
         with self._lock:
             before = self._drawing
             sides = (float(self._wide.value or 0), float(self._high.value or 0))
@@ -259,7 +259,7 @@ class Desk:
         self._saved.content = block(f"Wrote {self._file}. Next:", *code, key_words(_KEYS))
 
     def _look(self) -> None:
-        """What `tg4mm look` says of the recording and the regions; one at a time."""
+        """Run `tg4mm look` on the recording and the regions, one at a time."""
         if not self._looking.acquire(blocking=False):
             return
         try:

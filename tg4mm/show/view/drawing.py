@@ -19,7 +19,7 @@ _NEEDED = {BOX: 2, POINT: 1, LENGTH: 2, RECTANGLE: 4}
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn on pictures of `size` (w, h), and the clicks of what is not finished. Every change is a new one."""
+    """An immutable drawing on pictures of `size` (w, h), with the clicks of an unfinished shape."""
 
     size: Pixel
     regions: tuple[Region, ...] = ()
@@ -85,15 +85,15 @@ class Drawing:
         return next(f"region {k}" for k in range(1, len(taken) + 2) if f"region {k}" not in taken)
 
     def undone(self) -> "Drawing":
-        """As before the last click or shape."""
+        """Return the drawing without its last click or shape."""
         return self if self.before is None else replace(self.before, tool=self.tool, camera=self.camera)
 
     def as_file(self, source: str = "") -> Regions:
-        """To be written. Raises Tg4mmError where it cannot be."""
+        """Return the regions to write. Raises Tg4mmError if the drawing is invalid."""
         scale = self.scale if self.scale is not None and (self.scale.lengths or self.scale.corners) else None
         return Regions((int(self.size[0]), int(self.size[1])), self.regions, scale, source)
 
 
 def opened(regions: Regions) -> Drawing:
-    """What a file holds, to go on with."""
+    """Return the drawing stored in a file."""
     return Drawing(regions.size, regions.regions, regions.scale)

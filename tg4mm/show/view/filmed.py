@@ -14,7 +14,7 @@ _SAME_PLACE = 1e-3  # of the distance to what is looked at
 
 
 class Filmed:
-    """Cameras that stay put while they film, by the common clock; a clip's own clock tells no moment of the others."""
+    """Pictures of fixed cameras on the common clock; a clip's own clock says nothing about the others."""
 
     def __init__(self, capture: Capture, depth: float) -> None:
         """depth: scene units, of what the cameras look at."""

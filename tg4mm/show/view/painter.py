@@ -29,7 +29,7 @@ _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to c
 
 @dataclass(frozen=True)
 class Look:
-    """What is shown, apart from moment and camera."""
+    """The display settings apart from time and camera."""
 
     magnified: Magnification = AS_CAPTURED
     colour: Colour = Colour.picture

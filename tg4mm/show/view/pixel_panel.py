@@ -150,7 +150,7 @@ _FAINTEST = 0.05  # opacity of a pixel that counts as hit
 
 @dataclass(frozen=True)
 class Waveform:
-    """How the surface under a pixel moves, as captured (α = 0), in scene units."""
+    """The motion of the surface under a pixel, as captured (α = 0), in scene units."""
 
     along: str  # the direction, in words
     times: np.ndarray  # [F] seconds
@@ -225,7 +225,7 @@ class Measurer:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the pictures are read."""
+        """Return whether the pictures have been read."""
         return self._prepared is not None
 
     def radius(self, point: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""What a run has to show: Gaussians, motion, deviations, cameras of the capture, and units."""
+"""The contents of a run for display: Gaussians, motion, deviations, cameras, and units."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -40,7 +40,7 @@ class Canvas:
 
     @property
     def holds_two(self) -> bool:
-        """Whether there is room for two pictures: on a phone there is none."""
+        """Return whether there is room for two pictures, which a phone lacks."""
         return self.width >= NARROW
 
     def halved(self) -> "Canvas":

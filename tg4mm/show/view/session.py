@@ -1,4 +1,4 @@
-"""What all pages share: the scene, what is shown of it, and where in the capture the picture is."""
+"""The state shared by all pages: the scene, the display settings, and the time in the capture."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Session:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """That is magnified, Hz; None: all frequencies."""
+        """The magnified band in Hz, or None for all frequencies."""
         return next(iter(self._look.magnified.limits), None)
 
     def magnify(self, alpha: float) -> None:
-        """By another α, in the same band."""
+        """Set another α in the same band."""
         self.set_look(magnified=self._look.magnified.times(alpha))
 
     def choose_band(self, band: tuple[float, float] | None) -> None:
@@ -84,7 +84,7 @@ class Clock:
         return position % self.duration if self.loop else min(position, self.duration)
 
     def running(self, now: float) -> bool:
-        """Whether time goes on: playing, and not at the end."""
+        """Return whether time advances: playing, and not at the end."""
         return self.playing and self.duration > 0 and (self.loop or self.at(now) < self.duration)
 
     def changed(self, now: float, **changes: object) -> Clock:

@@ -1,4 +1,4 @@
-"""Where a picture's texture tells motion, and in which direction; and the picture with what is drawn on it."""
+"""Where, and in which direction, texture makes motion measurable; and the picture with this drawn on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _WHOLE, _HALF = 0.95, 0.5  # of a cell that a region covers
 
 @dataclass(frozen=True)
 class Texture:
-    """How well each cell's shift is told by one picture."""
+    """The precision with which one picture determines each cell's shift."""
 
     grid: Grid
     information: np.ndarray  # [C, 2, 2] px⁻²; 0 where there is no texture
@@ -34,7 +34,7 @@ class Texture:
         return (values > least[:, None]).sum(1), axes[:, :, 1]
 
     def words(self, region: Region, size: tuple[int, int]) -> str:
-        """What can be measured in a region."""
+        """Describe what can be measured in a region."""
         share = self.grid.cut(region.mask(size)[None])[:, 0].mean(1)
         cells = share >= (_WHOLE if (share >= _WHOLE).any() else _HALF)
         if not cells.any():
@@ -51,7 +51,7 @@ class Texture:
 
 
 def texture_of(pictures: np.ndarray) -> Texture:
-    """Of the first pictures [F, H, W] float32, grey levels, whose scatter tells the noise."""
+    """Compute it from the first pictures [F, H, W], float32 grey levels, whose scatter gives the noise."""
     height, width = pictures.shape[1:]
     grid = Grid.of(width, height, min(CELL, height, width))
     covariance = Template(pictures.mean(0, dtype=np.float32), grid).covariance
