@@ -266,7 +266,7 @@ def refused(call, message):
 def test_bad_input_is_one_line_and_changes_nothing(extension, splat_path, tmp_path):
     obj = import_splat(splat_path)
     before = len(obj.data.vertices)
-    refused(lambda: bpy.ops.tg4mm.crop(by="BOX"), "No box is there: add one")
+    refused(lambda: bpy.ops.tg4mm.crop(by="BOX"), "No crop box: add one")
     refused(lambda: bpy.ops.tg4mm.crop(by="SELECTION"), "No point is selected")
     box((50.0, 50.0, 50.0), (60.0, 60.0, 60.0))
     refused(lambda: bpy.ops.tg4mm.crop(by="BOX"), "None of 23 Gaussians would be left")

@@ -40,7 +40,7 @@ def test_what_is_missing_is_named(extension, tmp_path, lost):
 
 def test_what_is_no_python_is_told(extension, tmp_path):
     check = extension.jobs.core_check.check
-    with pytest.raises(Exception, match="is no Python: choose bin/python"):
+    with pytest.raises(Exception, match="is not a Python interpreter: choose bin/python"):
         check(answering(tmp_path / "talker", "hello"), "0.1.0")
     (tmp_path / "text").write_text("nothing")
     with pytest.raises(Exception, match="cannot be started: Permission denied"):

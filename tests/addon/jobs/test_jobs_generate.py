@@ -107,7 +107,7 @@ def test_stopped_run_goes_on(extension, settings):
     [
         ({"out": ""}, "Output is empty"),
         ({"out": "//here"}, "not saved yet"),
-        ({"label": "../x"}, "Name '../x': letters, digits"),
+        ({"label": "../x"}, "Name '../x': use letters, digits"),
         ({"frequency": 15.0}, "Frequency 15 Hz is not below half of the Frame Rate, 15 Hz"),
         ({"axis": (0, 0, 0)}, "axis: .* has no direction"),
         ({"source": "FILE", "motion_file": "/no/such.yaml"}, "/no/such.yaml cannot be read"),

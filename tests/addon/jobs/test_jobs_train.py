@@ -105,7 +105,7 @@ def test_training_can_be_stopped(extension, core):
         ({"dataset": ""}, "Dataset is empty: choose a folder"),
         ({"dataset": "/no/such"}, "Dataset: folder /no/such does not exist"),
         ({"run": "//x"}, "Run //x lies beside the .blend file, which is not saved yet"),
-        ({"run": "DATASET/run"}, "lies in the dataset"),
+        ({"run": "DATASET/run"}, "is inside the dataset"),
     ],
 )
 def test_refusals(extension, core, values, message):

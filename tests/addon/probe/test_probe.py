@@ -198,7 +198,7 @@ def test_csv_holds_the_series_and_the_phasors(extension, tmp_path, splat_path, s
 
 
 def test_export_without_a_reading_or_a_folder(extension, moving, tmp_path):
-    with pytest.raises(RuntimeError, match="Nothing is probed yet"):
+    with pytest.raises(RuntimeError, match="Nothing probed yet"):
         bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"))
     select(moving, [1])
     reading(extension, moving, "SELECTION")

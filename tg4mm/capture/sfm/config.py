@@ -124,7 +124,7 @@ class Work:
             self.out.rmdir()
 
     def finished(self) -> dict[str, Any] | None:
-        """Return scene.json's record of the reconstruction, or None if the dataset is incomplete or has another scale."""
+        """Return the reconstruction record of scene.json, or None if the dataset is incomplete or has another scale."""
         path = self.out / "scene.json"
         if not path.is_file():
             return None

@@ -1,6 +1,6 @@
 """The 3D position of a picture's point, from other pictures of it or from known points around it.
 
-One picture gives the ray. On a plane, inverse depth is an affine function of the place on the plane z = 1, so the points
+One picture gives the ray. On a plane, inverse depth is affine in the position on the plane z = 1, so the points
 around the pixel are fitted by one, robustly, and the ray's depth is read off it.
 """
 
