@@ -96,17 +96,17 @@ TO_MOVE = "ply-sequence, spz, usd, gltf"
         (
             "a.ply",
             ["ply", "--alpha", "3"],
-            f"--alpha belongs to --format {TO_MOVE}; a splat file holds the motion",
+            f"--alpha belongs to --format {TO_MOVE}; a splat file contains the motion",
         ),
         (
             "a.html",
             ["html", "--band", "1", "2"],
-            f"--band belongs to --format {TO_MOVE}; a page holds the motion",
+            f"--band belongs to --format {TO_MOVE}; a page contains the motion",
         ),
         (
             "a.glb",
             ["gltf", "--method", "linear"],
-            "--method belongs to --format ply-sequence, spz, usd; a .glb holds",
+            "--method belongs to --format ply-sequence, spz, usd; a .glb contains",
         ),
         ("a.glb", ["gltf", "--timesteps", "3"], "--timesteps belongs to --format ply-sequence, spz, usd"),
         ("a.spz", ["spz", "--alpha", "3"], "a .spz file contains the scene at rest; give a folder"),
