@@ -4,6 +4,7 @@
                                          [--python FILE]
     python -m benchmarks.calibration DIR --kinds [--films 12]
     python -m benchmarks.calibration DIR --plain|--large [--films 60]
+    python -m benchmarks.calibration DIR --duplicates [--photographs FOLDER] [--films 600]
 
 Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
 goes on. Stages: `look` is one pass over the video (`tg4mm.capture.look`); `whole` is sfm, train and measure with a
@@ -12,7 +13,8 @@ sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase
 lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
 With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`); with --large: plates of
-which one or two move by .8 to 4 px (`large.py`).
+which one or two move by .8 to 4 px (`large.py`). With --duplicates: small films, half of them with duplicate frames
+(`duplicates.py`).
 """
 
 import argparse
@@ -26,6 +28,7 @@ from pathlib import Path
 
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import Truth, make_film
+from benchmarks.calibration.duplicates import duplicates_outcome, duplicates_table
 from benchmarks.calibration.kinds import kinds_stage, kinds_table
 from benchmarks.calibration.large import make_large_film
 from benchmarks.calibration.plain import make_plain_film
@@ -79,7 +82,16 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--kinds", action="store_true", help="sets of our generator, instead of films")
     parser.add_argument("--plain", action="store_true", help="still films with a plain wall, of `look` alone")
     parser.add_argument("--large", action="store_true", help="films of plates that move by whole pixels")
+    parser.add_argument("--duplicates", action="store_true", help="films with and without duplicate frames")
+    parser.add_argument(
+        "--photographs", type=Path, help="a folder of photographs that some of these films show"
+    )
     given = parser.parse_args(arguments)
+    if given.duplicates:
+        made = partial(duplicates_outcome, folder=given.folder, photographs=given.photographs)
+        with ProcessPoolExecutor(max_workers=given.jobs) as pool:
+            print(duplicates_table(list(pool.map(made, range(given.first, given.first + given.films)))))
+        return
     wanted = ("look",) if given.plain else tuple(given.stages)
     make = make_plain_film if given.plain else make_large_film if given.large else make_film
     job = partial(scored, folder=given.folder, wanted=wanted, python=given.python, make=make)

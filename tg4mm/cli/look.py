@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.regions import RegionsOption, read_drawn
+from tg4mm.cli.sfm import KeepDuplicatesOption
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, Maybe, require
 
@@ -43,6 +44,7 @@ def look(
             metavar="SECONDS", help="Where to stop, seconds from the video's beginning. [default: its end]"
         ),
     ] = None,
+    keep_duplicates: KeepDuplicatesOption = False,
     regions: RegionsOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder for look.html, look.json and look.png.")] = None,
     png: Annotated[
@@ -85,12 +87,12 @@ def look(
             "when they are shown"
         )
     drawn = read_drawn(regions)
-    found = looked(video, fps, window, drawn)
+    found = looked(video, fps, window, drawn, keep_duplicates)
     if (readout or 0) > (frame_ms := 1e3 / found.rate):
         raise Tg4mmError(
             f"--readout is {readout:g}, expected at most the {frame_ms:.4g} ms of a frame of {video.name}"
         )
-    words = Words(with_rows(found, (readout or 0) / 1e3), video, fps, window, drawn, regions)
+    words = Words(with_rows(found, (readout or 0) / 1e3), video, fps, window, drawn, regions, keep_duplicates)
     target = png or (Path(f"{video.resolve().stem}-look.png") if out is None else out / "look.png")
     for folder in (out, target.parent):
         if folder is not None:

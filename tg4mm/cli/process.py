@@ -13,6 +13,7 @@ from tg4mm.cli.sfm import (
     FpsOption,
     FromOption,
     InputArgument,
+    KeepDuplicatesOption,
     KindOption,
     LengthFileOption,
     LengthOption,
@@ -35,6 +36,7 @@ def process(
     readout: ReadoutOption = None,
     start: FromOption = 0.0,
     until: UntilOption = None,
+    keep_duplicates: KeepDuplicatesOption = False,
     unit_scale_m: ScaleOption = None,
     baseline: BaselineOption = None,
     length: LengthOption = None,
@@ -102,6 +104,7 @@ def process(
         unit_scale_m=unit_scale_m,
         baseline=baseline,
         length=length_of(length, length_file),
+        keep_duplicates=keep_duplicates,
         synchronous=synchronous,
     )
     options = ProcessOptions(

@@ -62,6 +62,14 @@ FromOption = Annotated[
 UntilOption = Annotated[
     float | None, typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]")
 ]
+KeepDuplicatesOption = Annotated[
+    bool,
+    typer.Option(
+        "--keep-duplicates",
+        help="Keep frames that repeat the one before them. [default: a video's duplicate frames are left out, where "
+        "they are recognised, and the others have the times at which they were taken]",
+    ),
+]
 ScaleOption = Annotated[float | None, typer.Option(help="Scale: metres per scene unit.")]
 BaselineOption = Annotated[
     tuple[str, str, float] | None,
@@ -105,6 +113,7 @@ def sfm(
     readout: ReadoutOption = None,
     start: FromOption = 0.0,
     until: UntilOption = None,
+    keep_duplicates: KeepDuplicatesOption = False,
     camera_model: Annotated[
         str, typer.Option(help="Lens model, COLMAP's name: SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, …")
     ] = "SIMPLE_RADIAL",
@@ -168,6 +177,7 @@ def sfm(
         baseline=baseline,
         length=length_of(length, length_file),
         test_every=test_every,
+        keep_duplicates=keep_duplicates,
         synchronous=synchronous,
         seed=seed,
     )

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
 
 
 def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say: Say) -> list[Step]:
-    dataset, run, settings = out / "dataset", out / "run", asdict(options.sfm)
+    dataset, run, settings = out / "dataset", out / "run", options.sfm.settings()
     name = source.resolve().stem if source.is_file() else source.resolve().name
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
     clock = {"fps": options.sfm.fps, "readout_s": options.sfm.readout_s}

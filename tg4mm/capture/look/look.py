@@ -35,18 +35,24 @@ _LEAST_STILL = 0.15  # of the usable cells that a background needs
 
 
 def look(
-    video: Path | str, fps: float | None = None, window: Window = WHOLE, regions: Regions | None = None
+    video: Path | str,
+    fps: float | None = None,
+    window: Window = WHOLE,
+    regions: Regions | None = None,
+    keep_duplicates: bool = False,
 ) -> Look:
     """What vibrates in a recording of a fixed camera, what moves by itself, what its light does.
 
     video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
     recording's (slow motion); a folder needs it. window: the part of a video that is looked at. regions: drawn ones,
-    whose lines are told one by one. Raises CaptureError where it cannot be decoded or is too short, RegionError for a
-    region without texture.
+    whose lines are told one by one. keep_duplicates: duplicate frames are not looked for. Raises CaptureError where it
+    cannot be decoded or is too short, RegionError for a region without texture.
     """
     path = Path(video)
     drawn = () if regions is None else regions.regions
-    series, repeats = read_recording(path, fps, window, any(_is_small(region) for region in drawn))
+    series, repeats = read_recording(
+        path, fps, window, any(_is_small(region) for region in drawn), keep_duplicates
+    )
     if regions is not None:
         regions.check_size(series.size, path)
     found = replace(look_at(series, drawn), repeats=repeats)

@@ -1,13 +1,13 @@
-"""A recording as a look takes it: the frames of a video, or a folder of numbered pictures; repeated frames left out."""
+"""A recording as a look takes it: the frames of a video, or a folder of numbered pictures; duplicates left out."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
+from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import (
     NAMES,
@@ -18,7 +18,6 @@ from tg4mm.capture.sfm.clip import (
     is_regular,
     regular_times,
 )
-from tg4mm.capture.sfm.frozen import find_repeats
 from tg4mm.capture.transforms import natural
 from tg4mm.capture.video import (
     RECORDING_SUFFIXES,
@@ -32,18 +31,19 @@ from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import Update, progress
 
-_WATCHED = 30_000  # pixels, about, by which frames are compared with the one before
-_SMALL = 16  # of these pixels, in each direction, one is kept to tell which pictures come back
-
 
 def read_recording(
-    path: Path, fps: float | None = None, window: Window = WHOLE, small_cells: bool = False
+    path: Path,
+    fps: float | None = None,
+    window: Window = WHOLE,
+    small_cells: bool = False,
+    keep_duplicates: bool = False,
 ) -> tuple[CellSeries, tuple[int, ...]]:
-    """Cells' series of a video or of a folder of pictures, and the frames that repeat the one before them.
+    """Cells' series of a video or of a folder of pictures, and the duplicate frames that were left out.
 
     fps: pictures a second; None: the video's own. window: of a video alone. small_cells: in large pictures, too.
-    Repeats are left out, and the others have
-    their true times. Raises CaptureError where there is nothing to decode, or no rate is known.
+    The times are those at which the other pictures were taken. keep_duplicates: none are looked for. Raises
+    CaptureError where there is nothing to decode, or no rate is known.
     """
     if not path.exists():
         raise CaptureError(f"{path}: does not exist")
@@ -53,18 +53,18 @@ def read_recording(
         raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
     if fps is None and is_untimed(path):
         raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
-    info, watched = video_info(path), _Watched()
+    info, meter = video_info(path), DuplicateMeter()
     with progress("regions", _expected(info, window), "pictures", brief=True) as update:
-        seen = watched.passing(video_pictures(path, fps, window), update)
-        series = read_cells(seen, str(path), small_cells)
+        series = read_cells(
+            _watched(video_pictures(path, fps, window), meter, update), str(path), small_cells
+        )
     times = [Fraction(t).limit_denominator(10_000_000) for t in series.times_s.tolist()]
     rate = Fraction(fps).limit_denominator(1001) if fps else frame_rate(path, times, info.rates, info.tick)
-    if fps or is_regular(times, rate, info.tick):
-        changes, small = np.array(watched.changes), np.stack(watched.small)
-        repeats = find_repeats(changes, small, series.kinds == BETWEEN, series.kinds == INTRA)
-        if repeats is not None:
-            new_times = np.array([float(t) for t in repeats.times(rate)])
-            return series.of_pictures(repeats.is_new, new_times), repeats.rows
+    if not keep_duplicates and (fps or is_regular(times, rate, info.tick)):
+        found = meter.found()
+        if found is not None:
+            new_times = np.array([float(t) for t in found.times(rate)])
+            return series.of_pictures(found.is_new, new_times), found.rows
     if fps:
         return series, ()
     exact = np.array([float(t) for t in regular_times(times, rate, info.tick)])
@@ -88,23 +88,12 @@ def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE)
         yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
 
 
-@dataclass
-class _Watched:
-    """What tells repeats, of pictures that pass."""
-
-    changes: list[float] = field(default_factory=list)
-    small: list[np.ndarray] = field(default_factory=list)
-
-    def passing(self, pictures: Iterator[Picture], update: Update) -> Iterator[Picture]:
-        before: np.ndarray | None = None
-        for k, picture in enumerate(pictures, 1):
-            step = max(1, round((picture.grey.size / _WATCHED) ** 0.5))
-            now = picture.grey[::step, ::step].astype(np.int16)
-            self.changes.append(0.0 if before is None else float(np.abs(now - before).mean()))
-            self.small.append(now[::_SMALL, ::_SMALL].ravel().astype(float))
-            before = now
-            yield picture
-            update(k)
+def _watched(pictures: Iterator[Picture], meter: DuplicateMeter, update: Update) -> Iterator[Picture]:
+    """The same pictures, seen by the meter on their way."""
+    for k, picture in enumerate(pictures, 1):
+        meter.add(picture.grey, picture.kind == INTRA, picture.kind == BETWEEN)
+        yield picture
+        update(k)
 
 
 def _folder(path: Path, fps: float | None, small_cells: bool) -> CellSeries:

@@ -3,7 +3,7 @@
 import json
 import math
 import shutil
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,17 @@ class SfmConfig:
     unit_scale_m: float | None = None  # metres per scene unit
     baseline: tuple[str, str, float] | None = None  # two cameras (pictures) and their distance in metres
     length: Length | None = None  # on the thing itself
+    keep_duplicates: bool = False  # frames that repeat the one before them are not looked for
     synchronous: bool = False  # cameras of a rig were started by one signal
     test_every: int = 0  # every so-many-th camera is a test camera
     seed: int = 0
+
+    def settings(self) -> dict[str, Any]:
+        """JSON values, as an earlier version wrote them: without switches that it did not know and that are off."""
+        own = asdict(self)
+        if not self.keep_duplicates:
+            del own["keep_duplicates"]
+        return own
 
     @property
     def window(self) -> Window:

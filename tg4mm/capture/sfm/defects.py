@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tg4mm.capture.duplicates import OFF
 from tg4mm.capture.sfm.clip import uneven_steps
 from tg4mm.capture.sfm.frozen import runs
 from tg4mm.capture.sfm.steadiness import (
@@ -106,16 +107,7 @@ def warn_clocks(surveys: Iterable[Survey], fps: float | None) -> None:
     """
     for survey in surveys:
         if survey.repeats:
-            new, of = survey.share.numerator, survey.share.denominator
-            rates = ""
-            if survey.fps is not None:
-                stored = float(survey.fps / survey.share)
-                rates = f", {float(survey.fps):.5g} pictures a second stored as {stored:.5g}"
-            warnings.warn(
-                f"{survey.path.name}: {new} of {of} frames are new pictures{rates}; "
-                f"{len(survey.repeats)} repeats are left out, and the others have the times that this tells",
-                stacklevel=2,
-            )
+            warnings.warn(f"{survey.path.name}: {_duplicates(survey)}", stacklevel=2)
         if survey.times is None or survey.fps is None:
             continue
         steps = uneven_steps(_times(survey))
@@ -133,6 +125,23 @@ def warn_clocks(surveys: Iterable[Survey], fps: float | None) -> None:
                 f"its times are {how}, as of slow motion",
                 stacklevel=2,
             )
+
+
+def _duplicates(survey: Survey) -> str:
+    count, tail = len(survey.repeats), f"{OFF} keeps them all"
+    if survey.share is None:
+        return (
+            f"{count} of {count + len(survey)} frames are duplicates of the one before them, in no pattern; they are "
+            f"left out, and the others keep their times; {tail}"
+        )
+    new, of, rates = survey.share.numerator, survey.share.denominator, ""
+    if survey.fps is not None:
+        stored = float(survey.fps / survey.share)
+        rates = f", {float(survey.fps):.5g} pictures a second stored as {stored:.5g}"
+    return (
+        f"{new} of {of} frames are new pictures{rates}; {count} duplicates are left out, and the others have the times "
+        f"of that rate; {tail}"
+    )
 
 
 def motion_of(survey: Survey) -> str:

@@ -9,7 +9,7 @@ OUT/…                  the dataset; scene.json, written last, marks it as comp
 
 import sys
 import warnings
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -83,7 +83,7 @@ def reconstruct(
     check_options(sources, config)
     if sources.photographs is not None or sources.sweep is not None or len(sources.clips) > 1:
         colmap("tg4mm sfm")  # missing, it is said before minutes of decoding
-    work = open_request(out, sources, asdict(config))
+    work = open_request(out, sources, config.settings())
     done = work.finished()
     if done is not None:
         return done
@@ -98,13 +98,17 @@ def reconstruct(
 def _made(
     images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int, name: str
 ) -> dict[str, Any]:
-    surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
+    surveys = [
+        survey_clip(clip, work.folder / "survey", config.window, config.keep_duplicates)
+        for clip in sources.clips
+    ]
     kept = [clip.without(survey.repeats) for clip, survey in zip(sources.clips, surveys, strict=True)]
     sources = replace(sources, clips=type(sources.clips)(kept))
     kind, reason = kind_of(sources, surveys, config.kind)
     if (found := divided(sources, surveys, config)) is not None:
         sources, config = found.sources, found.config
-        surveys = [survey_clip(sources.clips[0], work.folder / "survey" / "standing", config.window)]
+        standing = work.folder / "survey" / "standing"
+        surveys = [survey_clip(sources.clips[0], standing, config.window, config.keep_duplicates)]
         sources = replace(sources, clips=(sources.clips[0].without(surveys[0].repeats),))
         kind, reason = kind_of(sources, surveys, None)
         reason = f"{found}; --kind, --from or --until overrule"
@@ -203,7 +207,7 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
     if not sweep.is_video:
         return sweep.pictures
     window = sweep.window or WHOLE
-    survey = survey_clip(sweep, work / "survey", window)
+    survey = survey_clip(sweep, work / "survey", window, job.config.keep_duplicates)
     rows = sharp_rows(survey.sharpness, job.config.frames or SWEEP_FRAMES)
     return extract_frames(sweep.without(survey.repeats), work / "frames" / SWEEP, window, rows)
 

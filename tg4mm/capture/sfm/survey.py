@@ -16,6 +16,7 @@ from scipy.ndimage import laplace
 
 from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.codec.probe import codec_period
+from tg4mm.capture.duplicates import DuplicateMeter, Duplicates
 from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import (
     Clip,
@@ -27,7 +28,7 @@ from tg4mm.capture.sfm.clip import (
     is_regular,
     regular_times,
 )
-from tg4mm.capture.sfm.frozen import NoveltyMeter, Repeats
+from tg4mm.capture.sfm.frozen import NoveltyMeter
 from tg4mm.capture.sfm.steadiness import PartMeter, reduced
 from tg4mm.capture.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError
@@ -54,8 +55,8 @@ class Survey:
     parts: np.ndarray  # [T] which scene a frame shows, from 0; NOTHING of a black one
     shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one of its part; NaN: no likeness
     together: np.ndarray  # [T] share of the blocks with something to see that this shift makes more alike
-    repeats: tuple[int, ...]  # frames of the recording that show the one before again, left out of the T
-    share: Fraction  # of its frames that are left
+    repeats: tuple[int, ...]  # duplicate frames of the recording, left out of the T
+    share: Fraction | None  # of its frames that are left, in a regular pattern; None: without one
     frozen: np.ndarray  # [T] bool: frames that repeat the one before, in a recording that does not
     sharpness: np.ndarray  # [T] variance of the Laplacian
     codec_period: int | None  # frames, from one that is predicted forward to the next; None: no period
@@ -77,27 +78,29 @@ class Survey:
                 raise CaptureError(
                     f"--fps is missing: the pictures of {self.name} need their frames per second"
                 )
-            return fps * float(self.share), np.arange(len(self)) / (fps * float(self.share))
+            rate = fps * float(self.share or 1)
+            return rate, np.arange(len(self)) / rate
         stretch = 1.0 if fps is None else float(self.fps) / fps
         return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
 
 
-def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
+def survey_clip(clip: Clip, folder: Path, window: Window, keep_duplicates: bool = False) -> Survey:
     """Look through a clip, or read what an earlier look wrote to `folder`.
 
-    Raises CaptureError for a recording that is damaged, black, frozen, or holds fewer than two frames.
+    keep_duplicates: duplicate frames are not looked for. Raises CaptureError for a recording that is damaged, black, or
+    holds fewer than two frames.
     """
     path = folder / f"{clip.name}.json"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        write_json(path, _looked_through(clip, folder, window))
+        write_json(path, _looked_through(clip, folder, window, keep_duplicates))
     try:
         return _read(clip, folder, read_record(path).values)
     except (CaptureError, KeyError, TypeError, ValueError, ArithmeticError):
         raise CaptureError(f"{path}: is damaged or edited; remove it and give the command again") from None
 
 
-def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
+def _looked_through(clip: Clip, folder: Path, window: Window, keep_duplicates: bool) -> dict[str, Any]:
     info = video_info(clip.path) if clip.is_video else None
     check_numbers(clip.pictures)
     total = (info.total if info else len(clip.pictures)) or 1
@@ -109,9 +112,8 @@ def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
     if len(look.sharpness) < 2:
         span = "" if window.is_all else f" from {window.start_s:g} s to {window.stop_s:g} s"
         raise CaptureError(f"{clip.path}: holds {len(look.sharpness)} frames{span}, at least 2 are needed")
-    look.check()
     write_atomic(folder / f"{clip.name}.png", lambda temporary: look.mean().save(temporary, format="PNG"))
-    return look.record(info)
+    return look.record(info, keep_duplicates)
 
 
 def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
@@ -123,8 +125,9 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
     parts = np.array([int(part) for part in record["parts"]], np.int64)
     frozen = np.array([bool(x) for x in record["frozen"]], bool)
     together = np.array([np.nan if x is None else x for x in record["together"]], np.float64)
-    share = Fraction(record.get("share", 1))
-    if not 0 < share <= 1 or np.isinf(together).any():
+    written = record.get("share", 1)
+    share = None if written is None else Fraction(written)
+    if (share is not None and not 0 < share <= 1) or np.isinf(together).any():
         raise ValueError("a share that is none")
     if not len(parts) == len(frozen) == len(together) == len(
         sharpness
@@ -186,6 +189,7 @@ class _Look:
         self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
         self._meter = PartMeter()
         self._novelty = NoveltyMeter()
+        self._duplicates: DuplicateMeter | None = DuplicateMeter()  # None: a frame was black
 
     def add(self, frame: Frame) -> None:
         if not self.times:
@@ -197,11 +201,14 @@ class _Look:
         grey, k = reduced(pixels[..., 1])  # green carries most of the light, and is there without arithmetic
         brightest = float(np.quantile(grey, 0.99))
         if brightest < BLACK:
-            self._novelty.add_black(frame.is_alone, frame.is_between)
+            self._novelty.add_black()
+            self._duplicates = None
             part, x, y, together = NOTHING, np.nan, np.nan, np.nan
         else:
-            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone, frame.is_between)
+            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone)
             part, x, y, together = self._meter.add(grey)
+        if self._duplicates is not None:
+            self._duplicates.add(pixels[..., 1], frame.is_alone, frame.is_between)
         self.times.append(frame.time)
         self._between.append(frame.is_between)
         self._kinds.append("I" if frame.is_alone else "B" if frame.is_between else "P")
@@ -230,16 +237,14 @@ class _Look:
             )
         self._sum += pixels
 
-    def check(self) -> None:
+    def _check(self, is_new: np.ndarray) -> None:
         path = self.clip.path
         if self._brightest < BLACK:
             raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
-        if self._novelty.is_frozen():
-            raise CaptureError(f"{path}: is frozen: its {len(self.sharpness)} frames are one picture")
-        if self._novelty.hardly_changes():
+        if self._novelty.hardly_changes(is_new):
             warnings.warn(
-                f"{path.name}: hardly anything changes from frame to frame: it is one frozen picture, or its "
-                "compression took away what the camera saw change",
+                f"{path.name}: hardly anything changes from frame to frame: all frames are one picture, or compression "
+                "took away what the camera saw change",
                 stacklevel=2,
             )
 
@@ -250,41 +255,44 @@ class _Look:
             values[..., :3] /= np.maximum(values[..., 3:], 1e-3) / 255
         return Image.fromarray((np.clip(values, 0, 255) + 0.5).astype(np.uint8))
 
-    def record(self, info: VideoInfo | None) -> dict[str, Any]:
+    def record(self, info: VideoInfo | None, keep_duplicates: bool) -> dict[str, Any]:
         assert self._sum is not None
         fps, times = self._clock(info)
-        kept, share, repeats = np.arange(len(self.sharpness)), Fraction(1), self._repeats(times, fps, info)
-        if repeats is not None:
-            kept, share = np.flatnonzero(repeats.is_new), repeats.share
-            if times is not None and fps is not None:
-                times = [times[0] + t for t in repeats.times(fps)]
-                fps *= share
+        found = None if keep_duplicates else self._found(times, fps, info)
+        is_new = np.ones(len(self.sharpness), bool) if found is None else found.is_new
+        self._check(is_new)
+        kept, share = np.flatnonzero(is_new), Fraction(1) if found is None else found.share
+        if found is not None and times is not None and fps is not None:
+            times = [times[0] + t for t in found.times(fps)]
+            fps *= share or 1
         return {
             "width": self._sum.shape[1],
             "height": self._sum.shape[0],
             "fps": None if fps is None else str(fps),
             "times": None if times is None else [str(time) for time in times],
-            "repeats": [] if repeats is None else list(repeats.rows),
-            "share": str(share),
+            "repeats": [] if found is None else list(found.rows),
+            "share": None if share is None else str(share),
             "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in self.shifts[k]] for k in kept],
             "together": [None if np.isnan(self.together[k]) else round(self.together[k], 4) for k in kept],
             "parts": [self.parts[k] for k in kept],
-            "frozen": self._novelty.frozen_frames()[kept].tolist(),
+            "frozen": self._novelty.frozen_frames(is_new)[kept].tolist(),
             "sharpness": [self.sharpness[k] for k in kept],
-            "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
+            "codec_period": codec_period(np.array(self._between)) if found is None else None,
             "light": [[round(float(x), 5) for x in self._light[k]] for k in kept],
             "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_coded else "",
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 
-    def _repeats(
+    def _found(
         self, times: list[Fraction] | None, fps: Fraction | None, info: VideoInfo | None
-    ) -> Repeats | None:
-        """None where the file's clock is not regular: such a file has no need of repeats."""
-        is_told = info is None or (
-            times is not None and fps is not None and is_regular(times, fps, info.tick)
-        )
-        return self._novelty.repeats if is_told else None
+    ) -> Duplicates | None:
+        """None where the file's clock is not regular: such a file has no need of duplicates."""
+        if self._duplicates is None:
+            return None
+        if info is None:  # its pictures have no times to keep: a pattern alone tells when they were taken
+            return self._duplicates.found(irregular=False)
+        is_regular_clock = times is not None and fps is not None and is_regular(times, fps, info.tick)
+        return self._duplicates.found() if is_regular_clock else None
 
     def _clock(self, info: VideoInfo | None) -> tuple[Fraction | None, list[Fraction] | None]:
         times = [time for time in self.times if time is not None]

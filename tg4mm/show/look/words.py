@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.duplicates import OFF
 from tg4mm.capture.look import Look, LookLine, Mover
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
@@ -41,6 +42,7 @@ class Words:
     window: Window = WHOLE
     drawn: Regions | None = None
     drawn_file: Path | None = None
+    keep_duplicates: bool = False
 
     @property
     def head(self) -> str:
@@ -138,8 +140,8 @@ class Words:
         ]
         if f.repeats:
             out.append(
-                f"anything by {len(f.repeats)} pictures that repeat the one before them: they are left out, and the "
-                "others have the times that this tells"
+                f"anything by {len(f.repeats)} duplicate frames: they are left out, and the others have the times that "
+                f"this gives; {OFF} keeps them all"
             )
         elif steps := uneven_steps(f.times_s):
             out.append(
@@ -163,6 +165,7 @@ class Words:
         name = shlex.quote(self.source.stem)
         asked = f" --fps {self.fps:g}" if self.fps is not None else ""
         asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
+        asked += f" {OFF}" if self.keep_duplicates else ""
         asked += f" --from {self.window.start_s:g}" if self.window.start_s else ""
         asked += f" --until {self.window.stop_s:g}" if math.isfinite(self.window.stop_s) else ""
         asked += f" --regions {argument(self.drawn_file)}" if self.drawn_file is not None else ""
