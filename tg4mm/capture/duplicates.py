@@ -40,7 +40,7 @@ _COMES_BACK = (
 )
 # Without a pattern:
 _ALONE = 0.8  # of the blocks that show noise or motion, identical in a duplicate
-_BETWEEN = 0.4  # of them, from which on a frame is neither
+_BETWEEN = 0.2  # of them, from which on a frame is neither
 _UNSURE = 0.2  # of the duplicates' number, frames that are neither, at most
 _ALONE_SELDOM = 0.6  # of all frames: a block identical in no more of them shows noise or motion
 _ALONE_BLOCKS = 0.5  # of all blocks, that do
@@ -252,6 +252,6 @@ def _without_pattern(
         return None
     if _comes_back(pictures, new, range(2, min(_LARGEST, len(changes) // 4))):
         return None
-    kinds = {place for place, is_again in zip(places, again, strict=True) if is_again}
-    compared = {place for place, is_new in zip(places, new, strict=True) if is_new}
-    return Duplicates(new, None) if kinds & compared else None
+    kinds = {place for place, is_new in zip(places, new, strict=True) if is_new}
+    compared = sum(place in kinds for place, is_again in zip(places, again, strict=True) if is_again)
+    return Duplicates(new, None) if compared >= _COMPARED * count else None
