@@ -38,13 +38,6 @@ CLICK = {
     "screen_pos": [[0.5, 0.5]], "modifier": None,
 }  # fmt: skip
 
-BOX = CLICK | {
-    "event_type": "rect-select",
-    "ray_origin": None,
-    "ray_direction": None,
-    "screen_pos": [[0, 0], [1, 1]],
-}
-
 
 @pytest.fixture(scope="module")
 def server():
@@ -187,9 +180,9 @@ def pictured(connection, seconds=30.0):
 
 def test_the_nonsense_of_one_client_ends_nothing_for_another(app, capfd):
     handles = app.server.gui._gui_input_handle_from_uuid
-    values = [math.nan, math.inf, -1e300, 2**64 - 1, "x" * 2000, None, [], {}, [math.nan, 1], "nothing"]
+    values = [math.nan, math.inf, -1e300, 2**64 - 1, "x" * 2000, None, [math.nan, 1], [], {}, "nothing"]
     changed = [key for key in CAMERA if key not in ("near", "far", "type")]
-    bad = [CAMERA | {key: value} for key in changed for value in (0, -1, True, *values)]
+    bad = [CAMERA | {key: value} for key in changed for value in (-1e13, *values)]
     bad += [
         CAMERA | {"image_width": 10**9},
         CAMERA | {"image_width": 9000, "image_height": 9000},
@@ -197,18 +190,13 @@ def test_the_nonsense_of_one_client_ends_nothing_for_another(app, capfd):
         CAMERA | {"wxyz": [0.0] * 4},
     ]
     bad += [CAMERA | {"look_at": CAMERA["position"]}, CAMERA | {"up_direction": [0.0] * 3}]
-    bad += [CAMERA | {"position": [math.nan, 0, 0]}, CAMERA | {"more": 1}, {"type": "ViewerCameraMessage"}]
-    bad += [
-        BOX | change
-        for change in ({"screen_pos": [[0.5, 0.5]]}, {"ray_origin": [0, 0, 0]}, {"event_type": "drag"})
-    ]
-    bad += [CLICK | {"screen_pos": place} for place in ([], [[-5, 2]], [[math.nan, 0]], None)]
-    bad += [CLICK | {key: None} for key in ("event_type", "ray_origin")]
+    bad += [CAMERA | {"position": [math.nan, 0, 0]}, {"type": "ViewerCameraMessage"}]
+    bad += [CLICK | {"screen_pos": place} for place in ([[math.nan, 0]], [[1e300, 0]])]
     bad += [
         {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {key: value}}
         for uuid in (*handles, "none")
         for key in ("value", "min", "removed", "__class__")
-        for value in values
+        for value in (values[:7] if key == "value" else values)
     ]
     bad += [{"type": name} for name in ("ShareUrlRequest", "FileTransferPart", "Message", "", None, 3)]
     before = app._session.look

@@ -44,9 +44,6 @@ _POLICY = (
     "connect-src ws://{host} data: blob:; img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-_CAMERA = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3, "fov": 0, "near": 0, "far": 0,
-           "image_height": 0, "image_width": 0}  # fmt: skip
-_CLICK = {"event_type", "ray_origin", "ray_direction", "screen_pos", "modifier"}
 
 
 class Guard:
@@ -54,7 +51,6 @@ class Guard:
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(24)
-        self.server: viser.ViserServer | None = None  # whose controls the pages move
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, a refusal, or None: the websocket of the page may open."""
@@ -78,7 +74,7 @@ class Guard:
             receive = connection.recv
 
             async def received(*_: object) -> object:
-                while not self._sensible(raw := await receive()):
+                while not _sensible(raw := await receive()):
                     pass
                 return raw
 
@@ -87,93 +83,48 @@ class Guard:
 
         return handle
 
-    def _sensible(self, raw: object) -> bool:
-        try:
-            message = msgspec.msgpack.decode(raw) if isinstance(raw, bytes) else None
-        except (msgspec.DecodeError, RecursionError):
-            return False
-        if not isinstance(message, dict):
-            return False
-        kind = message.pop("type", None)
-        if kind == "ViewerCameraMessage":
-            return _is_camera(message)
-        if kind == "ScenePointerMessage":
-            return message.keys() == _CLICK and _is_click(message)
-        return kind == "GuiUpdateMessage" and message.keys() == {"uuid", "updates"} and self._is_move(message)
 
-    def _is_move(self, message: dict[str, Any]) -> bool:
-        """Whether a control is there that can have the value."""
-        uuid, updates = message["uuid"], message["updates"]
-        if self.server is None or not isinstance(uuid, str) or not isinstance(updates, dict):
-            return False
-        guis = (self.server.gui, *(client.gui for client in self.server.get_clients().values()))
-        found = (gui._gui_input_handle_from_uuid.get(uuid) for gui in guis)
-        handle = next((one for one in found if one is not None), None)
-        return handle is not None and updates.keys() == {"value"} and _fits(updates["value"], handle)
+def _sensible(raw: object) -> bool:
+    """Whether a message is of a kind that the page sends, moves nothing but a value, and can be calculated with."""
+    try:
+        message = msgspec.msgpack.decode(raw) if isinstance(raw, bytes) else None
+    except (msgspec.DecodeError, RecursionError):
+        return False
+    if not isinstance(message, dict) or not _bounded(message):
+        return False
+    kind, updates = message.get("type"), message.get("updates")
+    if kind == "GuiUpdateMessage":  # viser sets whatever attribute is named
+        return isinstance(updates, dict) and updates.keys() == {"value"} and updates["value"] is not None
+    return kind == "ScenePointerMessage" or (kind == "ViewerCameraMessage" and _is_camera(message))
 
 
-def _fits(value: Any, handle: Any) -> bool:
-    """Whether `value` is of the kind of a control's own, within its bounds or among its options."""
-    options = getattr(handle, "options", None)
-    if options is not None:
-        return isinstance(value, str) and value in options
-    if isinstance(handle.value, tuple):
-        if not (isinstance(value, list) and len(value) == len(handle.value)):
-            return False
-        ordered = not isinstance(handle, viser.GuiMultiSliderHandle) or value == sorted(value, key=_number)
-        return ordered and all(map(_fits_one, value, handle.value, [handle] * len(value)))
-    return _fits_one(value, handle.value, handle)
-
-
-def _fits_one(value: object, own: object, handle: object) -> bool:
-    if isinstance(own, bool):
-        return isinstance(value, bool)
-    if isinstance(own, str):
-        return isinstance(value, str) and len(value) <= _LONGEST
-    low, high = (getattr(handle, name, None) for name in ("min", "max"))
-    low, high = (-math.inf if low is None else _number(low)), (math.inf if high is None else _number(high))
-    return _finite(value) and not _number(value) < low and not _number(value) > high
+def _bounded(value: object) -> bool:
+    """Whether all numbers in JSON-like data are finite and not huge, and all texts short."""
+    if isinstance(value, dict):
+        return all(map(_bounded, value.values()))
+    if isinstance(value, list):
+        return all(map(_bounded, value))
+    if isinstance(value, (int, float)):
+        return abs(value) < _FARTHEST
+    return value is None or (isinstance(value, str) and len(value) <= _LONGEST)
 
 
 def _is_camera(message: dict[str, Any]) -> bool:
-    if message.keys() != _CAMERA.keys() or not all(_finite(message[k], n) for k, n in _CAMERA.items()):
-        return False
-    sizes = message["image_width"], message["image_height"]
-    return (
-        all(isinstance(size, int) and 0 < size <= LARGEST_CANVAS[0] for size in sizes)
-        and math.prod(sizes) <= LARGEST_CANVAS[1]
-        and _NARROWEST < message["fov"] < math.pi - _NARROWEST
-        and 0.5 < math.hypot(*message["wxyz"]) < 2.0
-        and min(math.dist(message["position"], message["look_at"]), math.hypot(*message["up_direction"])) > 0
-    )
-
-
-def _is_click(message: dict[str, Any]) -> bool:
-    place, rays = message["screen_pos"], (message["ray_origin"], message["ray_direction"])
-    is_box = message["event_type"] == "rect-select"
-    return (
-        (
-            rays == (None, None)
-            if is_box
-            else message["event_type"] == "click" and all(_finite(r, 3) for r in rays)
+    """Whether it is whole, of a canvas that memory is there for, and looks somewhere."""
+    try:
+        sizes = message["image_width"], message["image_height"]
+        return (
+            all(0 < size <= LARGEST_CANVAS[0] for size in sizes)
+            and math.prod(sizes) <= LARGEST_CANVAS[1]
+            and _NARROWEST < message["fov"] < math.pi - _NARROWEST
+            and len(message["wxyz"]) == 4
+            and 0.5 < math.hypot(*message["wxyz"]) < 2.0
+            and all(len(message[name]) == 3 for name in ("position", "look_at", "up_direction"))
+            and min(math.dist(message["position"], message["look_at"]), math.hypot(*message["up_direction"]))
+            > 0
         )
-        and isinstance(place, list)
-        and len(place) == 1 + is_box
-        and all(_finite(at, 2) and (is_box or all(0 <= share <= 1 for share in at)) for at in place)
-        and (message["modifier"] is None or isinstance(message["modifier"], str))
-    )
-
-
-def _finite(value: object, count: int = 0) -> bool:
-    """Whether it is a number that can be calculated with, or `count` of them."""
-    if count:
-        return isinstance(value, list) and len(value) == count and all(map(_finite, value))
-    return abs(_number(value)) < _FARTHEST
-
-
-def _number(value: object) -> float:
-    """NaN for what is no number."""
-    return math.nan if isinstance(value, bool) or not isinstance(value, (int, float)) else float(value)
+    except (KeyError, TypeError):
+        return False
 
 
 def _page(host: str) -> Response:

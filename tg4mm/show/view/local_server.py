@@ -59,7 +59,7 @@ def start_server(port: int) -> LocalServer:
             server = LocalServer(host=HOST, port=port, verbose=False)
         finally:
             websockets.asyncio.server.serve, console.quiet = serve, quiet  # type: ignore[misc]
-    server.guard, guard.server = guard, server
+    server.guard = guard
     if port and server.get_port() != port:
         stop_server(server)
         raise _taken(port)
