@@ -104,7 +104,7 @@ COMMANDS = {
     "look": Command(_long_video, "look F/a.mp4 --out F/out"),
     "process": Command(_long_video, "process F/a.mp4 --out F/out --quick", ("out/process.json", "out/run/*")),
     "report": Command(_moving, "report F/run --out F/out.html"),
-    "evaluate": Command(_moving, "evaluate F/run --out F/out.json", (".out.json.partial.tmp",)),
+    "evaluate": Command(_moving, "evaluate F/run --out F/out.json"),
     "analyse": Command(_measured, "analyse F/measured --out F/out"),
     **{f"export-{k}": Command(_moving, f"export F/run --format {k} --out F/{v}") for k, v in EXPORTS.items()},
     **{

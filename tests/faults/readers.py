@@ -45,7 +45,6 @@ from tg4mm.core.steps import run_steps
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.research.demo import STEPS_FILE
 from tg4mm.research.evaluate.lpips import _read
-from tg4mm.research.evaluate.run import Resume
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
@@ -93,19 +92,6 @@ def _read_demo(root):
     request = {"format": "tg4mm-demo", "version": 1, "size": 64}
     folder.claim(request, {**request, "done": {}})
     run_steps(folder, request, [], print)
-
-
-SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "closure": 0.75}
-
-
-def _partial(root):
-    Resume(root / "metrics.json").put("key", SCORES)
-    return root / ".metrics.json.partial.tmp"
-
-
-def _read_partial(root):
-    """What is not as it was put there is not given: no mutation may change a score."""
-    assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 
 
 # The generator, and reconstruction.
@@ -271,7 +257,6 @@ READERS: dict[str, Reader] = {
     "run checkpoint": Reader(run_of("checkpoint_space.safetensors"), _read_run, of_tensors),
     "run triplane": Reader(paper_run("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(paper_run("planes_0001.safetensors"), _read_paper, of_tensors),
-    "metrics.json, partial": Reader(_partial, _read_partial, of_json),
     "demo.json": Reader(
         record("demo.json", {"format": "tg4mm-demo", "version": 1, "size": 64, "done": {"train": 1.5}}),
         _read_demo,

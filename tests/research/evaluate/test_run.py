@@ -1,14 +1,12 @@
 """Evaluation of whole runs on a small dataset whose exact model is known."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import tg4mm.research.evaluate.run as module
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import CaptureError, RunError
@@ -208,49 +206,6 @@ def test_unusable_requests_are_refused(half, scene, tmp_path):
     with pytest.raises(RunError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):
         evaluate_run(other)
     assert not (other.path / "metrics.json").exists()
-
-
-@pytest.fixture
-def killed(half, monkeypatch):
-    """An evaluation that was killed before α = 20, and the α that are scored from then on."""
-    original, scored = module.Scorer.score, []
-
-    def score(self, methods, capture, images, alpha, update):
-        scored.append(alpha)
-        if scored.count(20) == 1 and alpha == 20:
-            raise KeyboardInterrupt
-        return original(self, methods, capture, images, alpha, update)
-
-    monkeypatch.setattr(module.Scorer, "score", score)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_run(half)
-    assert not (half.path / "metrics.json").exists()
-    return half, scored
-
-
-def test_a_killed_evaluation_goes_on_where_it_was(killed):
-    half, scored = killed
-    before = len(scored)
-    metrics = evaluate_run(half)
-    assert scored[before:] == [20]
-    assert metrics["alphas"] == evaluate_run(half, out=half.path / "whole.json")["alphas"]
-
-
-def test_a_damaged_partial_result_is_scored_anew(killed):
-    """One other digit in a finished α is no score of this run."""
-    half, _ = killed
-    partial = half.path / ".metrics.json.partial.tmp"
-    text = partial.read_text()
-    digit = re.search(r'"psnr_db": (\d)', text).start(1)
-    partial.write_text(text[:digit] + str((int(text[digit]) + 1) % 10) + text[digit + 1 :])
-    assert evaluate_run(half)["alphas"] == evaluate_run(half, out=half.path / "whole.json")["alphas"]
-
-
-def test_a_changed_run_is_not_resumed(killed, scene):
-    half, _ = killed
-    half.save_motion(scene[2], {})
-    rows = rows_of(evaluate_run(half), 5)
-    assert rows[OURS]["psnr_db"] == pytest.approx(rows[CEILING]["psnr_db"], abs=0.05)
 
 
 def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path):

@@ -1,31 +1,24 @@
 """Evaluation of a trained run against ground truth, beside the two rows that give its figures meaning."""
 
-import hashlib
-import json
 import time
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.capture import load_capture, load_images
 from tg4mm.core.files import json_digest, write_json
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.progress import progress
-from tg4mm.core.untrusted import read_json
-from tg4mm.research.evaluate.lpips import Lpips
 from tg4mm.research.evaluate.scores import (
     BACKGROUND,
-    Candidate,
     Key,
     Scorer,
-    camera_key,
     change_figures,
     closure,
-    content_key,
 )
 from tg4mm.research.evaluate.subject import (
     CEILING,
@@ -73,7 +66,7 @@ def evaluate_run(
     `lpips_weights` or `metrics`. `metrics`: some of psnr_db, ssim, flip, lpips; None for all of them.
 
     What is absent (a split, an α, truth/, LPIPS weights) is named under `absent`; what is there but broken
-    raises a Tg4mmError. A killed evaluation goes on at the first α that was not finished.
+    raises a Tg4mmError.
 
     Methods: "nothing moves" (the Gaussians at rest), "ours" (the run's motion), "ceiling" (the exact motion
     applied to the same Gaussians). Renderings are not rounded to 8 bits. Returned and written:
@@ -107,10 +100,7 @@ def evaluate_run(
         subject = subject_of(run, capture, magnified, absent, device)
     target = target_file(run, out)
     scorer = Scorer(subject.gaussians, chosen, use_cache, {} if scores is None else scores)
-    resume = Resume(target)
-    entries = [
-        e for a in wanted if (e := _score_alpha(run.dataset, a, subject, scorer, resume, absent)) is not None
-    ]
+    entries = [e for a in wanted if (e := _score_alpha(run.dataset, a, subject, scorer, absent)) is not None]
     figures = displacement_of(subject, capture, absent)
     result = {
         "format": FORMAT,
@@ -131,7 +121,6 @@ def evaluate_run(
     }
     result["digest"] = json_digest(result)
     write_json(target, result)
-    resume.drop()
     return result
 
 
@@ -145,16 +134,13 @@ def _filter_name(run: Run, magnified: Magnification) -> str | None:
 
 
 def _score_alpha(
-    root: Path, alpha: int, subject: Subject, scorer: Scorer, resume: "Resume", absent: dict[str, str]
+    root: Path, alpha: int, subject: Subject, scorer: Scorer, absent: dict[str, str]
 ) -> dict[str, Any] | None:
     capture = capture_with_truth(root, alpha, absent)
     if capture is None:
         return None
     images = load_images(capture)
     scorer = replace(scorer, metrics=fitting(scorer.metrics, capture, absent))
-    key = fingerprint(scorer, subject.methods, capture, images, alpha)
-    if (kept := resume.get(key)) is not None:
-        return kept
     methods = subject.methods
     with progress(f"evaluate α = {alpha}", len(images) * len(methods), unit="images") as update:
         scores = scorer.score(methods, capture, images, float(alpha), update)
@@ -167,7 +153,6 @@ def _score_alpha(
             moved = scorer.gaussians, named[OURS], named[CEILING], capture, float(alpha), update
             changes = change_figures(*moved)
     entry |= changes
-    resume.put(key, entry)
     return entry
 
 
@@ -196,68 +181,3 @@ def _gap(ours: dict[str, float | None], ceiling: dict[str, float | None]) -> dic
 
 def _measured(entry: dict[str, Any], metric: str) -> bool:
     return any(row[metric] is not None for row in entry["rows"].values())
-
-
-_VERSION = 2  # of how scores are made: raise it when the same input would score otherwise
-
-
-class Resume:
-    """Finished α, by fingerprint, in a hidden file beside the result, each with a digest of its figures."""
-
-    def __init__(self, target: Path) -> None:
-        self._file = target.with_name(f".{target.name}.partial.tmp")
-
-    def get(self, key: str) -> dict[str, Any] | None:
-        """The figures; None where there are none, or they are not what was put there."""
-        kept = self._read().get(key)
-        if not isinstance(kept, dict) or kept.get("digest") != _entry_digest(key, kept.get("entry")):
-            return None
-        return kept["entry"]
-
-    def put(self, key: str, entry: dict[str, Any]) -> None:
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(self._file, self._read() | {key: {"entry": entry, "digest": _entry_digest(key, entry)}})
-
-    def drop(self) -> None:
-        self._file.unlink(missing_ok=True)
-
-    def _read(self) -> dict[str, Any]:
-        try:
-            kept = read_json(self._file, finite=True)
-        except (OSError, ValueError):  # absent, or not ours: nothing to go on from
-            return {}
-        return kept if isinstance(kept, dict) else {}
-
-
-def _entry_digest(key: str, entry: Any) -> str:
-    return json_digest([key, entry])
-
-
-def fingerprint(
-    scorer: Scorer, methods: list[Candidate], capture: Capture, images: ImageStack, alpha: float
-) -> str:
-    """Digest of everything an α's scores depend on, so that only what is still true is resumed."""
-    digest = hashlib.blake2b(digest_size=16)
-    named = [(m.name, m.magnified.limits, *([m.posing.label] if m.posing else [])) for m in methods]
-    settings = [_VERSION, alpha, sorted(scorer.metrics), named]
-    digest.update(json.dumps(settings).encode())
-    for tensor in _tensors(scorer):
-        digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
-    for motion in (m.motion for m in methods if m.motion is not None):
-        arrays = (motion.freqs_hz, motion.displacement, motion.rotation, motion.gains, motion.magnified)
-        light = (
-            (None, None)
-            if motion.appearance is None
-            else (motion.appearance.shapes, motion.appearance.series)
-        )
-        for array in (*arrays, *light):
-            digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
-    for i, t in enumerate(capture.timesteps.tolist()):
-        digest.update(camera_key(capture, i) + content_key(images, i) + t.to_bytes(8, "little"))
-    return digest.hexdigest()
-
-
-def _tensors(scorer: Scorer) -> list[Any]:
-    found = [getattr(scorer.gaussians, f.name) for f in fields(scorer.gaussians)]
-    lpips = scorer.metrics.get("lpips")
-    return found + ([*lpips.weights, *lpips.biases, *lpips.heads] if isinstance(lpips, Lpips) else [])
