@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.show.measure.series import UNSEEN
 
-PHASE_RAD = 0.1  # scale of the error of a phase by the motion stage (docs/captures.md: 1°, 4°, 12°, once 71°)
+PHASE_RAD = 0.1  # scale of the error of a phase by the motion stage (docs/protocol.md: 1°, 4°, 12°, once 71°)
 _STARTS, _TURNS = 24, 60  # random phases, where none are known, and steps from each
 _STEPS = 30  # of Gauss-Newton
 
