@@ -1,14 +1,10 @@
 """Commands that can be killed: tiny inputs, and what of the files is not final while they work."""
 
-import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.helpers.snakemake_program import FARM
 from tests.helpers.synthetic import make_synthetic_dataset, moving_run
-from tg4mm.cli import main as program
 
 
 @dataclass(frozen=True)
@@ -32,11 +28,6 @@ def _scored(folder):
     )
 
 
-def _farm(folder):
-    config = {"python": sys.executable, "parts": 2, "options": GENERATE, "sets": {"mic": None}}
-    (folder / "config.json").write_text(json.dumps(config))
-
-
 def _run(folder):
     from tests.show.measure.filmed import modes, of_parts, run_of, sine
 
@@ -51,13 +42,6 @@ def _video(folder):
 
 def _moving(folder):
     moving_run(folder, n_views=3, n_timesteps=8, size=24, freqs=(5.0,), amplitude=0.03, n_test=1, alphas=(5,))
-
-
-def _measured(folder):
-    moving_run(folder, n_views=3, n_timesteps=24, size=24, freqs=(5.0,), amplitude=0.03, n_test=0, alphas=())
-    assert (
-        program(["measure", str(folder / "run"), "--out", str(folder / "measured"), "--sensor", "all"]) == 0
-    )
 
 
 def _long_video(folder):
@@ -81,14 +65,6 @@ BENCH = " --set ".join(
 )
 PAPER = "channels=2 resolution=16 iterations=80 warm_up=40 motion_iterations=20".replace(" ", " --set paper.")
 GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
-EXPORTS = {
-    "ply": "out.ply",
-    "html": "out.html",
-    "gltf": "out.glb",
-    "usd": "out.usdc",
-    "ply-sequence": "out",
-    "spz": "out",
-}
 STAGES = ("out/*.safetensors", "out/*.json")
 COMMANDS = {
     "train": Command(_dataset, f"{TRAIN}space.iterations=120 --set motion.iterations=3", STAGES),
@@ -103,28 +79,13 @@ COMMANDS = {
     ),
     "look": Command(_long_video, "look F/a.mp4 --out F/out"),
     "process": Command(_long_video, "process F/a.mp4 --out F/out --quick", ("out/process.json", "out/run/*")),
-    "report": Command(_moving, "report F/run --out F/out.html"),
     "evaluate": Command(_moving, "evaluate F/run --out F/out.json"),
-    "analyse": Command(_measured, "analyse F/measured --out F/out"),
-    **{f"export-{k}": Command(_moving, f"export F/run --format {k} --out F/{v}") for k, v in EXPORTS.items()},
-    **{
-        f"convert-{k}": Command(_dataset, f"convert F/set --to {k} --out F/out")
-        for k in ("nerfstudio", "colmap")
-    },
+    "export-usd": Command(_moving, "export F/run --format usd --out F/out.usdc"),
+    "convert-colmap": Command(_dataset, "convert F/set --to colmap --out F/out"),
     "bench": Command(
         _scored,
         f"bench scenes F/sway_5Hz_0_03 --out F/out --same-time never --methods modal,linear-2d --alphas 5{BENCH}",
         ("out/.warm-up-*", "out/results*", "out/*.svg", "out/tables/*", "out/runs/*"),
-    ),
-    "demo": Command(
-        lambda folder: None,
-        "demo --out F/out --size 16",
-        ("out/demo.json", "out/run/*", "*/.parts/*", "*/.points/*"),
-    ),
-    "farm": Command(
-        _farm,
-        f"snakemake -s {FARM}/Snakefile --configfile F/config.json --config out=F/out --profile {FARM}/profiles/local",
-        ("out/*/.parts/*", "out/.log/*", "out/index.html", "out/*/report/*"),
     ),
     "generate": Command(lambda folder: None, f"generate mic --out F/out {GENERATE}", ("*/.parts/*",)),
 }

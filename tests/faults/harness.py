@@ -1,25 +1,19 @@
 """Mutations of every reader's files, each read in a child process that may neither crash, hang nor take much memory.
 
-    python -m tests.faults.harness --count 10000 [--seed 0] [--only NAME] [--keep FOLDER]
-
 A fault is any exception but Tg4mmError, a process that dies, more than LIMIT_S seconds, and a file left or changed
-beside the one that is read. With --keep, the inputs of faults are written to a folder.
+beside the one that is read.
 """
 
-import argparse
-import contextlib
 import json
 import os
 import random
 import resource
 import select
 import shutil
-import sys
 import tempfile
 import time
 import traceback
 import warnings
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,7 +31,6 @@ class Tally:
 
     read: int = 0  # accepted: the mutation did no harm, or none that can be told
     refused: int = 0
-    slowest_s: float = 0.0
     faults: list[tuple[int, str]] = field(default_factory=list)  # number of the mutation, what happened
 
     @property
@@ -50,31 +43,20 @@ def mutated(name, seed, index, sample):
     return READERS[name].mutate(sample, random.Random(f"{seed} {name} {index}"))
 
 
-def run_reader(name, count, seed, keep=None):
+def run_reader(name, count, seed):
     """Read `count` mutations. A child that dies or hangs costs one of them; the next one goes on after it."""
     tally, index = Tally(), 0
     while index < count:
         for message in _answers(name, index, count, seed):
             index = int(message["index"])
-            tally.slowest_s = max(tally.slowest_s, float(message.get("seconds", 0.0)))
             if message["what"] == "read":
                 tally.read += 1
             elif message["what"] == "refused":
                 tally.refused += 1
             else:
                 tally.faults.append((index, str(message["what"])))
-                if keep is not None:
-                    _keep(keep, name, seed, index)
             index += 1
     return tally
-
-
-def _keep(folder, name, seed, index):
-    with tempfile.TemporaryDirectory() as scratch:
-        file = READERS[name].make(Path(scratch))
-        folder.mkdir(parents=True, exist_ok=True)
-        safe = "".join(c if c.isalnum() else "_" for c in name)
-        (folder / f"{safe}_{index}{file.suffix}").write_bytes(mutated(name, seed, index, file.read_bytes()))
 
 
 def _answers(name, start, count, seed):
@@ -168,43 +150,3 @@ def _contents(root, file):
             known = path != file and path.name != "log.json"
             found[str(path)] = path.read_bytes() if known else b""
     return found
-
-
-def _printed(name, tally, seconds):
-    row = f"{name:<28}{tally.count:>8,}{tally.read:>8,}{tally.refused:>9,}{len(tally.faults):>8}"
-    return f"{row}{1e3 * tally.slowest_s:>10.0f}{seconds:>9.0f}"
-
-
-def main():
-    """Prints a row a reader; 1 if there is a fault."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=500, help="mutations of each reader (500)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="readers whose name holds this")
-    parser.add_argument("--keep", type=Path, help="folder for the inputs of faults")
-    args = parser.parse_args()
-    print(f"{'reader':<28}{'inputs':>8}{'read':>8}{'refused':>9}{'faults':>8}{'slowest':>10}{'in all':>9}")
-    print(f"{'':<28}{'':>8}{'':>8}{'':>9}{'':>8}{'ms':>10}{'s':>9}")
-    total = Tally()
-    for name in READERS:
-        if args.only not in name:
-            continue
-        began = time.monotonic()
-        tally = run_reader(name, args.count, args.seed, args.keep)
-        print(_printed(name, tally, time.monotonic() - began), flush=True)
-        kinds = Counter(what for _, what in tally.faults)
-        for what, n in kinds.most_common(12):
-            first = next(i for i, w in tally.faults if w == what)
-            print(f"    {n} × {what} (first: {first})", flush=True)
-        total.read += tally.read
-        total.refused += tally.refused
-        total.faults += tally.faults
-    print(f"{total.count:,} inputs, {len(total.faults)} faults, seed {args.seed}")
-    return 1 if total.faults else 0
-
-
-if __name__ == "__main__":
-    with contextlib.suppress(BrokenPipeError):
-        sys.exit(main())

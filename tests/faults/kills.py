@@ -1,10 +1,10 @@
 """Commands that are killed, at random moments or after a rename, and given again: nothing is lost or half-written.
 
-    python -m tests.faults.kills --kills 60 [--command train|render|…] [--renames 40] [--disks 8] [--seed 0]
+    python -m tests.faults.kills --kills 60 [--command train|render|…] [--renames 40] [--seed 0]
 
 After each kill every file is as an undisturbed command leaves it, or it is a temporary one; a file that was whole
 before stays. In the end the command is given once more, and leaves what an undisturbed one does, bit for bit, and
-nothing besides: no checkpoint, no temporary file. --disks: the same on a disk that fills while the command writes.
+nothing besides: no checkpoint, no temporary file.
 """
 
 import argparse
@@ -13,7 +13,6 @@ import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -30,8 +29,6 @@ import tg4mm.research.paper.space
 import tg4mm.show.measure
 import tg4mm.show.render
 from tests.faults.commands import COMMANDS
-from tests.faults.tmpfs import fill, mounted
-from tests.helpers.snakemake_program import snakemake
 from tg4mm.cli import main as program
 from tg4mm.core.temporary import is_temporary
 
@@ -119,8 +116,7 @@ class Trial:
         assert status == 0, f"exit status {status}"
 
     def _program(self, folder):
-        words = [word.replace("F/", f"{folder}/") for word in self.command.words.split()]
-        return workflow(folder, words) if words[0] == "snakemake" else program(words)
+        return program([word.replace("F/", f"{folder}/") for word in self.command.words.split()])
 
     def random_kills(self, kills, seed):
         """Kills at random moments, up to three in one folder. Returns how many struck before the end."""
@@ -146,28 +142,6 @@ class Trial:
             self.check_finished(folder, self.check_whole(folder, before, f"killed after rename {n}"))
         return len(numbers)
 
-    def full_disks(self, count):
-        """Disks with less and less room than the command needs, down to none. Returns how many were full."""
-        needed, full = sum(map(len, self.expected.values())), 0
-        for i in range(count):
-            with mounted(self.root / "disk", 2 * needed + (16 << 20)) as disk:
-                folder = disk / "f"
-                shutil.copytree(self.root / "given", folder)
-                before = contents(folder)
-                fill(disk, needed * i // count)
-                status = os.waitstatus_to_exitcode(
-                    in_child(lambda f=folder: os._exit(self._program(f)), self.said)
-                )
-                said = self.said.read_text()
-                failed = 1 if self.name in ("generate", "farm") else 2  # whole programs of their own
-                if status not in (0, failed) or (status and "No space left" not in said):
-                    raise AssertionError(f"{self.name}, disk {i} of {count}: exit {status}, {said[-2000:]}")
-                full += status != 0
-                before = self.check_whole(folder, before, f"on disk {i} of {count}")
-                (disk / "filler").unlink()
-                self.check_finished(folder, before)
-        return full
-
     def check_finished(self, folder, before):
         """Let the command finish, and compare. Raises AssertionError."""
         self._must(lambda: self.give(folder))
@@ -192,14 +166,6 @@ class Trial:
         return found
 
 
-def workflow(folder, words):
-    """Snakemake, given with --unlock first, as it asks for after a kill; its own notes lie beside the folder."""
-    command = [snakemake(), *words[1:], "-d", f"{folder}.notes"]
-    environment = {**os.environ, "PYTHONPATH": os.getcwd()}
-    subprocess.run([*command, "--unlock"], env=environment)
-    return subprocess.run(command, env=environment).returncode
-
-
 def contents(folder):
     """Every file below but temporary ones and locks; of safetensors the tensors, whose header has no fixed order."""
     files = [f for f in folder.rglob("*") if f.is_file() and not f.name.endswith(".lock")]
@@ -220,7 +186,6 @@ def main():
     )
     parser.add_argument("--kills", type=int, default=10, help="at random moments (10)")
     parser.add_argument("--renames", type=int, default=0, help="kills after a rename, at most (0)")
-    parser.add_argument("--disks", type=int, default=0, help="disks that fill while it writes (0)")
     parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next folder's (1)")
     parser.add_argument("--command", choices=list(COMMANDS), help="one of them (default: all)")
     parser.add_argument("--seed", type=int, default=0)
@@ -230,8 +195,7 @@ def main():
             trial = Trial(Path(folder), name)
             renames = trial.kills_after_renames(args.renames, args.step)
             struck = trial.random_kills(args.kills, args.seed)
-            full = trial.full_disks(args.disks)
-            kinds = f"{renames} kills after a rename, {struck} at random moments, {full} full disks, seed {args.seed}"
+            kinds = f"{renames} kills after a rename, {struck} at random moments, seed {args.seed}"
             print(f"{name}, {trial.seconds:.1f} s: {kinds}: nothing lost", flush=True)
     return 0
 
