@@ -20,7 +20,7 @@ from tg4mm.core.phasors import peak_displacement
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
-from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import Reading, reading_of
 
@@ -229,7 +229,7 @@ def _compare_peak(
     if (peak.line is not None and peak.line.damping is not None) == bool(decay):
         size *= float(np.exp(-decay * peak.line.from_s)) if peak.line is not None and decay else 1.0
         deviation = reported_deviation(
-            orbit.amplitude, amplitude_deviation(peak, orbit), result.loss_of(best)
+            orbit.amplitude, orbit.deviation, result.loss_of(best)
         )
         out.amplitudes.append((orbit.amplitude - size) / deviation)
     if damping is not None:

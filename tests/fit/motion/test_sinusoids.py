@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.spectrum import find_sinusoids
+from tg4mm.fit.motion.spectrum import Clock, find_sinusoids
 
 
 def functions(n_timesteps, cycles, drift=0.0, noise=0.0, seed=0, n_pixels=400, decay=0.0):
@@ -51,6 +51,19 @@ class TestFrequencies:
         bound = np.sqrt(6 * noise**2 / (np.pi**2 * n_timesteps * 2 * n_pixels))  # Σ a² = 2 for each pixel
         np.testing.assert_allclose(found.cycles, cycles, atol=4 * bound)
         assert not found.trend
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+@pytest.mark.parametrize("cycles", [(2.5,), (5.3, 41.3)])
+def test_of_frames_that_lack_or_come_late_they_are_exact(cycles, jitter):
+    """Of 100 frames seven lack; the others come up to a fifth of a frame early or late."""
+    rng = np.random.default_rng(3)
+    times = np.delete(np.arange(100), [9, 10, 11, 40, 77, 78, 90]) + jitter * rng.uniform(-1, 1, 93)
+    times -= times[0]
+    angles = 2 * np.pi * np.outer(cycles, times / 100)
+    series = rng.normal(size=(5, 2 * len(cycles))) @ np.concatenate([np.cos(angles), np.sin(angles)])
+    found = find_sinusoids(series, Clock.of(times))
+    np.testing.assert_allclose(found.cycles, cycles, atol=1e-3)
 
 
 class TestNone:

@@ -119,6 +119,26 @@ class TestBetweenBins:
             np.testing.assert_allclose(found, np.einsum("rt,rnd->tnd", basis, shapes), atol=2e-5)
 
 
+def test_of_frames_that_lack_the_phasors_are_those_of_the_motion():
+    """Of 120 frames five lack: the sinusoid as it is, and in the bins beside it little."""
+    kept = np.delete(np.arange(120), [17, 18, 60, 61, 99])
+    true = shape(0)
+    basis, shapes = video_of(120, {4.71: true})
+    motion = np.einsum("rt,rnd->tnd", basis, shapes)[kept]
+    flat = (motion - motion.mean(0)).reshape(len(kept), -1)
+    left, strength, right = np.linalg.svd(flat, full_matrices=False)
+    functions, fields = left[:, :2].T, (strength[:2, None] * right[:2]).reshape(2, *true.shape)
+    freqs, series = modes_of(functions, fields, FPS, times_s=kept / FPS)
+    values = apply_series(series, fields)
+    k = int(np.linalg.norm(values[1:], axis=(1, 2)).argmax()) + 1
+    assert freqs[k] == pytest.approx(4.71, abs=1e-4)
+    np.testing.assert_allclose(values[k], true, atol=2e-3)
+    freqs, series = modes_of(functions, fields, FPS)  # as if they were even
+    values = apply_series(series, fields)
+    k = int(np.linalg.norm(values[1:], axis=(1, 2)).argmax()) + 1
+    assert np.linalg.norm(values[k] - true) > 0.1 * np.linalg.norm(true)
+
+
 class TestBands:
     """What a band holds is a mode as a whole, and nothing of what lies outside."""
 

@@ -54,15 +54,21 @@ def test_a_rig_is_told_the_offsets_of_its_clocks():
         assert f"{name} {seconds:+.4g} s" in note
 
 
-def test_a_flat_video_with_missing_frames_moves_in_its_plane_alone():
-    """Its times are uneven, so that it is fitted by sinusoids instead of components."""
+def test_a_flat_video_with_missing_frames_shows_what_it_shows_with_all():
     gaussians, motion = scene(FREQUENCY)
     whole = clips(gaussians, motion, [0.0], 60, "flat")
+    whole = replace(whole, clock="synchronous")
     (camera,) = whole.frames
     kept = np.delete(np.arange(60), [20, 21, 41])
     camera = replace(camera, rows=camera.rows[kept], times_s=camera.times_s[kept])
+    with_all = fit_motion(gaussians, whole, MotionConfig(appearance=False)).motion
     fit = fit_motion(gaussians, replace(whole, frames=[camera]), MotionConfig(appearance=False))
-    assert fit.motion.freqs_hz == pytest.approx([FREQUENCY], abs=0.05)
+    fields = []
+    for own in (with_all, fit.motion):
+        at = np.argmin(np.abs(own.freqs_hz - FREQUENCY))
+        assert own.freqs_hz[at] == pytest.approx(FREQUENCY, abs=0.01)
+        fields.append(own.displacement[at])
+    assert np.linalg.norm(fields[1] - fields[0]) < 0.05 * np.linalg.norm(fields[0])
     along = fit.motion.displacement @ camera.viewmat[2, :3]
     assert np.abs(along).max() < 1e-6 * np.abs(fit.motion.displacement).max()
     assert any("across the sight alone" in note for note in fit.notes)

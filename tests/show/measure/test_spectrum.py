@@ -6,7 +6,7 @@ import pytest
 from tg4mm.show.measure.derivatives import derivatives_of, deviations_of
 from tg4mm.show.measure.fourier import CHANCE
 from tg4mm.show.measure.harmonics import Harmonic, harmonics_of
-from tg4mm.show.measure.orbit import orbit_of
+from tg4mm.show.measure.orbit import orbit_in, orbit_of
 from tg4mm.show.measure.spectrum import spectrum_of, with_band
 
 TIMES = np.arange(60) / 30.0
@@ -103,6 +103,42 @@ def test_an_orbit_is_the_ellipse():
     orbit = orbit_of(spectrum_of(TIMES, values, np.full((60, 3), 1e-3)).peaks[0])
     assert np.abs(orbit.major) == pytest.approx([2, 0, 0], abs=1e-3)
     assert np.abs(orbit.minor) == pytest.approx([0, 1, 0], abs=1e-3)
+
+
+ALL = np.ones(3, bool)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_a_direction_that_is_hardly_seen_does_not_hide_the_others(turn):
+    """.4 to the right ± .01, and .3 ± .29 along the sight: the main axis is what is seen; the sight stands apart.
+
+    So it is where the axes are not the sight's own, with their correlation.
+    """
+    c, s = np.cos(turn), np.sin(turn)
+    axes = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    phasor = axes @ np.array([0.4 * np.exp(0.5j), 0, 0.3])
+    covariance = axes @ np.diag([0.01, 0.01, 0.29]) ** 2 @ axes.T
+    deviation = np.sqrt(np.diag(covariance))
+    orbit = orbit_in(phasor, deviation, ALL, covariance / np.outer(deviation, deviation))
+    assert np.abs(orbit.major) == pytest.approx(np.abs(0.4 * axes[:, 0]), abs=1e-6)
+    assert orbit.deviation == pytest.approx(0.01)
+    assert (orbit.phase - 0.5) % np.pi == pytest.approx(0, abs=1e-6)
+    (hidden,) = orbit.hidden
+    assert (hidden.amplitude, hidden.deviation) == pytest.approx((0.3, 0.29))
+    alike = orbit_in(phasor, deviation, ALL)  # as if the axes were independent
+    assert alike.deviation > 0.1 if turn else alike.deviation == pytest.approx(0.01)
+
+
+def test_a_direction_that_is_told_is_a_part_of_the_main_axis_however_unsure():
+    orbit = orbit_in(np.array([0.4, 0, 0.9], complex), np.array([0.01, 0.01, 0.29]), ALL)
+    assert orbit.amplitude == pytest.approx(np.hypot(0.4, 0.9))
+    assert not orbit.hidden
+
+
+def test_of_noise_alike_along_all_axes_a_clear_main_axis_keeps_all():
+    orbit = orbit_in(np.array([0.4, 0.1, 0.0], complex), np.full(3, 0.1), ALL)
+    assert orbit.amplitude == pytest.approx(np.hypot(0.4, 0.1))
+    assert orbit.stands_out
 
 
 FPS, RESOLUTION = 30.0, 0.5

@@ -20,7 +20,7 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.space.view import EPS2D
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
-# of a frame: by how much the time stamps of one clock differ, from each other and from even steps
+# of a frame: by how much the time stamps of one clock differ from each other, and even ones from even steps
 _CLOCK = 0.1
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
@@ -57,7 +57,7 @@ class PosedFrames:
 class Observations:
     """All pictures of a capture that show motion.
 
-    `clock` is one of: `synchronous`, fixed cameras with the same regular times; `independent`, fixed cameras each with
+    `clock` is one of: `synchronous`, fixed cameras with the same times; `independent`, fixed cameras each with
     a clock (or a start of the vibration) of its own; `moving`, every picture with a pose of its own.
     """
 
@@ -242,20 +242,21 @@ def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
 
 
 def _are_synchronous(frames: list[PosedFrames]) -> bool:
-    """Whether all cameras have the same times, evenly spaced, to a tenth of a frame."""
+    """Whether all cameras have the same times, to a tenth of a frame. Steps may differ: phones drop frames."""
     times = frames[0].times_s
     if any(len(f.times_s) != len(times) for f in frames):
         return False
-    return is_even(*(f.times_s for f in frames))
+    within = _CLOCK * float(np.median(np.diff(times)))
+    return all(np.abs(f.times_s - times).max() < within for f in frames)
 
 
-def is_even(times_s: np.ndarray, *others: np.ndarray) -> bool:
-    """Whether times [F], and others like them, are evenly spaced, to a tenth of a frame; two always are."""
+def is_even(times_s: np.ndarray) -> bool:
+    """Whether times [F] are evenly spaced, to a tenth of a frame; two always are."""
     if len(times_s) < 3:
         return True
     step = float(np.ptp(times_s)) / (len(times_s) - 1)
     even = times_s[0] + step * np.arange(len(times_s))
-    return all(np.abs(own - even).max() < _CLOCK * step for own in (times_s, *others))
+    return bool(np.abs(times_s - even).max() < _CLOCK * step)
 
 
 SHOWN = 50_000_000  # pixels, which take some seconds

@@ -108,7 +108,7 @@ def _solved(model: TemporalModel, checkpoint: Checkpoint) -> LinearSolution:
 
 
 def _moves_by_pixels(solution: LinearSolution) -> bool:
-    """Whether something before one fixed camera, its times even, vibrates by more than what is linear."""
+    """Whether something before one fixed camera vibrates by more than what is linear."""
     model = solution.model
     is_put_back = (
         model.observations.is_flat and isinstance(model, Synchronous) and model.config.gauss_newton > 0

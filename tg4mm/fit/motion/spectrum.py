@@ -5,6 +5,9 @@ holds only a part, and the mean over time is not the motion's zero. A trend leak
 by sinusoids, a constant and, where it helps, a slow trend: frequencies by variable projection (Golub & Pereyra 1973),
 one more at a time at the highest peak of the residual's periodogram, as in matching pursuit with all of them refined.
 Where bins do as well (whole periods, or nothing tonal) there are none.
+
+Sinusoids are fitted at the times of the frames, which need not be even: phones drop frames. Bins are of the even clock
+that such times lie on; what sinusoids leave is interpolated to it.
 """
 
 from collections.abc import Callable
@@ -12,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 
 from tg4mm.core.lines.band import tone_in
@@ -70,10 +74,12 @@ def modes_of(
     fps: float,
     appearance: np.ndarray | None = None,
     band: tuple[float, float] | None = None,
+    times_s: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [K] in Hz, ascending, and phasors [K, R] of the temporal components a_r(t) of Σ_r a_r(t) fields[r].
 
-    basis [R, T], fields [R, N, D], appearance [R, ...]: fields of colour that share the components.
+    basis [R, F], fields [R, N, D], appearance [R, ...]: fields of colour that share the components. times_s [F]: of the
+    frames, in seconds, timestep 0 being the first; None: F even ones.
     Σ_k Re[m_k exp(i 2π f_k t / fps)] reconstructs the motion at every timestep, less its mean over time, which is the
     residuals pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
     (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
@@ -81,14 +87,15 @@ def modes_of(
     magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
     appearance weigh the same. Where a `band` (Hz) is given and holds no frequency, the tone in it is one.
     """
-    n_timesteps = basis.shape[1]
+    clock = Clock.of(basis.shape[1] if times_s is None else times_s * fps)
+    n_timesteps = clock.length
     basis = basis - basis.mean(1, keepdims=True)
     products = np.einsum("rnc,snc->rs", fields[..., :3], fields[..., :3], dtype=np.float64)
     weighted = basis * np.sqrt(np.diag(products))[:, None]
-    sinusoids = find_sinusoids(weighted)
+    sinusoids = find_sinusoids(weighted, clock)
     if band is not None:
-        sinusoids = _with_band(sinusoids, weighted, fps, band)
-    cycles, series = _with_bins(basis, sinusoids)
+        sinusoids = _with_band(sinusoids, weighted, clock, fps, band)
+    cycles, series = _with_bins(basis, sinusoids, clock)
     if appearance is not None and (own := _products(appearance)).any():
         products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
@@ -99,14 +106,14 @@ def modes_of(
 
 
 def _with_band(
-    sinusoids: "Sinusoids", series: np.ndarray, fps: float, band: tuple[float, float]
+    sinusoids: "Sinusoids", series: np.ndarray, clock: "Clock", fps: float, band: tuple[float, float]
 ) -> "Sinusoids":
-    """With the tone of series [R, T] in the band (Hz), where no bin and no sinusoid lies in it."""
-    n_timesteps = series.shape[1]
+    """With the tone of series [R, F] in the band (Hz), where no bin and no sinusoid lies in it."""
+    n_timesteps = clock.length
     hz = np.append(sinusoids.cycles, np.arange(1, n_timesteps // 2 + 1)) * fps / n_timesteps
     if ((hz >= band[0]) & (hz <= band[1])).any():
         return sinusoids
-    tone = tone_in(series.T, np.arange(n_timesteps) / fps, band)
+    tone = tone_in(series.T, clock.frames / fps, band)
     return replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, tone.hz * n_timesteps / fps)))
 
 
@@ -116,16 +123,16 @@ def _products(values: np.ndarray) -> np.ndarray:
     return np.asarray(flat @ flat.T)
 
 
-def _with_bins(basis: np.ndarray, sinusoids: "Sinusoids") -> tuple[np.ndarray, np.ndarray]:
-    """Cycles per capture [K], ascending, and phasors [K, R] of functions of time [R, T]."""
-    n_timesteps = basis.shape[1]
+def _with_bins(basis: np.ndarray, sinusoids: "Sinusoids", clock: "Clock") -> tuple[np.ndarray, np.ndarray]:
+    """Cycles per capture [K], ascending, and phasors [K, R] of functions of time [R, F]."""
+    n_timesteps = clock.length
     spectrum: dict[float, np.ndarray] = {}
     if len(sinusoids.cycles) or sinusoids.trend:
-        x = sinusoids.regressors(n_timesteps)
+        x = sinusoids.regressors(clock.shares)
         weights = np.linalg.lstsq(x, basis.T, rcond=None)[0]
         basis = basis - (x @ weights).T
         spectrum = _sinusoid_phasors(sinusoids, weights)
-    bins = np.fft.rfft(basis, axis=1).T * (2 / n_timesteps)
+    bins = np.fft.rfft(clock.even(basis.T), axis=0) * (2 / n_timesteps)
     if n_timesteps % 2 == 0:
         bins[-1] /= 2  # the Nyquist bin has no mirror image
     for k in range(1, len(bins)):
@@ -162,6 +169,36 @@ _EVIDENCE = 10.0
 _APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
 _ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
 _OVERSAMPLED = 8
+_ROUNDED = 1e-3  # of a frame: files round times to so much
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When F frames were taken, in frames from the first one on, and the even clock that they lie on."""
+
+    frames: np.ndarray  # [F] float64
+    length: int  # T of the even clock, from the first frame to the last
+
+    @staticmethod
+    def of(frames: np.ndarray | int) -> "Clock":
+        """Of F frames, or of times [F] in frames."""
+        if isinstance(frames, int):
+            return Clock(np.arange(frames, dtype=np.float64), frames)
+        own = frames - frames[0]
+        whole = np.round(own)
+        own = np.where(np.abs(own - whole) < _ROUNDED, whole, own)
+        return Clock(own, int(whole[-1]) + 1)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """[F]: parts of the capture that are over."""
+        return self.frames / self.length
+
+    def even(self, y: np.ndarray) -> np.ndarray:
+        """[T, S]: series [F, S] at every step of the clock, interpolated without overshoot where no frame lies."""
+        if len(self.frames) == self.length and not (self.frames % 1).any():
+            return y
+        return np.asarray(PchipInterpolator(self.frames, y)(np.arange(self.length)))
 
 
 @dataclass(frozen=True)
@@ -171,60 +208,62 @@ class Sinusoids:
     cycles: np.ndarray  # [J] float64
     trend: bool = False
 
-    def regressors(self, n_timesteps: int) -> np.ndarray:
-        """[T, P]: a constant, the trend if any (zero at timestep 0), cosines, sines."""
-        t = np.arange(n_timesteps) / n_timesteps
+    def regressors(self, t: np.ndarray) -> np.ndarray:
+        """[F, P] at parts t [F] of the capture: a constant, the trend if any (zero at 0), cosines, sines."""
         angles = 2 * np.pi * t[:, None] * self.cycles
         slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
-        return np.hstack([np.ones((n_timesteps, 1)), *slow, np.cos(angles), np.sin(angles)])
+        return np.hstack([np.ones((len(t), 1)), *slow, np.cos(angles), np.sin(angles)])
 
-    def residual(self, y: np.ndarray) -> np.ndarray:
-        """What least squares leave of series y [T, R]."""
-        return residual(y, self.regressors(len(y)))
+    def residual(self, y: np.ndarray, clock: Clock) -> np.ndarray:
+        """What least squares leave of series y [F, R]."""
+        return residual(y, self.regressors(clock.shares))
 
-    def residual_power(self, y: np.ndarray) -> float:
-        return float((self.residual(y) ** 2).sum())
+    def residual_power(self, y: np.ndarray, clock: Clock) -> float:
+        return float((self.residual(y, clock) ** 2).sum())
 
 
-def find_sinusoids(series: np.ndarray) -> Sinusoids:
-    """The sinusoids that real series [R, T], weighted by their power, share; the mean over time is removed first.
+def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:
+    """The sinusoids that real series [R, F], weighted by their power, share; the mean over time is removed first.
 
     None where Fourier bins describe them as well.
     """
     y = (series - series.mean(1, keepdims=True)).T
+    clock = clock or Clock.of(len(y))
     power = float((y**2).sum())
     none = Sinusoids(np.zeros(0))
     if len(y) < _OVERSAMPLED or not power > 0:
         return none
-    sinusoids, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
-    unexplained, trend_unexplained = sinusoids.residual_power(y), with_trend.residual_power(y)
+    sinusoids, with_trend = _greedy(y, clock, trend=False), _greedy(y, clock, trend=True)
+    unexplained, trend_unexplained = sinusoids.residual_power(y, clock), with_trend.residual_power(y, clock)
     if _is_better(trend_unexplained, unexplained, power, len(y)):
         sinusoids, unexplained = with_trend, trend_unexplained
-    by_bins = np.sort((np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(1))[::-1] * 2 / len(y)
-    bins_unexplained = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
+    every = clock.even(y)
+    by_bins = np.sort((np.abs(np.fft.rfft(every, axis=0)) ** 2).sum(1))[::-1] * 2 / len(every)
+    left = float(np.maximum((every**2).sum() - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
+    bins_unexplained = left * len(y) / len(every)
     return _on_bins(sinusoids) if _is_better(unexplained, bins_unexplained, power, len(y)) else none
 
 
-def _is_better(unexplained: float, others: float, power: float, n_timesteps: int) -> bool:
+def _is_better(unexplained: float, others: float, power: float, n_frames: int) -> bool:
     """Whether one description leaves less of the power than another of no fewer parameters does, by BIC."""
     if others - unexplained <= _WEAKEST * power:
         return False
-    return n_timesteps * np.log(others / max(unexplained, 1e-300)) > _EVIDENCE
+    return n_frames * np.log(others / max(unexplained, 1e-300)) > _EVIDENCE
 
 
-def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:
+def _greedy(y: np.ndarray, clock: Clock, trend: bool) -> Sinusoids:
     """One sinusoid after the other, all refined each time, until no peak is left."""
     sinusoids, power = Sinusoids(np.zeros(0), trend), float((y**2).sum())
-    residuals = sinusoids.residual(y)
+    residuals = sinusoids.residual(y, clock)
     while len(sinusoids.cycles) < min(_MOST, (len(y) - 2) // 4):
         before = float((residuals**2).sum())
-        peak = _highest_peak(residuals, sinusoids.cycles)
+        peak = _highest_peak(clock.even(residuals), sinusoids.cycles)
         if peak is None or before <= _WEAKEST * power:
             break
-        more = _refined(y, np.append(sinusoids.cycles, peak), trend)
-        residuals = more.residual(y)
+        more = _refined(y, clock, np.append(sinusoids.cycles, peak), trend)
+        residuals = more.residual(y, clock)
         gain = before - float((residuals**2).sum())
-        if not _are_apart(more.cycles, len(y)) or gain < max(
+        if not _are_apart(more.cycles, clock.length) or gain < max(
             _WEAKEST * power, _needed(y, sinusoids) * before
         ):
             break
@@ -246,12 +285,12 @@ def _highest_peak(residuals: np.ndarray, taken: np.ndarray) -> float | None:
     return float(cycles[np.where(allowed, height, -1).argmax()]) if allowed.any() else None
 
 
-def _refined(y: np.ndarray, cycles: np.ndarray, trend: bool) -> Sinusoids:
+def _refined(y: np.ndarray, clock: Clock, cycles: np.ndarray, trend: bool) -> Sinusoids:
     """All frequencies refined by nonlinear least squares, by at most a bin."""
     scale = float(np.sqrt((y**2).sum()))
 
     def misfit(cycles: np.ndarray) -> np.ndarray:
-        return Sinusoids(cycles, trend).residual(y).ravel() / scale
+        return Sinusoids(cycles, trend).residual(y, clock).ravel() / scale
 
     return Sinusoids(np.sort(refined(misfit, cycles, 1, xtol=1e-10, ftol=1e-12)), trend)
 

@@ -1,10 +1,28 @@
-"""The ellipse that a sensor runs through at one frequency."""
+"""The ellipse that a sensor runs through at one frequency, in the directions that the cameras tell.
+
+One camera hardly tells its line of sight, cameras that stand together hardly their common one. A direction that is
+so little told would fill the ellipse's main axis with its noise and hide what is seen well. So directions, those of the
+covariance's eigenvectors, are left out from the least sure one on: each that is within twice its own deviation of 0, as
+long as it is less sure than twice the others together, or the main axis does not stand out of twice its deviation. What
+is left out has a place of its own.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from tg4mm.show.measure.spectrum import Peak
+
+TWICE = 2.0  # deviations that an amplitude is to exceed
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A direction that is not told beside those that are."""
+
+    direction: np.ndarray  # [A] unit vector
+    amplitude: float  # scene units, zero to peak
+    deviation: float
 
 
 @dataclass(frozen=True)
@@ -14,6 +32,8 @@ class Orbit:
     major: np.ndarray  # [A] scene units: half axis, its largest component positive
     minor: np.ndarray  # [A]
     phase: float  # radians, φ: the major axis is passed at ωt = −φ
+    deviation: float = 0.0  # of the half axis, scene units
+    hidden: tuple[Hidden, ...] = ()
 
     @property
     def direction(self) -> np.ndarray:
@@ -25,25 +45,58 @@ class Orbit:
         """Scene units, zero to peak, along the major axis."""
         return float(np.linalg.norm(self.major))
 
+    @property
+    def stands_out(self) -> bool:
+        """Whether the half axis exceeds twice its deviation."""
+        return self.amplitude > TWICE * self.deviation
+
 
 def orbit_of(peak: Peak) -> Orbit:
-    """The phasor turned so that its real and imaginary part are perpendicular; in the directions that are told."""
-    m = np.where(peak.is_resolved, peak.phasor, 0)
+    """Of a peak, in the directions that are told."""
+    return orbit_in(peak.phasor, peak.deviation, peak.is_resolved, peak.correlation)
+
+
+def orbit_in(
+    phasor: np.ndarray, deviation: np.ndarray, some: np.ndarray, correlation: np.ndarray | None = None
+) -> Orbit:
+    """Of a phasor [A] along axes, with deviations [A] whose correlation [A, A] is given or none.
+
+    some [A] bool: the axes that count.
+    """
+    error = np.where(some, deviation, 0.0)
+    covariance = np.diag(error**2) if correlation is None else correlation * np.outer(error, error)
+    covariance[~some] = covariance[:, ~some] = 0
+    own = np.flatnonzero(some)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+    directions = np.zeros((len(phasor), len(own)))
+    directions[own] = vectors
+    variances, along = np.maximum(values, 0), directions.T @ phasor
+    hidden: list[Hidden] = []
+    found = _ellipse(directions @ along, covariance)
+    for k in range(len(own) - 1, 0, -1):
+        size, sure = float(np.abs(along[k])), float(np.sqrt(variances[k]))
+        is_worse = variances[k] > TWICE**2 * variances[:k].sum()
+        if size > TWICE * sure or not (is_worse or not found.stands_out):
+            break
+        hidden.append(Hidden(directions[:, k], size, sure))
+        kept = directions[:, :k]
+        found = _ellipse(kept @ along[:k], kept * variances[:k] @ kept.T)
+    return Orbit(found.major, found.minor, found.phase, found.deviation, tuple(hidden))
+
+
+def _ellipse(m: np.ndarray, covariance: np.ndarray) -> Orbit:
+    """The phasor m [A] turned so that its real and imaginary part are perpendicular."""
     phase = 0.5 * float(np.angle((m**2).sum()))
     turned = m * np.exp(-1j * phase)
     major, minor = turned.real, turned.imag
     if major[np.abs(major).argmax()] < 0:
         major, minor, phase = -major, -minor, phase + np.pi
-    return Orbit(major, minor, float((phase + np.pi) % (2 * np.pi) - np.pi))
-
-
-def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
-    """Of the half axis, scene units: the axes' deviations along it."""
-    deviation = np.where(peak.is_resolved, peak.deviation, 0)
-    return float(np.sqrt(((orbit.direction * deviation) ** 2).sum()))
+    direction = major / max(float(np.linalg.norm(major)), 1e-300)
+    deviation = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
+    return Orbit(major, minor, float((phase + np.pi) % (2 * np.pi) - np.pi), deviation)
 
 
 def main_is_above(peak: Peak, orbit: Orbit) -> bool:
     """Whether a peak is a line, asked for, or above the floor, and its main axis above twice its own deviation."""
     is_resolved = peak.line is not None or peak.asked is not None or bool(peak.is_above.any())
-    return is_resolved and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)
+    return is_resolved and orbit.stands_out

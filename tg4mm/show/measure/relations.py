@@ -10,7 +10,7 @@ from scipy.signal import csd, welch
 
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.lines.band import Tone, tone_in
-from tg4mm.show.measure.orbit import amplitude_deviation, orbit_of
+from tg4mm.show.measure.orbit import Orbit, orbit_in, orbit_of
 from tg4mm.show.measure.series import Series
 
 if TYPE_CHECKING:
@@ -50,14 +50,10 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
     at_peaks = _at(result, reference)
     for k, peak in enumerate(reference.spectrum.peaks):
         orbit = orbit_of(peak)
-        own, deviation, is_above = at_peaks[k]
-        main = _main_direction(own)
-        phase = float(np.angle(main @ own)) - orbit.phase
-        amplitude = float(np.abs(main @ own))
-        error = np.hypot(
-            float(np.sqrt(((main * deviation) ** 2).sum())) / max(amplitude, 1e-300),
-            amplitude_deviation(peak, orbit) / max(orbit.amplitude, 1e-300),
-        )
+        own, is_above = at_peaks[k]
+        phase, amplitude = own.phase - orbit.phase, own.amplitude
+        mine, its = (o.deviation / max(o.amplitude, 1e-300) for o in (own, orbit))
+        error = float(np.hypot(mine, its))
         phases.append(
             PhaseAt(
                 peak.frequency_hz,
@@ -74,35 +70,30 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
     return Relation(reference.name, tuple(phases), freqs, coherence, segments, chance)
 
 
-def _at(result: SensorResult, reference: SensorResult) -> list[tuple[np.ndarray, np.ndarray, bool]]:
-    """[A] phasor of a sensor at each of the reference's peaks, its deviations, and whether it stands out."""
+def _at(result: SensorResult, reference: SensorResult) -> list[tuple[Orbit, bool]]:
+    """A sensor's orbit at each of the reference's peaks, and whether it stands out."""
     peaks, level = reference.spectrum.peaks, result.spectrum.floor.min(0)
     if result.together is not None:
         own = [
             min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - q.frequency_hz)) for q in peaks
         ]
-        told = [(np.where(p.is_resolved, p.phasor, 0), np.where(p.is_resolved, p.deviation, 0)) for p in own]
-        return [(phasor, error, bool((np.abs(phasor) > level).any())) for phasor, error in told]
+        return [(orbit_of(p), bool((p.amplitude > level)[p.is_resolved].any())) for p in own]
     lines = [p.line for p in peaks if p.line is not None]
     series, out = result.series, []
-    values = series.displacement[:, series.is_resolved]
+    told = series.is_resolved
+    values = series.displacement[:, told]
     found: list[Line | Tone] = []
     if lines:
         found += fit_lines(values, series.times_s, lines).lines
-    known = np.sqrt((series.noise[:, series.is_resolved] ** 2).mean(0))
+    known = np.sqrt((series.noise[:, told] ** 2).mean(0))
     for p in peaks[len(lines) :]:  # what was asked for comes last: at the reference's own frequency
         found.append(tone_in(values, series.times_s, (0.999 * p.frequency_hz, 1.001 * p.frequency_hz), known))
     for one in found:
         phasor, error = np.zeros(len(level), complex), np.zeros(len(level))
-        phasor[series.is_resolved], error[series.is_resolved] = one.phasor, one.amplitude_deviation
-        out.append((phasor, error, bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())))
+        phasor[told], error[told] = one.phasor, one.amplitude_deviation
+        is_above = bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())
+        out.append((orbit_in(phasor, error, told, series.correlation), is_above))
     return out
-
-
-def _main_direction(phasor: np.ndarray) -> np.ndarray:
-    turned = phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))
-    main = turned.real / max(float(np.linalg.norm(turned.real)), 1e-300)
-    return main if main[np.abs(main).argmax()] >= 0 else -main
 
 
 def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:

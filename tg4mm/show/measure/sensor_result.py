@@ -132,6 +132,7 @@ class SensorResult:
             if self.band is not None:
                 record = own.times_s, own.displacement, own.noise, own.model_share
                 found = with_band(found, self.band, *record)
+            found = replace(found, peaks=tuple(replace(p, correlation=own.correlation) for p in found.peaks))
         longest = max((s.times_s for s in self.all_series), key=len)
         fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
         return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))

@@ -48,6 +48,15 @@ class Series:
         return np.diag(self.unit_covariance)
 
     @property
+    def correlation(self) -> np.ndarray:
+        """[A, A] of the axes' errors; of an axis that is not seen, none."""
+        root = np.sqrt(np.where(np.isfinite(self.unit_variance), self.unit_variance, 0))
+        scale = np.outer(root, root)
+        found = np.divide(self.unit_covariance, scale, out=np.zeros_like(scale), where=scale > 0)
+        np.fill_diagonal(found, 1)
+        return found
+
+    @property
     def is_observed(self) -> np.ndarray:
         """[A] bool, of the axes."""
         return np.asarray(np.isfinite(self.noise).all(0))

@@ -33,6 +33,7 @@ class Peak:
     harmonic: Harmonic | None = None  # a stronger peak that this may be a harmonic of
     sideband: Sideband | None = None  # a stronger peak of which a video codec may have made this
     asked: Tone | None = None  # what was asked for by its band and does not stand out; None: it was found
+    correlation: np.ndarray | None = None  # [A, A] of the axes' deviations; None: they are independent
 
     @property
     def amplitude(self) -> np.ndarray:

@@ -6,7 +6,7 @@ from tg4mm.capture.codec import Loss, reported_deviation
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.lines import FEWEST, Line
 from tg4mm.show.measure.measurement import Measurement
-from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
+from tg4mm.show.measure.orbit import Orbit, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
 from tg4mm.show.measure.units import unit_of
@@ -41,7 +41,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     out: list[list[str]] = []
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
         loss = result.loss_of(k)
-        error = reported_deviation(orbit.amplitude, amplitude_deviation(peak, orbit), loss)
+        error = reported_deviation(orbit.amplitude, orbit.deviation, loss)
         damping, pixels = result.damping[k], result.pixels(orbit.direction)
         out.append(
             [
@@ -54,7 +54,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
                 ""
                 if damping is None
                 else f"{value_with_deviation(100 * damping.ratio, 100 * damping.deviation)} %",
-                remark(peak, orbit, loss),
+                "; ".join(filter(None, [remark(peak, orbit, loss), *_hidden(result, orbit)])),
             ]
         )
     if out:
@@ -69,6 +69,16 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     told = f"under {level * unit.factor:.2g} {unit.name}"
     told += "" if unit.name == "px" else f", {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
+
+
+def _hidden(result: SensorResult, orbit: Orbit) -> list[str]:
+    """What is not told beside the main axis."""
+    out = []
+    for other in orbit.hidden:
+        pixels = result.pixels(other.direction)
+        size = value_with_deviation(other.amplitude * pixels, other.deviation * pixels)
+        out.append(f"not told along {direction_text(other.direction, result.labels)}: {size} px")
+    return out
 
 
 def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:

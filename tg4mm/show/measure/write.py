@@ -16,7 +16,7 @@ from tg4mm.show.measure.arrays import settings_of, write_hdf5, write_mat
 from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
-from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.plots import write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.table import format_table
@@ -183,7 +183,7 @@ def _series(record: Record) -> dict[str, Any]:
 
 def _peak(result: SensorResult, k: int) -> dict[str, Any]:
     peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
-    loss, error = result.loss_of(k), amplitude_deviation(peak, orbit)
+    loss, error = result.loss_of(k), orbit.deviation
     return {
         "frequency_hz": peak.frequency_hz,
         "frequency_deviation_hz": peak.frequency_deviation_hz,

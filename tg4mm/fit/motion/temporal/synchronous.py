@@ -1,4 +1,4 @@
-"""Fixed cameras on one regular clock: time separates from space, one field for each principal component over time.
+"""Fixed cameras on one clock: time separates from space, one field for each principal component over time.
 
 The components are those of all changes of all cameras together. C_v is the identity, so that the fields can be solved
 for one by one.
@@ -58,8 +58,12 @@ class Synchronous(TemporalModel):
         )  # fmt: skip
 
     @property
+    def n_frames(self) -> int:
+        return len(self.observations.frames[0].rows)
+
+    @property
     def basis(self) -> np.ndarray:
-        """[R, T]: the functions of time."""
+        """[R, F]: the functions of time."""
         return self.targets.basis[self.fitted]
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -89,7 +93,8 @@ class Synchronous(TemporalModel):
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
-        freqs, series = modes_of(self.basis, fields, fps, appearance, asked_band(self.config.band, fps))
+        band, times_s = asked_band(self.config.band, fps), self.observations.frames[0].times_s
+        freqs, series = modes_of(self.basis, fields, fps, appearance, band, times_s)
         values = apply_series(series, fields)
         shown = None
         if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
