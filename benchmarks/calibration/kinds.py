@@ -228,9 +228,7 @@ def _compare_peak(
     decay = 0.0 if what.decay_s is None else 1 / what.decay_s
     if (peak.line is not None and peak.line.damping is not None) == bool(decay):
         size *= float(np.exp(-decay * peak.line.from_s)) if peak.line is not None and decay else 1.0
-        deviation = reported_deviation(
-            orbit.amplitude, orbit.deviation, result.loss_of(best)
-        )
+        deviation = reported_deviation(orbit.amplitude, orbit.deviation, result.loss_of(best))
         out.amplitudes.append((orbit.amplitude - size) / deviation)
     if damping is not None:
         _compare_damping(out, hz, what, damping.ratio, damping.deviation)
