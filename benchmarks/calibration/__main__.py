@@ -3,7 +3,7 @@
     python -m benchmarks.calibration DIR [--films 60] [--first 0] [--jobs 2] [--stages look whole baselines]
                                          [--python FILE]
     python -m benchmarks.calibration DIR --kinds [--films 12]
-    python -m benchmarks.calibration DIR --plain|--large [--films 60]
+    python -m benchmarks.calibration DIR --plain|--large|--real [--films 60]
     python -m benchmarks.calibration DIR --duplicates [--photographs FOLDER] [--films 600]
 
 Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
@@ -13,8 +13,8 @@ sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase
 lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
 With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`); with --large: plates of
-which one or two move by .8 to 4 px (`large.py`). With --duplicates: small films, half of them with duplicate frames
-(`duplicates.py`).
+which one or two move by .8 to 4 px (`large.py`); with --real: films made of photographs, each at four qualities
+(`photographs.py`). With --duplicates: small films, half of them with duplicate frames (`duplicates.py`).
 """
 
 import argparse
@@ -31,6 +31,7 @@ from benchmarks.calibration.draw import Truth, make_film
 from benchmarks.calibration.duplicates import duplicates_outcome, duplicates_table
 from benchmarks.calibration.kinds import kinds_stage, kinds_table
 from benchmarks.calibration.large import make_large_film
+from benchmarks.calibration.photographs import make_photograph_film
 from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Score, compared, table
 
@@ -86,6 +87,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--photographs", type=Path, help="a folder of photographs that some of these films show"
     )
+    parser.add_argument("--real", action="store_true", help="films made of photographs that scikit-image has")
     given = parser.parse_args(arguments)
     if given.duplicates:
         made = partial(duplicates_outcome, folder=given.folder, photographs=given.photographs)
@@ -94,6 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     wanted = ("look",) if given.plain else tuple(given.stages)
     make = make_plain_film if given.plain else make_large_film if given.large else make_film
+    make = make_photograph_film if given.real else make
     job = partial(scored, folder=given.folder, wanted=wanted, python=given.python, make=make)
     if given.kinds:
         job = partial(scored_kind, folder=given.folder)

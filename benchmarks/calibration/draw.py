@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -87,7 +88,15 @@ def make_film(seed: int, folder: Path) -> Truth:
     return kept_film(seed, folder, lambda: Draw(seed).film())
 
 
-def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[Film, Coding, Truth]]) -> Truth:
+class Shown(Protocol):
+    """What has pictures to be coded."""
+
+    def pictures(self) -> np.ndarray:
+        """[F, H, W] uint8."""
+        ...
+
+
+def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[Shown, Coding, Truth]]) -> Truth:
     """folder/SEED.mp4 and SEED.json; those there are kept."""
     video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
     if video.exists() and notes.exists():
@@ -175,14 +184,15 @@ class Draw:
         rng, tilted = self.rng, bool(self.rng.random() < 0.3)
         count = 1 if rng.random() < 0.7 else 2
         for k in range(count):
-            vibration = self._vibration(region, tilted, 1.0 if k == 0 else 0.5)
+            vibration = self.vibration(region, tilted, 1.0 if k == 0 else 0.5)
             self.truth.vibrations.append(vibration)
             y = np.arange(self.height) + 0.5
             rise = np.array([vibration.at(v) for v in y]) if tilted else np.ones(self.height)
             shape = np.array(vibration.amplitude_px) * rise[:, None, None] * np.ones((1, self.width, 1))
             yield Mode(shape, vibration.motion())
 
-    def _vibration(self, region: Region, tilted: bool, factor: float) -> TrueVibration:
+    def vibration(self, region: Region, tilted: bool, factor: float) -> TrueVibration:
+        """Of a region, at a frequency that no other has."""
         rng, d = self.rng, self.duration
         lowest, highest = np.log(max(4 / d, 0.03 * self.fps)), np.log(0.46 * self.fps)
         for _ in range(_TRIES):

@@ -115,6 +115,7 @@ class Coding:
     bits_per_second: int
     keys_every: int | None = None  # pictures
     turn: int = 0  # degrees by which players turn it, anticlockwise
+    crf: int | None = None  # x264's constant quality, 0 without loss; None: by the rate
 
 
 Painter = Callable[[np.ndarray, float, int], np.ndarray]  # picture, time, number → picture
@@ -206,7 +207,8 @@ def write_video(
 
     unfinished = path.with_suffix(".part.mp4")
     limits = {"maxrate": str(coding.bits_per_second), "bufsize": str(coding.bits_per_second)}
-    options = {"preset": "medium", "threads": "1", **limits}
+    options = {"preset": "medium", "threads": "1"}
+    options |= limits if coding.crf is None else {"crf": str(coding.crf)} if coding.crf else {"qp": "0"}
     if coding.codec == "libx265":
         rate = coding.bits_per_second // 1000
         options["x265-params"] = (

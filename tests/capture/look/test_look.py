@@ -114,6 +114,19 @@ def test_what_turns_is_masked_and_does_not_hide_what_vibrates():
     assert found.movers[0].hz == pytest.approx(8.1, abs=0.05)
 
 
+def test_the_edge_of_what_vibrates_is_not_masked_however_little_noise_there_is():
+    """It covers and uncovers what is behind, at twice the frequency, which no shift explains."""
+    rng, shift = np.random.default_rng(9), 0.4
+    dark, bright = (texture(HEIGHT, WIDTH, rng, c, m, (1.5, 4.0)) for c, m in ((0.4, 0.06), (0.1, 0.6)))
+    shape = np.broadcast_to([shift, 0.0], (HEIGHT, WIDTH, 2))
+    body = Layer(dark, (-8, 24, 56, HEIGHT + 8), [Mode(shape, tone(3.7))], 0.3)
+    found = seen(Film([Layer(bright, None, [], 0.3), body], FPS, FRAMES, 0.5, seed=9))
+    assert found.movers == ()
+    assert not found.moves_by_itself.any()
+    assert [round(line.hz, 2) for line in found.vibrations] == [3.7]
+    assert found.vibrations[0].amplitude_px == pytest.approx(shift, rel=0.05)
+
+
 def test_the_wall_is_the_background_though_the_plate_has_more_texture():
     """Weighted by texture, half of the motion would be taken for the camera's."""
     rng = np.random.default_rng(6)

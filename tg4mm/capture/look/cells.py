@@ -8,6 +8,7 @@ products; what the motion itself took from the mean picture (its second and thir
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -20,6 +21,7 @@ _PLAIN, _UNKNOWN = 1e-3, 1e6  # a cell's squared slopes, grey levels² / px², o
 _STEPS = 4  # of Gauss-Newton; the terms beyond third order are larger than what more steps would change
 _FURTHEST_PX = 1.0  # where the series in u ends
 FROZEN = 10.0  # pictures that a codec's noise may last: so many times less than white noise it averages out
+_DIVERGED = 2.0  # times what a simpler answer leaves
 _LEAST_GAIN = 0.2  # a darker cell shows something else
 
 
@@ -64,6 +66,15 @@ class Grid:
         return left, upper, right, lower
 
 
+class Solved(NamedTuple):
+    """What C cells show in F pictures."""
+
+    shift: np.ndarray  # [C, F, 2] pixels right and down; NaN where a cell is dark
+    gain: np.ndarray  # [C, F]
+    misfit: np.ndarray  # [C, F] mean square of what offset, gain and shift leave, grey levels²
+    change: np.ndarray  # [C, F] the same of offset and gain alone
+
+
 class Template:
     """A mean picture cut into cells: pictures to inner products, and these to offsets, gains and shifts."""
 
@@ -80,6 +91,8 @@ class Template:
         instruments = np.stack([model[..., 0], contrast, *smoothed], 2)
         self._columns = np.concatenate([model, instruments[..., 2:]], 2)  # [C, S², 6]
         self._model_products = _products(model, model)
+        light = self._model_products[:, :2, :2]
+        self._inverse_light = np.linalg.inv(light + 1e-6 * light[:, :1, :1] * np.eye(2))
         by_model = _products(instruments, model)
         ridge = 1e-6 * np.einsum("cii->ci", by_model).clip(1e-3)[:, :, None] * np.eye(4)
         self._inverse = np.linalg.inv(by_model + ridge)
@@ -96,19 +109,34 @@ class Template:
         difference -= self._rest[:, None]
         return difference @ self._columns, np.einsum("cfp,cfp->cf", difference, difference)
 
-    def solved(self, products: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Shifts [C, F, 2] in pixels right and down, gains [C, F], and mean squares [C, F] of what they leave."""
+    def solved(self, products: np.ndarray, energy: np.ndarray) -> Solved:
+        """Shifts, gains and mean squares from inner products [C, F, 6] and energies [C, F]."""
         by_model, by_instrument = products[..., :4], products[..., [0, 1, 4, 5]]
+        light = by_model[..., :2] @ self._inverse_light
+        change = energy - (light * by_model[..., :2]).sum(-1)
         p = np.einsum("cij,cfj->cfi", self._inverse, by_instrument)
+        first, linear = p.copy(), self._left(p, by_model, energy)
         large = np.flatnonzero(np.percentile(np.abs(p[..., 2:]), 95, axis=(1, 2)) > _LINEAR_PX)
         for _ in range(_STEPS if len(large) else 0):
             curved = np.einsum("cij,cfj->cfi", self._higher[large], _higher_terms(p[large]))
             p[large] = np.einsum("cij,cfj->cfi", self._inverse[large], by_instrument[large] - curved)
-        left = energy - 2 * (p * by_model).sum(-1)
-        left += np.einsum("cfi,cij,cfj->cf", p, self._model_products, p, optimize=True)
+        left = self._left(p, by_model, energy)
+        diverged = left > _DIVERGED * np.maximum(linear, 1.0)
+        p, left = np.where(diverged[..., None], first, p), np.where(diverged, linear, left)
+        unlike = left > _DIVERGED * np.maximum(
+            change, 1.0
+        )  # where hardly any texture is, instruments mislead
+        p[unlike] = np.concatenate([light, np.zeros_like(light)], -1)[unlike]
+        left = np.where(unlike, change, left)
         gain = 1 + p[..., 1]
         shift = p[..., 2:] / np.where(np.abs(gain) > _LEAST_GAIN, gain, np.nan)[..., None]
-        return shift, gain, np.maximum(left, 0) / (self.grid.size**2 - 4)
+        pixels = self.grid.size**2
+        return Solved(shift, gain, np.maximum(left, 0) / (pixels - 4), np.maximum(change, 0) / (pixels - 2))
+
+    def _left(self, p: np.ndarray, by_model: np.ndarray, energy: np.ndarray) -> np.ndarray:
+        """[C, F]: the energy that offset, gain and shift leave."""
+        left = energy - 2 * (p * by_model).sum(-1)
+        return np.asarray(left + np.einsum("cfi,cij,cfj->cf", p, self._model_products, p, optimize=True))
 
     def _cells(self, picture: np.ndarray) -> np.ndarray:
         return self.grid.cut(picture[None])[:, 0]

@@ -19,6 +19,7 @@ from tg4mm.capture.look.rows import by_light
 from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
+from tg4mm.capture.look.usual import BLOCK
 from tg4mm.capture.look.zoom import left_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.capture.stacks import is_stack
@@ -78,6 +79,9 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
     """The same of cells' series."""
     scene = scene_of(series)
     search = Search(scene)
+    if (edges := _edges(search)).any():
+        scene = scene_of(series, edges)
+        search = Search(scene)
     if search.lines:
         moved = _moved(search)
         still = scene.usable.copy()
@@ -93,6 +97,26 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
         scene, search, swings, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px))
     )
     return replace(found, regions=region_looks(scene, regions))
+
+
+def _edges(search: Search) -> np.ndarray:
+    """[C] bool: cells that seem to move by themselves, at the frequency of a line beside them or at twice that.
+
+    They show the edge of what vibrates: it covers and uncovers what is behind, once or twice a period.
+    """
+    scene, out = search.scene, np.zeros(len(search.scene.grid), bool)
+    if not search.lines or not scene.masks.core.any():
+        return out
+    moving = np.zeros(len(out), bool)
+    moving[cell_numbers(search)[_moved(search)]] = True
+    beside = ndimage.binary_dilation(scene.grid.picture(moving), BLOCK).ravel()
+    own = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
+    folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in own]
+    for cells, tones in _by_themselves(scene):
+        near = (abs(tone[0] - hz) < 1 / scene.duration for tone in tones for hz in folded)
+        if (cells & beside).any() and any(near):
+            out |= cells
+    return out
 
 
 def _moved(search: Search) -> np.ndarray:
@@ -219,16 +243,20 @@ def movers_of(scene: Scene) -> tuple[Mover, ...]:
 
 
 def _all_along(scene: Scene) -> Iterator[Mover]:
-    labels, _ = ndimage.label(scene.grid.picture(scene.masks.core), np.ones((3, 3)))
+    for cells, tones in _by_themselves(scene):
+        hz, deviation, _ = min(tones, key=lambda tone: tone[1], default=(None, None, 0.0))
+        yield Mover("moves by itself", scene.grid.box(cells), hz, deviation, 0.0, float(scene.times_s[-1]))
+
+
+def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float, float, float]]]]:
+    """Cells [C] bool beside each other that move by themselves, and the lines of their brightness and misfit."""
+    labels, _ = ndimage.label(scene.grid.picture(scene.masks.core), BLOCK)
     for k in range(1, labels.max() + 1):
         cells = (labels == k).ravel()
         changes = np.log(scene.series.misfit[:, cells].mean(1) + 1e-9)
         brightness = np.nan_to_num(scene.series.gain[:, cells].mean(1))
-        found = [
-            tone for y in (brightness, changes) for tone in tones_of(y, scene.times_s, scene.nuisance, most=1)
-        ]
-        hz, deviation, _ = min(found, key=lambda tone: tone[1], default=(None, None, 0.0))
-        yield Mover("moves by itself", scene.grid.box(cells), hz, deviation, 0.0, float(scene.times_s[-1]))
+        both = (tones_of(y, scene.times_s, scene.nuisance, most=1) for y in (brightness, changes))
+        yield cells, [tone for tones in both for tone in tones]
 
 
 def _passing(scene: Scene) -> Iterator[Mover]:

@@ -21,11 +21,8 @@ _EDGE = 10  # pixels around a cell that slopes of its mean need,
 _TAPS = 7  # and around these, for points between pixels
 _MARGIN = REACH + _EDGE + _TAPS
 _WIDEST = 256  # pixels a side of what offsets are sought by
-_MOVES = 0.2  # share of pictures, at least, that lie at another offset than most
 _BEYOND = 0.05  # at most, at the end of the reach
-_SOME = 0.25  # of a patch that small shifts do not explain, where it is told from what turns
-_LEFT = 0.15  # of what they leave, in a quarter of those cells: plates leave up to .11, wheels and leaves .19 or more
-_UNEXPLAINED = 0.05  # of a cell's own, where it is more than usual: an amplitude is wrong by half of it
+_LEFT = 0.12  # of what changes, in all but a quarter of the cells: wheels and leaves leave more
 _ROUNDS = 3  # of a cell,
 _NEAR_PX = 0.1  # fewer where less is left of most shifts
 _FAR_PX = 0.5  # more has come to no rest
@@ -78,27 +75,25 @@ def patches_of(chosen: np.ndarray, grid: Grid, shape: Sequence[int]) -> list[Pat
     return out
 
 
-def matched(patch: Patch, usual: Usual) -> Matched | None:
-    """Cells of a patch that its motion explains; None where it moves by less than a pixel, or otherwise.
+def matched(patch: Patch, usual: Usual, change: np.ndarray) -> Matched | None:
+    """Cells of a patch that their own motion explains better than a small shift does; None where it moves otherwise.
 
-    usual: of all cells, by small shifts alone. A wheel's rim or a leaf in the wind is like itself now and then at some
-    offset; of what moves as one, many cells are so always.
+    usual: of all cells, by small shifts; change [C]: of all cells, the mean square of what no shift explains at all.
+    A wheel's rim or a leaf in the wind is like itself now and then at some offset; of what moves as one, many cells are
+    so always.
     """
     pictures = np.concatenate(patch.pictures)
     start = _offsets(pictures, patch)
-    moves = (start != np.median(start, 0)).any(1).mean()
-    if moves < _MOVES or (np.abs(start) == REACH).any(1).mean() > _BEYOND:
+    if (np.abs(start) == REACH).any(1).mean() > _BEYOND:
         return None
     parts = [_cell(pictures, place, patch.size, start) for place in patch.places]
     shift, gain, misfit = (np.stack([part[k] for part in parts], 1) for k in range(3))
     before, left = usual.typical[patch.cells], np.median(misfit, 0)
-    unlike = before > 2 * usual.level
-    shares = np.maximum(left - usual.level, 0)[unlike] / (before - usual.level)[unlike]
-    if left.sum() > before.sum() or (
-        unlike.any() and np.percentile(shares, 25) > _LEFT and unlike.mean() > _SOME
-    ):
+    all_of_it = change[patch.cells] - usual.noise
+    shares = (np.maximum(left - usual.noise, 0) / np.maximum(all_of_it, 1e-9))[all_of_it > usual.noise]
+    if len(shares) and np.percentile(shares, 25) > _LEFT:
         return None
-    own = (~usual.stand_out(left) | (left < _UNEXPLAINED * before)) & np.array([part[4] for part in parts])
+    own = (left < before) & np.array([part[4] for part in parts])
     covariance = np.stack([part[3] for part in parts])
     return Matched(patch.cells[own], shift[:, own], gain[:, own], misfit[:, own], covariance[own])
 
@@ -151,7 +146,7 @@ def _cell(pictures: np.ndarray, place: np.ndarray, size: int, start: np.ndarray)
         tiles = windows[every, place[0] - around + whole[:, 1], place[1] - around + whole[:, 0]]
         tiles = _sampled(tiles, before - whole)
         template = Template(tiles.mean(0), grid)
-        left, gain, misfit = (part[0] for part in template.solved(*template.products(tiles)))
+        left, gain, misfit, _ = (part[0] for part in template.solved(*template.products(tiles)))
         shift = before + left
         furthest = np.nanpercentile(np.abs(left), 95)
         if furthest < _NEAR_PX:

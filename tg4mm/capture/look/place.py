@@ -118,6 +118,7 @@ class _Placing:
         middle = surest.pool.centre[int(surest.statistic.argmax())]
         some = self.all[1:3] if surest.pool.size > 1 and len(self.all) > 1 else self.all[:2]
         inverse = np.linalg.inv(self.products)
+        inexact = self._inexact()
         best: tuple[float, _Everywhere, int] | None = None
         for each in some:
             least = max(_SEED * float(each.statistic.max()), _SEED_BEST * max(best_of), _SEED_LEAST)
@@ -128,14 +129,25 @@ class _Placing:
                 axes = each.pool.axes[k]
                 covariance = np.einsum("xa,a,ya->xy", axes, each.variance[k], axes)
                 amplitude, variance, _, _ = _along(each.fit[:, k], covariance, inverse)
-                if best is None or amplitude - 2 * variance**0.5 > best[0]:
-                    best = (amplitude - 2 * variance**0.5, each, int(k))
+                share = max(inexact[self.at[cell]] for cell in self._inside(each.pool, int(k)))
+                sure = amplitude - 2 * float(np.hypot(variance**0.5, share * amplitude))
+                if best is None or sure > best[0]:
+                    best = (sure, each, int(k))
         if best is None:
             usual = max(self.all[:3], key=lambda e: float(e.statistic.max()))
             best = (0.0, usual, int(usual.statistic.argmax()))
-        pool, (row, column) = best[1].pool, best[1].pool.corner[best[2]]
-        inside = [(row + a, column + b) for a in range(pool.size) for b in range(pool.size)]
-        return [self.at[cell] for cell in inside if cell in self.at], pool.size
+        pool = best[1].pool
+        return [self.at[cell] for cell in self._inside(pool, best[2])], pool.size
+
+    def _inside(self, pool: Pool, place: int) -> list[tuple[int, int]]:
+        """Rows and columns of the usable cells of a place."""
+        row, column = (int(k) for k in pool.corner[place])
+        cells = ((row + a, column + b) for a in range(pool.size) for b in range(pool.size))
+        return [cell for cell in cells if cell in self.at]
+
+    def _inexact(self) -> np.ndarray:
+        """[P]: the share of a cell's amplitude by which it may be wrong: what a shift leaves of its changes tells."""
+        return np.sqrt(self.search.scene.left[cell_numbers(self.search)])
 
     def _common(self, cells: np.ndarray) -> np.ndarray:
         """[2, 2]: the weighted mean of some cells' coefficients."""

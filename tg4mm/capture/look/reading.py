@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.capture.cameras import check_picture_size
 from tg4mm.capture.look.cells import Grid, Template
 from tg4mm.capture.look.matching import Patch, matched, patches_of
-from tg4mm.capture.look.usual import usual_of
+from tg4mm.capture.look.usual import Usual, usual_of
 from tg4mm.core.errors import CaptureError
 
 FEWEST = 24  # pictures: fewer hold no spectrum
@@ -47,6 +47,7 @@ class CellSeries:
     shift: np.ndarray  # [F, C, 2] pixels right and down; NaN where a cell is dark
     gain: np.ndarray  # [F, C]
     misfit: np.ndarray  # [F, C] mean square of what shift, gain and offset leave, grey levels²
+    change: np.ndarray  # [F, C] the same of gain and offset alone
     covariance: np.ndarray  # [C, 2, 2] px² of a shift for a misfit of 1
     place: np.ndarray  # [F] which resting place of the camera
     grid: Grid
@@ -62,9 +63,14 @@ class CellSeries:
             times_s=times_s,
             **{
                 name: getattr(self, name)[which]
-                for name in ("kinds", "shift", "gain", "misfit", "place", "row_means")
+                for name in ("kinds", "shift", "gain", "misfit", "change", "place", "row_means")
             },
         )
+
+
+def usual_in(series: CellSeries) -> Usual:
+    """What is usual of its misfits."""
+    return usual_of(series.misfit, series.covariance, series.grid, series.kinds == INTRA)
 
 
 def read_cells(
@@ -96,28 +102,30 @@ def read_cells(
             if reader.templates
             else max(FEWEST, min(MEAN_OF, _FIRST_BYTES // picture.grey.size))
         ):
-            reader.add(np.stack(waiting))
+            reader.add(np.stack(waiting), np.array(kinds))
             waiting = []
     if len(times) < FEWEST or shape is None or first is None:
         raise CaptureError(
             f"{where}: holds {len(times)} pictures; at least {FEWEST} are needed to look for vibrations"
         )
     if waiting:
-        reader.add(np.stack(waiting))
-    shift, gain, misfit = reader.solved()
+        reader.add(np.stack(waiting), np.array(kinds))
+    shift, gain, misfit, change = reader.solved()
     covariance, grid = reader.templates[0].covariance, reader.grid
     is_matched = np.zeros(len(grid), bool)
-    usual = usual_of(misfit, covariance, grid)
+    usual = usual_of(misfit, covariance, grid, np.array(kinds) == INTRA)
+    mean_change = change.mean(0)
     for patch in reader.patches:
-        found = matched(patch, usual)
+        found = matched(patch, usual, mean_change)
         if found is not None:
             cells = found.cells
             shift[:, cells], gain[:, cells], misfit[:, cells] = found.shift, found.gain, found.misfit
             covariance[cells], is_matched[cells] = found.covariance, True
     return CellSeries(
         *(np.array(times) - times[0], np.array(kinds), shift.astype(float), gain.astype(float)),
-        *(misfit.astype(float), covariance.astype(float), np.array(reader.place), grid),
-        *((shape[1], shape[0]), first, np.stack(row_means), is_matched),
+        *(misfit.astype(float), change.astype(float), covariance.astype(float), np.array(reader.place)),
+        *(grid, (shape[1], shape[0])),
+        *(first, np.stack(row_means), is_matched),
     )
 
 
@@ -139,35 +147,36 @@ class _Reader:
     def grid(self) -> Grid:
         return self.templates[0].grid
 
-    def add(self, pictures: np.ndarray) -> None:
+    def add(self, pictures: np.ndarray, kinds: np.ndarray) -> None:
+        """kinds: of all pictures so far."""
         if self.templates:
             self._keep(pictures, self.templates[-1], len(self.templates) - 1)
         else:
             self._begin(pictures)
-            self.patches = patches_of(self._far(), self.grid, pictures.shape[1:])
+            self.patches = patches_of(self._far(kinds == INTRA), self.grid, pictures.shape[1:])
         for patch in self.patches:
             patch.keep(pictures)
         if sum(patch.size_bytes for patch in self.patches) > _MATCHED_BYTES:
             self.patches = []
 
-    def _far(self) -> np.ndarray:
+    def _far(self, alone: np.ndarray) -> np.ndarray:
         """[C] bool: cells that no small shift explains, or whose shift is far from the whole picture's."""
-        shift, _, misfit = self.solved()
+        shift, _, misfit, _ = self.solved()
         covariance = self.templates[0].covariance
         own = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
-        usual = usual_of(misfit, covariance, self.grid)
+        usual = usual_of(misfit, covariance, self.grid, alone)
         noise = np.sqrt(np.einsum("cii->c", covariance) * usual.typical)
         return usual.stand_out() | (np.percentile(own, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise))
 
-    def solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Shifts [F, C, 2], gains [F, C] and misfits [F, C]."""
+    def solved(self) -> tuple[np.ndarray, ...]:
+        """Shifts [F, C, 2], gains, misfits and changes [F, C]."""
         parts, place = [], np.array(self.place)
         products = np.concatenate([p for p, _ in self._products], 1)
         energy = np.concatenate([e for _, e in self._products], 1)
         for k, template in enumerate(self.templates):
             parts.append(template.solved(products[:, place == k], energy[:, place == k]))
-        shift, gain, misfit = (np.concatenate(values, 1) for values in zip(*parts, strict=True))
-        return shift.transpose(1, 0, 2), gain.T, misfit.T
+        shift, *others = (np.concatenate(values, 1) for values in zip(*parts, strict=True))
+        return shift.transpose(1, 0, 2), *(values.T for values in others)
 
     def _begin(self, pictures: np.ndarray) -> None:
         height, width = pictures.shape[1:]
@@ -175,7 +184,7 @@ class _Reader:
         grid = Grid.of(width, height, min(cell, height, width))
         template = Template(pictures.mean(0, dtype=np.float32), grid)
         products = _products_of(template, pictures)
-        shift, _, misfit = template.solved(*products)
+        shift, _, misfit, _ = template.solved(*products)
         whole = whole_shift(shift.transpose(1, 0, 2), template.covariance)
         stops = [0, *knocks(whole), len(pictures)]
         if len(stops) > 2:

@@ -1,21 +1,22 @@
 """What the cells' series say before any line is sought: what moves by itself, what passes, light, the background."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
 
 from tg4mm.capture.look.cells import Grid
-from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, whole_shift
+from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, usual_in, whole_shift
 from tg4mm.capture.look.spectra import step, tone, tones_of
-from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, QUANTISED, usual_of
+from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the usual misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
-_FEWEST_OTHERS = 24  # pictures that are not B
+_FEWESTOTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
 PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
 _REGULAR = 0.7  # share of key frames that must be equally far apart
@@ -30,7 +31,7 @@ _FAR_OFF = 16.0  # times more: cells that no line moves, and that are yet no bac
 class Masks:
     """Which cells, and when."""
 
-    core: np.ndarray  # [C] moves by itself: a small rigid shift never explains it
+    core: np.ndarray  # [C] moves by itself: a small rigid shift explains little of it
     moves: np.ndarray  # [C] the same with its rim
     passed: np.ndarray  # [F, C] something else is there for a while
     hidden: np.ndarray  # [F, C] the same with its rim and a few pictures before and after
@@ -78,6 +79,15 @@ class Scene:
         """[F] bool: B pictures."""
         return np.asarray(self.series.kinds == BETWEEN)
 
+    @cached_property
+    def left(self) -> np.ndarray:
+        """[C]: the share of what changes in a cell that its shift leaves, where that stands out of the noise."""
+        series = self.series
+        usual = usual_in(series)
+        left, change = (np.maximum(a.mean(0) - usual.noise, 0) for a in (series.misfit, series.change))
+        stands_out = usual.excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread)
+        return np.where(stands_out, np.minimum(left / np.maximum(change, 1e-12), 1), 0)
+
     @property
     def patterns(self) -> tuple[int, ...]:
         """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular."""
@@ -97,7 +107,7 @@ class Scene:
     @property
     def treats_apart(self) -> bool:
         """Whether B pictures lack detail, and enough others are there."""
-        return self.lost > _LOST and int((~self.between).sum()) > _FEWEST_OTHERS and bool(self.between.any())
+        return self.lost > _LOST and int((~self.between).sum()) > _FEWESTOTHERS and bool(self.between.any())
 
 
 def _period(kind: np.ndarray) -> int:
@@ -107,9 +117,12 @@ def _period(kind: np.ndarray) -> int:
     return usual if usual and (steps == usual).mean() >= _REGULAR else 0
 
 
-def scene_of(series: CellSeries) -> Scene:
-    """Masks, light and a first background of all cells that agree with each other."""
-    masks = find_masks(series)
+def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> Scene:
+    """Masks, light and a first background of all cells that agree with each other.
+
+    edges [C] bool: cells that are known to show the edge of what vibrates.
+    """
+    masks = find_masks(series, edges)
     covariance = shift_covariance(series)
     spread = np.trace(covariance, axis1=1, axis2=2)[:, None, None]
     with np.errstate(all="ignore"):
@@ -129,23 +142,58 @@ def shift_covariance(series: CellSeries) -> np.ndarray:
     return np.asarray(series.covariance * typical[:, None, None])
 
 
-def find_masks(series: CellSeries) -> Masks:
-    """Cells whose misfit stands out among the others all the time, and those whose misfit stands out at times."""
-    grid, usual = series.grid, usual_of(series.misfit, series.covariance, series.grid)
-    core, excess = usual.stand_out() & ~series.matched, usual.excess
+def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
+    """Cells that do something else than vibrate all the time, and those that do so at times.
+
+    Their misfit stands out of the noise, and it is most of what changes there. What vibrates leaves a misfit, too: an
+    edge that covers what is behind it, the terms beyond a shift's series, points between pixels. But that is a share of
+    the change that its shift explains, however little noise there is.
+    """
+    grid, usual = series.grid, usual_in(series)
+    own_change = np.maximum(series.change.mean(0) - usual.noise, 0)
+    is_other = _is_most(grid, np.maximum(series.misfit.mean(0) - usual.noise, 0), own_change)
+    core, excess = usual.stand_out() & is_other, usual.excess
+    core = core if edges is None else core & ~edges
     around = ndimage.binary_dilation(grid.picture(core), BLOCK).ravel() & ~series.matched
-    relative = series.misfit / typical_by_kind(series)
+    typical = typical_by_kind(series)
+    relative = series.misfit / typical
     quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread))))
     tells = quiet & usual.compared
-    scatter = 1.4826 * float(np.median(np.abs(relative[:, tells] - 1))) if tells.any() else 0.1
-    unlike = grid.picture(relative > 1 + _PASSING * max(0.1, scatter))
-    clustered = (
-        np.stack([ndimage.uniform_filter(u.astype(float), 3, mode="nearest") for u in unlike]) > _CLUSTER
-    )
-    passed = (unlike & clustered).reshape(relative.shape) & quiet
+    unlike = (relative > _usually(relative[:, tells])) & (series.misfit > _of_alone(series, tells))
+    unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
+    clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="nearest")
+    passed = unlike & (clustered > _CLUSTER).reshape(unlike.shape) & quiet
     hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
     hidden |= ~np.isfinite(series.shift).all(2)
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
+
+
+def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """[..., C] bool: cells where what a shift leaves is most of what changes, in themselves and with those around."""
+    sums = [
+        ndimage.uniform_filter(grid.picture(a), (1,) * (a.ndim - 1) + (3, 3), mode="nearest").reshape(a.shape)
+        for a in (left, change)
+    ]
+    return np.asarray((left > OTHER * change) & (sums[0] > OTHER * sums[1]))
+
+
+def _of_alone(series: CellSeries, tells: np.ndarray) -> float:
+    """Grey levels²: what pictures that a codec predicts from no other hold of noise, but seldom."""
+    some = series.misfit[series.kinds == INTRA][:, tells]
+    if not some.size:
+        return 0.0
+    middle = float(np.median(some))
+    return middle + 2 * 1.4826 * float(np.median(np.abs(some - middle)))
+
+
+def _usually(relative: np.ndarray) -> np.ndarray:
+    """[F, 1]: what misfits over typical ones [F, C] seldom exceed; more in pictures that are coded otherwise."""
+    if not relative.size:
+        return np.full((len(relative), 1), 1 + _PASSING * 0.1)
+    middle = np.maximum(np.median(relative, 1, keepdims=True), 1.0)
+    scatter = 1.4826 * np.median(np.abs(relative - middle), 1, keepdims=True)
+    always = 1.4826 * float(np.median(np.abs(relative - 1)))
+    return np.asarray(middle + _PASSING * np.maximum(scatter, max(0.1, always)))
 
 
 def typical_by_kind(series: CellSeries) -> np.ndarray:
@@ -153,7 +201,7 @@ def typical_by_kind(series: CellSeries) -> np.ndarray:
 
     Where a kind has few pictures, the median of all of them times what most cells then have more or less.
     """
-    usual, out = usual_of(series.misfit, series.covariance, series.grid), np.empty_like(series.misfit)
+    usual, out = usual_in(series), np.empty_like(series.misfit)
     every, compared = usual.typical, usual.compared
     for kind in np.unique(series.kinds):
         rows = series.kinds == kind
@@ -175,7 +223,7 @@ def _lost(series: CellSeries) -> float:
 
 def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     """The share of detail that pictures `some` [F] bool lack beside `others`, neither of which is empty."""
-    compared = usual_of(series.misfit, series.covariance, series.grid).compared
+    compared = usual_in(series).compared
     typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 

@@ -9,6 +9,7 @@ from tg4mm.capture.look.cells import Grid
 
 QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
 LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
+OTHER = 0.5  # of the change beyond noise that a shift leaves: edges of what vibrates .1 to .5, wheels, leaves .6 to 1
 BLOCK = np.ones((3, 3))
 _CORE, _CORE_SPREADS = 2.5, 6  # times the usual misfit, and deviations of the cells' scatter: what stands out
 
@@ -21,6 +22,7 @@ class Usual:
     compared: np.ndarray  # [C] bool: cells that tell what is usual
     level: float  # grey levels²
     spread: float  # of the logarithm
+    noise: float  # grey levels²: the same of what moves, which a codec cannot take from the picture before
 
     @property
     def excess(self) -> np.ndarray:
@@ -33,13 +35,20 @@ class Usual:
         return np.asarray(excess > max(np.log(_CORE), _CORE_SPREADS * self.spread))
 
 
-def usual_of(misfit: np.ndarray, covariance: np.ndarray, grid: Grid) -> Usual:
-    """Of misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1."""
+def usual_of(
+    misfit: np.ndarray, covariance: np.ndarray, grid: Grid, alone: np.ndarray | None = None
+) -> Usual:
+    """Of misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
+
+    alone [F] bool: pictures that a codec predicts from no other. They hold the noise and the error of the codec's
+    quantiser; of the others so does what moves, while what rests is taken from the picture before.
+    """
     typical = np.maximum(np.median(misfit, 0), QUANTISED)
     compared = _compared(typical, covariance, grid)
     level = float(np.median(typical[compared]))
     spread = 1.4826 * float(np.median(np.abs(np.log(typical[compared] / level))))
-    return Usual(typical, compared, level, spread)
+    noise = float(np.median(misfit[alone][:, compared])) if alone is not None and alone.any() else level
+    return Usual(typical, compared, level, spread, max(level, noise))
 
 
 def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.ndarray:
