@@ -89,7 +89,13 @@ def test_the_gauss_newton_product_is_one_after_the_other(name, n_changes, weight
 
 def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch):
     crowded = SCENES["crowded"]
-    opaque = replace(crowded, opacities=torch.full_like(crowded.opacities, 0.999), scales=4 * crowded.scales)
+    sight, is_behind = crowded.viewmats[0, 2, :3], torch.arange(len(crowded.means)) >= 100
+    opaque = replace(
+        crowded,
+        means=crowded.means + 3.0 * is_behind[:, None] * sight,
+        opacities=torch.full_like(crowded.opacities, 0.999),
+        scales=4 * crowded.scales,
+    )
     view = view_of(opaque)
     monkeypatch.setattr(module, "seen", lambda bins: bins)
     whole = view_of(opaque)

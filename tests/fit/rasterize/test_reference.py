@@ -82,11 +82,11 @@ def test_projected_covariance_is_that_of_projected_samples(rng):
 
 def test_composite_is_equation_3_term_by_term(rng):
     """C = Σ c_i α_i Π_{j<i} (1 - α_j), stopped before the light falls to T_MIN, as two plain loops."""
-    alphas = uniform(rng, 12, 6, low=0.0, high=0.9)
+    alphas = uniform(rng, 12, 60, low=0.0, high=0.9)  # about half of the pixels are stopped
     features = uniform(rng, 12, 2)
     colour, transmittance = composite(alphas, features)
     stopped = 0
-    for p in range(6):
+    for p in range(60):
         light, total = 1.0, torch.zeros(2, dtype=torch.float64)
         for i in range(12):
             behind = light * (1 - alphas[i, p].item())
@@ -97,4 +97,4 @@ def test_composite_is_equation_3_term_by_term(rng):
             light = behind
         assert torch.allclose(colour[p], total)
         assert math.isclose(transmittance[p].item(), light)
-    assert 0 < stopped < 6
+    assert 0 < stopped < 60
