@@ -72,7 +72,7 @@ test-gui: install
 # AVX-512 take, to be seen on any. Kernels made so are cached apart.
 benchmark-avx2: install
 	@[ -n "$(RUN)" ] || { echo "which run? make RUN=/path/of/a/trained/run benchmark-avx2" >&2; exit 2; }
-	$(AVX2) OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m benchmarks rasterize --run $(RUN) --only run --repeats 50
+	$(AVX2) OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m benchmarks rasterize --run $(RUN) --repeats 50
 
 lint: install
 	$(BIN)/ruff check .

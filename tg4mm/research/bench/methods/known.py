@@ -114,30 +114,36 @@ def parse_external(given: list[str]) -> tuple[External, ...]:
     return tuple(found.values())
 
 
+@dataclass(frozen=True)
+class Known:
+    """A method by name. usual: its own settings; fit: what moves the Gaussians of `modal`; whole: made as it is."""
+
+    about: str
+    usual: Any = None
+    fit: Fit | None = None
+    whole: Method | None = None
+
+
 TRACKING = tracking.NAME
-# Gaussians of `modal`, moved by another fit: its settings and itself
-_DEFORMED: dict[str, tuple[Any, Fit]] = {
-    TRACKING: (tracking.TrackingConfig(), tracking.track),
-    tracking.ALONG: (tracking.TrackingConfig(), tracking.track_along),
-    control_points.NAME: (control_points.ControlConfig(), control_points.carry),
-    per_frame.NAME: (per_frame.PerFrameConfig(), per_frame.tune),
-}
-_OWN = {name: usual for name, (usual, _) in _DEFORMED.items()} | {eulerian.NAME: eulerian.EulerianConfig()}
-_VIDEO: dict[str, Method] = {m.name: m for m in (Phase2D(), Linear2D())}
-NAMES = (*SCORINGS, *_OWN, *_VIDEO)
+_TG4MM = "the method of TG4MM, the paper that this program implements"
+_TRACKING = tracking.TrackingConfig()
+METHODS: dict[str, Known] = {
+    "modal": Known("tg4mm's own; Gaussians, a few shapes of motion and their courses over time, all views at once"),
+    "paper": Known(f"{_TG4MM}; magnified by `linear` or `phase`"),
+    "paper-tuned": Known(f"{_TG4MM}, in minutes; by `linear` or `phase`"),
+    TRACKING: Known("Gaussians moved by a deformation network, in the manner of 4DGS", _TRACKING, tracking.track),
+    tracking.ALONG: Known("Gaussians and network trained together, as 4DGS does", _TRACKING, tracking.track_along),
+    control_points.NAME: Known("Gaussians carried by 512 control points that an MLP moves, in the manner of SC-GS",
+                               control_points.ControlConfig(), control_points.carry),
+    per_frame.NAME: Known("the Gaussians at rest fine-tuned to each timestep by itself", per_frame.PerFrameConfig(),
+                          per_frame.tune),
+    eulerian.NAME: Known("planes of density and colour at fixed points of space, after 3DMM; by `phase` or `linear`",
+                         eulerian.EulerianConfig()),
+    Phase2D.name: Known("phase-based magnification of each test view's own video", whole=Phase2D()),
+    Linear2D.name: Known("linear Eulerian magnification of each test view's own video", whole=Linear2D()),
+}  # fmt: skip
+NAMES = tuple(METHODS)
 _TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems know no upper case
-ABOUT = {
-    "modal": "tg4mm's own; Gaussians and a few shapes of motion with their courses over time, from all views at once",
-    "paper": "the method of TG4MM, the paper that this program implements; magnified by `linear` or `phase`",
-    "paper-tuned": "the method of TG4MM, the paper that this program implements, in minutes; by `linear` or `phase`",
-    TRACKING: "Gaussians moved by a deformation network, in the manner of 4DGS",
-    tracking.ALONG: "the same, Gaussians and network trained together, as 4DGS does",
-    control_points.NAME: "Gaussians carried by 512 control points that an MLP moves, in the manner of SC-GS",
-    per_frame.NAME: "the Gaussians at rest fine-tuned to each timestep by itself",
-    eulerian.NAME: "planes of density and colour at fixed points of space, after 3DMM; by `phase` or `linear`",
-    Phase2D.name: "phase-based magnification of each test view's own video, in complex sub-bands of half an octave",
-    Linear2D.name: "linear Eulerian magnification of each test view's own video",
-}
 DEFAULT = ("modal", "paper-tuned", TRACKING, Phase2D.name)
 
 
@@ -170,21 +176,20 @@ def methods_of(
 
 
 def _method(name: str, settings: Mapping[str, Mapping[str, str]], framing: bool) -> Method:
-    own = settings.get(name, {})
+    own, known = settings.get(name, {}), METHODS[name]
     if name in SCORINGS:
         return Trained(Training(name, name, own), framing)
-    if name in _DEFORMED:
-        return deformed(name, *_DEFORMED[name], settings.get("modal", {}), own)
-    return eulerian.Eulerian(configured(name, _OWN[name], own)) if name in _OWN else _VIDEO[name]
+    if known.fit is not None:
+        return deformed(name, known.usual, known.fit, settings.get("modal", {}), own)
+    return known.whole or eulerian.Eulerian(configured(name, known.usual, own))
 
 
 def settings_of(given: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, str]]:
     """`--set` by preset and method. Raises Tg4mmError for a name that none has, and for a value that does not fit."""
-    own = {n: {k: v for k, v in given.items() if k.startswith(f"{n}.")} for n in names if n in _OWN}
+    usual = {n: METHODS[n].usual for n in names if METHODS[n].usual is not None}
+    own = {n: {k: v for k, v in given.items() if k.startswith(f"{n}.")} for n in usual}
     for name, some in own.items():
-        configured(name, _OWN[name], some)
+        configured(name, usual[name], some)
     rest = {k: v for k, v in given.items() if k.partition(".")[0] not in own}
-    presets = dict.fromkeys(
-        "modal" if n in _DEFORMED else n for n in names if n in SCORINGS or n in _DEFORMED
-    )
-    return settings_by_preset(rest, list(presets)) | own
+    presets = ["modal" if METHODS[n].fit else n for n in names if n in SCORINGS or METHODS[n].fit]
+    return settings_by_preset(rest, list(dict.fromkeys(presets))) | own

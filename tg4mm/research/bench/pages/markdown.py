@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tg4mm.research.bench.means import JUDGED
-from tg4mm.research.bench.methods.known import ABOUT
+from tg4mm.research.bench.methods.known import METHODS
 from tg4mm.research.bench.pages.tables import groups_of, kinds_tables, tables_of
 from tg4mm.research.bench.sets import goal_amplitude
 from tg4mm.research.evaluate.run import STATIC
@@ -73,7 +73,7 @@ _OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D 
 
 def how(results: Mapping[str, Any]) -> str:
     """What all tables share."""
-    own = [name for name in results["methods"] if name in ABOUT]  # not what an outside method may be called
+    own = [name for name in results["methods"] if name in METHODS]  # not what an outside method may be called
     band = (
         f"Every method magnifies the same band: {results['band']}. "
         if results["band"]
@@ -93,7 +93,7 @@ def how(results: Mapping[str, Any]) -> str:
 def about_methods(results: Mapping[str, Any]) -> list[str]:
     """A line for each method."""
     return [
-        f"`{name}`: {ABOUT.get(name, 'pictures made elsewhere, by --external')}."
+        f"`{name}`: {METHODS[name].about if name in METHODS else 'pictures made elsewhere, by --external'}."
         for name in results["methods"]
     ]
 
