@@ -3,6 +3,7 @@
 They are decoded when they are asked for, in the order of the file; asked for in order, each once.
 """
 
+import math
 import os
 import re
 from bisect import bisect_right
@@ -18,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from tg4mm.capture.planes import colours, upright
-from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened
+from tg4mm.capture.video import VIDEO_SUFFIXES, av_module, opened, silent, stream_of
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, ImageHeader, decode, image_header
 
@@ -57,17 +58,21 @@ def index_of(video: Path) -> Index:
 @lru_cache(_OPEN)
 def _index(video: Path, size: int, changed_ns: int) -> Index:
     with opened(video) as container:
-        stream = container.streams.video[0]
+        stream = stream_of(container)
         try:
-            packets = [(p.pts, p.is_keyframe) for p in container.demux(stream) if p.pts is not None]
+            packets = [
+                (p.pts, p.is_keyframe, p.is_discard) for p in container.demux(stream) if p.pts is not None
+            ]
         except av_module().FFmpegError as error:
             raise CaptureError(f"{video}: is damaged or cut off; copy it from the camera again") from error
         tick = Fraction(stream.time_base)
-    if not packets:
+    first = next((stamp for stamp, is_key, _ in packets if is_key), -math.inf)  # none before is decoded
+    stamps = tuple(sorted({stamp for stamp, _, is_left_out in packets if stamp >= first and not is_left_out}))
+    if not stamps:
         raise CaptureError(f"{video}: holds no frames")
-    stamps = tuple(sorted({stamp for stamp, _ in packets}))
     number = {stamp: n for n, stamp in enumerate(stamps)}
-    return Index(stamps, tuple(sorted(number[stamp] for stamp, is_key in packets if is_key)), tick)
+    keys = {0} | {number[stamp] for stamp, is_key, _ in packets if is_key and stamp in number}
+    return Index(stamps, tuple(sorted(keys)), tick)
 
 
 def picture_header(path: Path) -> ImageHeader:
@@ -140,14 +145,17 @@ class _Reader:
         """[H, W, 4] uint8 or uint16."""
         if self.at == number:
             return self.last
+        with silent():
+            return self._read(number)
+
+    def _read(self, number: int) -> np.ndarray:
         keys = self.index.keys
-        key = keys[max(bisect_right(keys, number) - 1, 0)] if keys else 0
+        key = keys[bisect_right(keys, number) - 1]
         try:
             if not 0 <= self.at < number or key > self.at:
                 self.container.seek(self.index.stamps[key], stream=self.stream)
                 self.frames = self.container.decode(self.stream)
             if not self._is_reached(number):  # a container whose index is wrong
-                self.container.close()
                 self._open()
                 if not self._is_reached(number):
                     raise CaptureError(f"{self.video}: frame {number} cannot be decoded")
@@ -157,8 +165,10 @@ class _Reader:
         return self.last
 
     def _open(self) -> None:
+        with silent():  # also while those of the container before it are closed
+            self.container = self.stream = self.frames = None
         self.container = opened(self.video)
-        self.stream = self.container.streams.video[0]
+        self.stream = stream_of(self.container)
         self.stream.thread_type = "AUTO"
         self.frames, self.at = self.container.decode(self.stream), -1
 

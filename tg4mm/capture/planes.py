@@ -1,17 +1,61 @@
 """A decoded frame's pixels: its luma as it is coded, its colours, upright; and what is unusual about them."""
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 _LOG = logging.getLogger("tg4mm")
-_SAID: set[Path] = set()  # of which a warning said what they are
+_SAID: set[tuple[Path, str]] = set()
 _HDR = {16: "PQ", 18: "HLG"}  # curves, as FFmpeg numbers them
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+_STRAIGHT = 0.01  # of the axes, what they may be aslant
 _PLANAR = ("yuv4", "yuvj4", "nv12", "gray")  # pixel formats whose first plane is the luma
-TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
+_ONE = 1 << 16  # in a display matrix
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """One of the eight ways in which a stored picture is shown upright: transposed, then mirrored."""
+
+    is_transposed: bool = False
+    mirrors_rows: bool = False  # left to right
+    mirrors_columns: bool = False  # top to bottom
+
+    def shown(self, stored: np.ndarray) -> np.ndarray:
+        """A picture [H, W, ...] as it is shown."""
+        out = stored.swapaxes(0, 1) if self.is_transposed else stored
+        return out[:: -1 if self.mirrors_columns else 1, :: -1 if self.mirrors_rows else 1]
+
+    def stored(self, shown: np.ndarray) -> np.ndarray:
+        """The inverse of `shown`."""
+        out = shown[:: -1 if self.mirrors_columns else 1, :: -1 if self.mirrors_rows else 1]
+        return out.swapaxes(0, 1) if self.is_transposed else out
+
+    def stored_vector(self, shown: np.ndarray) -> np.ndarray:
+        """A vector [2], right and down in the picture that is shown, in the one that is stored."""
+        own = shown * np.where([self.mirrors_rows, self.mirrors_columns], -1, 1)
+        return own[::-1] if self.is_transposed else own
+
+
+AS_STORED = Orientation()
+
+
+def orientation_of(frame: Any) -> Orientation:
+    """What a decoded frame's display matrix asks for; one that turns by no quarter is not obeyed."""
+    data = next((bytes(d) for d in frame.side_data if d.type.name == "DISPLAYMATRIX"), b"")
+    if len(data) != 36:
+        return AS_STORED
+    # x' = a x + c y, y' = b x + d y; right and down
+    a, b, _, c, d = np.frombuffer(data, np.int32)[:5].astype(float) / _ONE
+    is_transposed = abs(b) + abs(c) > abs(a) + abs(d)
+    right, down = (c, b) if is_transposed else (a, d)
+    rest = (a, d) if is_transposed else (b, c)
+    if not np.abs(rest).max() < _STRAIGHT * np.abs([right, down]).min():
+        return AS_STORED
+    return Orientation(bool(is_transposed), bool(right < 0), bool(down < 0))
 
 
 def say_what_it_is(path: Path, frame: Any) -> None:
@@ -27,15 +71,19 @@ def say_what_it_is(path: Path, frame: Any) -> None:
             f"is HDR ({hdr}, {frame.format.components[0].bits} bits): values stay as they are coded; the curve only "
             "rises, so that motion is what it is, but colours look flat"
         )
-    if said and path not in _SAID:
-        _SAID.add(path)
+    say_once(path, said)
+
+
+def say_once(path: Path, said: str) -> None:
+    """A warning about a file, unless it is empty or was given already."""
+    if said and (path, said) not in _SAID:
+        _SAID.add((path, said))
         _LOG.warning(f"{path}: {said}")
 
 
 def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
-    """A decoded frame's pixels, turned as its container asks."""
-    turns = TURNS.get(round(frame.rotation), 0)
-    return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
+    """A decoded frame's pixels, turned and mirrored as its container asks."""
+    return np.ascontiguousarray(orientation_of(frame).shown(pixels))
 
 
 def luma(frame: Any) -> np.ndarray:

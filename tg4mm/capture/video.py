@@ -1,7 +1,7 @@
 """Recordings in one file: what it says of itself, and the frames one by one with their exact times; videos by PyAV."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,13 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.planes import LUMA, TURNS, colours, luma, say_what_it_is, upright
+from tg4mm.capture.edits import has_cuts
+from tg4mm.capture.planes import (
+    AS_STORED,
+    LUMA,
+    colours,
+    luma,
+    orientation_of,
+    say_once,
+    say_what_it_is,
+    upright,
+)
 from tg4mm.capture.stacks import STACK_SUFFIXES, TIFF_SUFFIXES, is_stack, stack_info, stack_pictures
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.extras import install
 
 # What FFmpeg's decoders write to their log when they cover up damage and hand out a frame all the same.
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
+_CUTS = "its edit list cuts it, or slows a part down: all pictures are taken, at the times that the camera gave them"
+_FASTEST = 1e6  # pictures a second
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
 ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
 BARE_SUFFIXES = (".h264", ".264", ".h265", ".265", ".hevc")  # streams without a container
@@ -30,6 +42,11 @@ RECORDING_SUFFIXES = (*VIDEO_SUFFIXES, *STACK_SUFFIXES)
 _FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,mpegts,mpeg,cine,h264,hevc"
 _SQUARE = 0.005  # by which a pixel's sides may differ
 _NOMINAL = 25  # pictures a second of what does not say
+_IS_DEFAULT, _IS_COVER = 1, 1 << 10  # FFmpeg's AV_DISPOSITION_DEFAULT and _ATTACHED_PIC
+_WORTH = 5_000_000  # pixels that being the default is worth to ffmpeg where it chooses a stream
+_SLOWED = 1.5  # times the file's own rate, or its inverse, from which a capture rate counts,
+_HIGH_SPEED = 100  # and pictures a second: no camera takes that many by day and a part of them in the dark
+_LOST_S = 0.05  # of a video's beginning or end, that is said
 
 
 @dataclass(frozen=True)
@@ -41,6 +58,7 @@ class VideoInfo:
     duration_s: float | None
     total: int  # frames, an estimate; 0 if unknown
     created: datetime | None  # when the recording began, where the camera wrote it down
+    filmed_at: float | None = None  # frames per second, where the file says that its times are others
 
 
 @dataclass(frozen=True)
@@ -77,6 +95,16 @@ def av_module() -> Any:
     return av
 
 
+@contextmanager
+def silent() -> Iterator[None]:
+    """FFmpeg logs nothing: its threads wait for Python's lock to do so, for good where that is held by who ends them."""
+    av_module().logging.set_level(None)
+    try:
+        yield
+    finally:
+        av_module()
+
+
 def video_info(path: Path) -> VideoInfo:
     """The file's own figures. Raises CaptureError where it is no video that can be decoded."""
     if is_stack(path):
@@ -85,12 +113,13 @@ def video_info(path: Path) -> VideoInfo:
             return VideoInfo((), Fraction(0), None, stack.count, None)
         return VideoInfo((stack.rate,), Fraction(0), stack.count / float(stack.rate), stack.count, None)
     with opened(path) as container:
-        stream = container.streams.video[0]
+        stream = stream_of(container)
         rates = [stream.average_rate, stream.base_rate, stream.guessed_rate]
         known = tuple(dict.fromkeys(Fraction(rate) for rate in rates if rate))
         duration = _duration(container, stream)
         total = stream.frames or round((duration or 0) * float(known[0] if known else 0))
-        return VideoInfo(known, Fraction(stream.time_base), duration, total, _created(container, stream))
+        created, filmed_at = _created(container, stream), _filmed_at(path, container, known)
+        return VideoInfo(known, Fraction(stream.time_base), duration, total, created, filmed_at)
 
 
 def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[VideoFrame]:
@@ -149,9 +178,10 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
     _check_window(path, start_s, stop_s)
     first: Fraction | None = None
     count = 0
-    time, step = Fraction(0), Fraction(0)
+    size: tuple[int, int] | None = None
+    time, step, lost_s = Fraction(0), Fraction(0), 0.0
     with _settled(path), av.logging.Capture(False) as log, opened(path) as container:
-        stream = container.streams.video[0]
+        stream = stream_of(container)
         stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
         log.clear()
         frames = container.decode(stream)
@@ -172,17 +202,21 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
                 )
             stamp = Fraction(count, _NOMINAL) if untimed else frame.pts * Fraction(frame.time_base)
             count += 1
-            first = stamp if first is None else first
+            if first is None:
+                first, lost_s = stamp, 0.0 if untimed else _lost_s(path, stream, stamp)
             step, time = max(step, stamp - first - time), stamp - first
             if time >= stop_s - HAIR_S:
                 return
             if time >= start_s - HAIR_S:
+                size = size or (frame.width, frame.height)
+                if size != (frame.width, frame.height):
+                    raise _resized(path, size, frame, time)
                 kind = int(frame.pict_type)
                 yield CodedFrame(time, kind == BETWEEN, kind == ALONE), frame
         duration = None if untimed else _duration(container, stream)
     if first is None:
         raise CaptureError(f"{path}: holds no frames")
-    if duration is not None and float(time + 2 * step) < duration - 0.05:
+    if duration is not None and lost_s + float(time + 2 * step) < duration - _LOST_S:
         raise _damaged(path, time, duration)
 
 
@@ -200,13 +234,13 @@ def _settled(path: Path) -> Iterator[None]:
             )
 
 
-def turns_of(path: Path) -> int:
-    """Return the number of quarter turns that the container prescribes to make pictures upright."""
+def is_turned(path: Path) -> bool:
+    """Return whether the container prescribes to turn or mirror pictures when they are shown."""
     if is_stack(path):
-        return 0
+        return False
     with opened(path) as container:
-        frame = next(container.decode(video=0), None)
-    return 0 if frame is None else TURNS.get(round(frame.rotation), 0)
+        frame = next(container.decode(stream_of(container)), None)
+    return frame is not None and orientation_of(frame) != AS_STORED
 
 
 def file_url(path: Path) -> str:
@@ -220,6 +254,9 @@ def opened(path: Path) -> Any:
     try:
         with av.logging.Capture(False):
             options = {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
+            if has_cuts(path):
+                options["ignore_editlist"] = "1"
+                say_once(path, _CUTS)
             container = av.open(file_url(path), container_options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(
@@ -227,10 +264,10 @@ def opened(path: Path) -> Any:
             "again"
         ) from error
     # A stream without codec context takes the whole process down when it is decoded.
-    if not container.streams.video or container.streams.video[0].codec_context is None:
+    if stream_of(container) is None:
         container.close()
         raise CaptureError(f"{path}: holds no video that can be decoded")
-    shape = container.streams.video[0].sample_aspect_ratio
+    shape = stream_of(container).sample_aspect_ratio
     if shape and abs(shape - 1) > _SQUARE:
         container.close()
         raise CaptureError(
@@ -240,10 +277,68 @@ def opened(path: Path) -> Any:
     return container
 
 
+def stream_of(container: Any) -> Any:
+    """The video stream that ffmpeg takes: the default one, else the largest; None where none can be decoded."""
+
+    def score(stream: Any) -> int:
+        disposition = stream.disposition.value
+        if disposition & _IS_COVER:
+            return 1
+        return int(stream.width * stream.height) + _WORTH * bool(disposition & _IS_DEFAULT)
+
+    streams = [stream for stream in container.streams.video if stream.codec_context is not None]
+    return max(streams, key=score, default=None)
+
+
+def _filmed_at(path: Path, container: Any, rates: Sequence[Fraction]) -> float | None:
+    """What Android's camera writes: how many pictures a second it took, of slow motion that is stored slowed down."""
+    try:
+        rate = float(container.metadata.get("com.android.capture.fps", "nan"))
+    except ValueError:
+        return None
+    if not (rates and 0 < rate < _FASTEST) or 1 / _SLOWED < rate / rates[0] < _SLOWED:
+        return None
+    if rates[0] < rate < _HIGH_SPEED:  # or the camera took fewer in the dark
+        say_once(
+            path,
+            f"says that {rate:g} pictures a second were filmed, its times say {float(rates[0]):.5g}, which are taken; "
+            f"of slow motion give --fps {rate:g}",
+        )
+        return None
+    say_once(
+        path,
+        f"says that {rate:g} pictures a second were filmed, which is taken; its times, of {float(rates[0]):.5g} a "
+        f"second, are those of {'slow motion' if rate > rates[0] else 'time lapse'} (--fps gives another rate)",
+    )
+    return rate
+
+
+def _lost_s(path: Path, stream: Any, first: Fraction) -> float:
+    """Seconds before the first picture that can be decoded, which a warning tells."""
+    start = first if stream.start_time is None else stream.start_time * stream.time_base
+    lost = max(float(first - start), 0.0)
+    if lost > _LOST_S:
+        say_once(
+            path, f"its first {lost:.2f} s cannot be decoded, as it was cut there; times are from what can be"
+        )
+    return lost
+
+
+def _resized(path: Path, size: tuple[int, int], frame: Any, time: Fraction) -> CaptureError:
+    last = math.floor(time * 100) / 100
+    return CaptureError(
+        f"{path}: its pictures change from {size[0]}×{size[1]} to {frame.width}×{frame.height} pixels at {last:.2f} s; "
+        f"use the part before with --until {last:.2f}"
+    )
+
+
 def _duration(container: Any, stream: Any) -> float | None:
     """Seconds of the video stream; the container's length is that of its longest stream."""
     if stream.duration:
-        return float(stream.duration * stream.time_base)
+        late = (
+            max(stream.start_time or 0, 0) if "mov" in container.format.name else 0
+        )  # what an edit list adds
+        return float((stream.duration - late) * stream.time_base)
     if container.duration and len(container.streams) == 1:
         return container.duration / 1e6
     return None

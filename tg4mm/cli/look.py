@@ -75,13 +75,13 @@ def look(
     from tg4mm.capture.look import look as looked
     from tg4mm.capture.look.rows import with_rows
     from tg4mm.capture.sfm.clip import Window
-    from tg4mm.capture.video import RECORDING_SUFFIXES, turns_of
+    from tg4mm.capture.video import RECORDING_SUFFIXES, is_turned
     from tg4mm.show.look import Words, write_json_file, write_page, write_picture
 
     if out is not None and out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder")
     window = Window(start, stop)
-    if readout and video.is_file() and video.suffix.lower() in RECORDING_SUFFIXES and turns_of(video):
+    if readout and video.is_file() and video.suffix.lower() in RECORDING_SUFFIXES and is_turned(video):
         raise Tg4mmError(
             f"--readout is for pictures whose rows are read from top to bottom, but those of {video.name} are turned "
             "when they are shown"

@@ -1,13 +1,15 @@
 """What a codec takes from a known tone is told by the file alone, within its ±."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, texture
 from tg4mm.capture.codec import Tone, codec_losses
-from tg4mm.capture.codec.loss import _stored
 from tg4mm.capture.codec.probe import probe
 from tg4mm.capture.codec.trial import gain_of, shifts_of
+from tg4mm.capture.planes import Orientation
 
 FPS, N, AMPLITUDE = 30.0, 120, 0.04
 REGION = np.zeros((120, 160), bool)
@@ -71,10 +73,11 @@ def test_a_video_that_cannot_be_read_is_marked(tmp_path):
     assert "cannot be tested" in loss.why
 
 
-def test_directions_turn_with_the_picture():
-    """A picture with a gradient to the right, stored turned, has it where the turned tone points."""
-    upright = np.tile(np.arange(5.0), (4, 1))
-    for turns in range(4):
-        stored = np.rot90(upright, -turns)
-        down, right = (float(g.mean()) for g in np.gradient(stored))
-        assert _stored(Tone(1.0, np.array([1.0, 0.0])), turns).phasor == pytest.approx([right, down])
+@pytest.mark.parametrize("flags", list(itertools.product([False, True], repeat=3)))
+def test_directions_turn_with_the_picture(flags):
+    """A picture with a gradient to the right and down, as it is stored, has it where the stored vector points."""
+    orientation, shown = Orientation(*flags), np.arange(5.0) + 3 * np.arange(4.0)[:, None]
+    stored = orientation.stored(shown)
+    assert (orientation.shown(stored) == shown).all()
+    down, right = (float(g.mean()) for g in np.gradient(stored))
+    assert orientation.stored_vector(np.array([1.0, 3.0])) == pytest.approx([right, down])

@@ -1,5 +1,6 @@
 """Small videos written with PyAV, whole and spoilt."""
 
+import struct
 from fractions import Fraction
 
 import av
@@ -33,7 +34,17 @@ def still(n, shifts=None, noise=4.0, size=SIZE):
 
 
 def write_video(
-    path, frames, rate=30, times=None, time_base=None, rotation=None, created=None, crf=14, between=None
+    path,
+    frames,
+    rate=30,
+    times=None,
+    time_base=None,
+    rotation=None,
+    created=None,
+    crf=14,
+    between=None,
+    faststart=True,
+    about=None,
 ):
     """H.264 in the container that the name asks for, which lists its frames before them (so that a cut one opens).
 
@@ -41,10 +52,12 @@ def write_video(
     others, always as many; without, as the encoder likes.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
+    flags = "+faststart" * faststart + "+use_metadata_tags" * bool(about)
+    options = {"movflags": flags} if flags and path.suffix in (".mp4", ".mov") else {}
     with av.open(str(path), "w", options=options) as container:
         if created is not None:
             container.metadata["creation_time"] = created
+        container.metadata.update(about or {})
         stream = container.add_stream("libx264", rate=rate)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
@@ -69,6 +82,44 @@ def write_video(
     return path
 
 
+def as_shown(path, matrix):
+    """The MP4 with another display matrix: a, b, c, d of x' = a x + c y, y' = b x + d y."""
+    data = bytearray(path.read_bytes())
+    a, b, c, d = (round(65536 * value) for value in matrix)
+    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(data)
+    return path
+
+
+def _boxes(data, start, end):
+    while start < end:
+        size, kind = struct.unpack_from(">I4s", data, start)
+        yield kind.decode(), (start, start + size)
+        start += size
+
+
+def edited(path, edits):
+    """The MOV whose index is at its end with an edit list: seconds shown, from which second on (-1: nothing), speed."""
+    data = bytearray(path.read_bytes())
+    moov = dict(_boxes(data, 0, len(data)))["moov"]
+    inside = dict(_boxes(data, moov[0] + 8, moov[1]))
+    track = dict(_boxes(data, inside["trak"][0] + 8, inside["trak"][1]))
+    media = dict(_boxes(data, track["mdia"][0] + 8, track["mdia"][1]))
+    scale, ticks = (struct.unpack_from(">I", data, box[0] + 20)[0] for box in (inside["mvhd"], media["mdhd"]))
+    rows = [
+        struct.pack(">Iii", round(s * scale), -1 if begin < 0 else round(begin * ticks), round(speed * 65536))
+        for s, begin, speed in edits
+    ]
+    body = struct.pack(">II", 0, len(edits)) + b"".join(rows)
+    new = struct.pack(">I4sI4s", 16 + len(body), b"edts", 8 + len(body), b"elst") + body
+    start, stop = track.get("edts", (track["mdia"][0],) * 2)
+    data[start:stop] = new
+    for box in (moov, inside["trak"]):
+        struct.pack_into(">I", data, box[0], box[1] - box[0] + len(new) - (stop - start))
+    path.write_bytes(data)
+    return path
+
+
 def encoded(path, frames, codec, gop=30, **options):
     """By another of FFmpeg's encoders."""
     with av.open(str(path), "w") as container:
@@ -83,6 +134,27 @@ def encoded(path, frames, codec, gop=30, **options):
             frame.pts, frame.time_base = i, Fraction(1, 30)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+    return path
+
+
+def write_resized(path, frames):
+    """VP8 whose pictures change their size, as browsers record a call."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libvpx", rate=30)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        encoder = stream.codec_context
+        for k, pixels in enumerate(frames):
+            height, width = pixels.shape[:2]
+            if (encoder.width, encoder.height) != (width, height):
+                encoder = av.CodecContext.create("libvpx", "w")
+                encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
+                encoder.time_base = Fraction(1, 30)
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame.pts, frame.time_base = k, Fraction(1, 30)
+            for packet in encoder.encode(frame):
+                packet.stream = stream
+                container.mux(packet)
     return path
 
 

@@ -12,7 +12,7 @@ whose pixels hardly ever repeat and whose noise is as fresh in each frame lost n
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -89,11 +89,11 @@ def codec_losses(
     if made is None:
         why = "what its compression takes is not known: the video cannot be tested"
         return [[Loss(float("nan"), float("nan"), why) for _ in own] for own in tones]
-    shape = np.rot90(made.luma[0], made.turns).shape
+    shape = made.orientation.shown(made.luma[0]).shape
     for region in regions:
         if region.shape != shape:
             raise Tg4mmError(f"a region has the shape {region.shape}, the video's pictures {shape}")
-    masks = [np.rot90(region.astype(np.float32), -made.turns) for region in regions]
+    masks = [made.orientation.stored(region.astype(np.float32)) for region in regions]
     if made.is_key.all():  # every picture by itself: noise, but no memory
         return [[Loss(1.0, 0.0) for _ in own] for own in tones]
     if not made.encoder or quick:
@@ -125,7 +125,7 @@ def _tested(
     """
     found: list[list[Loss]] = [[] for _ in tones]
     for group in _apart([k for k, own in enumerate(tones) if own], masks):
-        own = [[_stored(t, made.turns) for t in tones[k]] for k in group]
+        own = [[replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group]
         gains, length = [np.ones(len(t)) for t in own], min(frames, len(times))
         for again in range(2):
             scaled = [
@@ -175,14 +175,6 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
         group = next(free, None)
         groups.append([k]) if group is None else group.append(k)
     return groups
-
-
-def _stored(tone: Tone, turns: int) -> Tone:
-    """The tone in the picture as it is stored, before `turns` quarter turns counterclockwise."""
-    right, down = tone.phasor
-    for _ in range(turns % 4):
-        right, down = -down, right
-    return Tone(tone.frequency_hz, np.array([right, down]))
 
 
 def reported_deviation(amplitude: float, deviation: float, loss: Loss | None) -> float:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.planes import TURNS
-from tg4mm.capture.video import ALONE, BETWEEN, av_module, file_url
+from tg4mm.capture.planes import Orientation, orientation_of
+from tg4mm.capture.video import ALONE, BETWEEN, av_module, opened, stream_of
 
 _REGULAR = 0.8  # of the distances, that one must have to be a period
 _PIXELS = ("yuv420p", "yuvj420p", "yuv420p10le")  # what the encoders are given
@@ -30,7 +30,7 @@ class Probe:
     bits: float  # per second
     encoder: str  # libx264, libx265, or "" where neither made it
     settings: dict[str, str]  # that the encoder wrote into the file
-    turns: int  # quarter turns counterclockwise that bring it upright
+    orientation: Orientation
 
     @property
     def luma(self) -> np.ndarray:
@@ -48,14 +48,13 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
 
     Raises Tg4mmError where PyAV is absent, OSError and FFmpegError where the file cannot be read.
     """
-    av = av_module()
     planes, kinds, settings = [], [], ""
-    with av.open(file_url(path)) as container:
-        stream = container.streams.video[0]
+    with opened(path) as container:
+        stream = stream_of(container)
         context, rate = stream.codec_context, stream.average_rate or stream.guessed_rate
         if context.pix_fmt not in _PIXELS or context.width % 2 or context.height % 2 or not rate:
             return None
-        codec, turns, first = context.name, 0, None
+        codec, first = context.name, None
         for frame in container.decode(stream):
             for data in frame.side_data:
                 if data.type.name == "SEI_UNREGISTERED" and not settings:
@@ -66,17 +65,17 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
                 continue
             planes.append(frame.to_ndarray())
             kinds.append(int(frame.pict_type))
-            turns = TURNS.get(round(frame.rotation), 0)
+            orientation = orientation_of(frame)
             if len(planes) == most:
                 break
     if len(planes) < 2:
         return None
-    with av.open(file_url(path)) as container:
-        packets = [p.size for p in container.demux(video=0) if p.size]
+    with opened(path) as container:
+        packets = [p.size for p in container.demux(stream_of(container)) if p.size]
     own = np.array(kinds)
     return Probe(
         np.stack(planes), own == ALONE, own == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
-        _encoder(codec, settings), _settings(settings), turns,
+        _encoder(codec, settings), _settings(settings), orientation,
     )  # fmt: skip
 
 

@@ -54,6 +54,7 @@ def read_recording(
     if fps is None and is_untimed(path):
         raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
     info, meter = video_info(path), DuplicateMeter()
+    fps = fps or info.filmed_at
     with progress("regions", _expected(info, window), "pictures", brief=True) as update:
         series = read_cells(
             _watched(video_pictures(path, fps, window), meter, update), str(path), small_cells

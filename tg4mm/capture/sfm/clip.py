@@ -20,6 +20,8 @@ from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 
 NAMES = ", ".join(RECORDING_SUFFIXES)
+_FINE = 100_000  # parts of a picture a second
+_ROUNDING = 1e-6  # of a tick, and seconds where there is none: of times as floats
 UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate to count as variable
 
 
@@ -102,35 +104,79 @@ def frame_rate(
 ) -> Fraction:
     """Frames per second of time stamps [T], which are whole numbers of `tick` seconds.
 
-    Of the container's rates the one whose regular clock the stamps are, else the one nearest to their median step; one
-    over that where none is near. Raises CaptureError where the stamps do not rise, so that there is no rate.
+    Where they are those of a regular clock: one of a whole number of frames per second, or of NTSC's 1000/1001 of it,
+    that of the container first; else what fits them best, as a camera's own clock may differ. Where they are of no
+    regular clock, of the container's rates the one nearest to their usual step; one over that where none is near.
+    Raises CaptureError where the stamps do not rise, so that there is no rate.
     """
     if is_untimed(path):
         raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
     steps = sorted(b - a for a, b in pairwise(times))
     if not steps or steps[0] <= 0:
         raise CaptureError(f"{path}: its time stamps do not rise, which leaves no frame rate; give --fps")
-    regular = next((rate for rate in rates if is_regular(times, rate, tick)), None)
-    if regular is not None:
-        return regular
+    for numbers in (np.arange(len(times)), _numbers(times)):
+        fitted = Fraction(_slope(times, numbers)).limit_denominator(_FINE)
+        usual = [Fraction(round(fitted)), Fraction(round(fitted * 1001 / 1000) * 1000, 1001)]
+        usual.sort(key=lambda rate: float(np.ptp(_misfits(times, rate or fitted, numbers))))
+        told = [rate for rate in (*rates, *usual) if rate in usual]
+        once = [(rate, 1 + hair) for hair in (-_ROUNDING, _ROUNDING) for rate in told]
+        for rate, ticks in (*once, (fitted, 2)):
+            if rate > 0 and _fit(times, rate, tick, numbers, ticks):
+                return rate
     median = steps[len(steps) // 2]
-    nearest = min(rates, key=lambda rate: abs(rate * median - 1), default=None)
-    if nearest is not None and abs(nearest * median - 1) <= Fraction(1, 100):
+    near = [step for step in steps if abs(step - median) <= median / 2]
+    mean = sum(near, start=Fraction(0)) / len(near)
+    nearest = min(rates, key=lambda rate: abs(rate * mean - 1), default=None)
+    if nearest is not None and abs(nearest * mean - 1) <= Fraction(1, 100):
         return nearest
-    return (1 / median).limit_denominator(1001)
+    return (1 / mean).limit_denominator(1001)
 
 
 def is_regular(times: list[Fraction], fps: Fraction, tick: Fraction) -> bool:
     """Return whether time stamps [T] are those of a regular clock rounded to multiples of `tick` seconds."""
-    return all(abs(times[0] + k / fps - time) <= tick for k, time in enumerate(times))
+    return _fit(times, fps, tick, np.arange(len(times)))
 
 
 def regular_times(times: list[Fraction], fps: Fraction, tick: Fraction) -> list[Fraction]:
     """The times of a regular clock where the stamps differ from it by rounding only, else the stamps themselves.
 
-    Some containers keep whole milliseconds: k / fps is then nearer to the truth than what is written.
+    Some containers keep whole milliseconds, or 600ths of a second: k / fps is then nearer to the truth than what is
+    written. Frames may be missing.
     """
-    return [times[0] + k / fps for k in range(len(times))] if is_regular(times, fps, tick) else times
+    for numbers in (np.arange(len(times)), _numbers(times)):
+        if _fit(times, fps, tick, numbers):
+            return [times[0] + int(k) / fps for k in numbers]
+    return times
+
+
+def _fit(times: list[Fraction], fps: Fraction, tick: Fraction, numbers: np.ndarray, ticks: float = 2) -> bool:
+    """Whether stamps [T] are those of frames `numbers` [T], rounded to ticks, or to longer ones written in them.
+
+    ticks: over which what was rounded once (1), or more than once, spreads.
+    """
+    if tick:
+        written = math.gcd(*(round((time - times[0]) / tick) for time in times)) * tick
+        tick = written if written * fps <= Fraction(1, 2) else tick
+    return bool(np.ptp(_misfits(times, fps, numbers)) <= max(ticks * float(tick), _ROUNDING))
+
+
+def _numbers(times: list[Fraction]) -> np.ndarray:
+    """[T] frames' numbers from 0, where some are missing."""
+    steps = np.diff([float(time) for time in times])
+    median = np.sort(steps)[len(steps) // 2]
+    near = steps[np.abs(steps - median) <= median / 2]
+    return np.concatenate([[0], np.cumsum(np.maximum(np.round(steps / near.mean()), 1))])
+
+
+def _misfits(times: list[Fraction], fps: Fraction, numbers: np.ndarray) -> np.ndarray:
+    """[T] seconds by which stamps are later than a regular clock that begins with the first."""
+    return np.array([float(time - times[0]) for time in times]) - numbers / float(fps)
+
+
+def _slope(times: list[Fraction], numbers: np.ndarray) -> float:
+    """Stamps per second, by least squares."""
+    k = numbers - numbers.mean()
+    return float((k @ k) / (k @ np.array([float(time - times[0]) for time in times])))
 
 
 def uneven_steps(times_s: np.ndarray) -> tuple[float, float] | None:

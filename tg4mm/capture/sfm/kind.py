@@ -8,7 +8,7 @@ from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.defects import is_fixed
 from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources
 from tg4mm.capture.sfm.survey import Survey
-from tg4mm.capture.video import turns_of
+from tg4mm.capture.video import is_turned
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.files import argument
@@ -98,7 +98,7 @@ def _check_readout(images: Path, kind: Kind, surveys: Sequence[Survey], config: 
                 f"--readout is {1e3 * config.readout_s:g}, expected at most the {1e3 * frame_s:.4g} ms of a frame of "
                 f"{survey.path.name}"
             )
-        if survey.path.is_file() and turns_of(survey.path):
+        if survey.path.is_file() and is_turned(survey.path):
             raise Tg4mmError(
                 f"--readout is for pictures whose rows are read from top to bottom, but those of {survey.path.name} "
                 "are turned when they are shown"

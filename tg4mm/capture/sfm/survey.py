@@ -62,6 +62,7 @@ class Survey:
     codec_period: int | None  # frames, from one that is predicted forward to the next; None: no period
     created_s: float | None  # when the recording began, seconds since 1970
     light: np.ndarray  # [T, 3] logarithms of green, red / green and blue / green, of the first picture's
+    filmed_at: float | None = None  # frames per second, where the file says that its times are others
     kinds: str = ""  # of each picture I, P or B, as a video's frames are coded; empty: not known
 
     def __len__(self) -> int:
@@ -69,7 +70,7 @@ class Survey:
         return len(self.sharpness)
 
     def clock(self, fps: float | None = None) -> tuple[float, np.ndarray]:
-        """Return the frame rate and the times [T] in seconds; a given fps is the filmed rate.
+        """Return the frame rate and the times [T] in seconds; fps: the filmed rate, None: as the file says.
 
         Raises CaptureError if neither the container nor fps gives a rate.
         """
@@ -80,6 +81,7 @@ class Survey:
                 )
             rate = fps * float(self.share or 1)
             return rate, np.arange(len(self)) / rate
+        fps = fps or self.filmed_at
         stretch = 1.0 if fps is None else float(self.fps) / fps
         return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
 
@@ -158,6 +160,7 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
         light=np.array(record.get("light", []), np.float64).reshape(-1, 3),
         created_s=found.number("created_s") if found.has("created_s") else None,
+        filmed_at=found.number("filmed_at", 0) if found.has("filmed_at") else None,
         kinds=_kinds(record.get("kinds", ""), len(sharpness)),
     )
 
@@ -280,6 +283,7 @@ class _Look:
             "codec_period": codec_period(np.array(self._between)) if found is None else None,
             "light": [[round(float(x), 5) for x in self._light[k]] for k in kept],
             "kinds": "".join(self._kinds[k] for k in kept) if self.clip.is_coded else "",
+            "filmed_at": None if info is None else info.filmed_at,
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 
