@@ -14,6 +14,7 @@ from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -127,6 +128,8 @@ class _Reader:
         self.number = {stamp: n for n, stamp in enumerate(self.index.stamps)}
         self.last = np.zeros((0, 0, 4), np.uint8)  # the frame that was decoded last,
         self.at: int = -1  # and its number
+        self.container: Any
+        self.stream: Any
         self._open()
 
     def __enter__(self) -> "_Reader":

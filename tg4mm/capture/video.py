@@ -97,7 +97,7 @@ def av_module() -> Any:
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """FFmpeg logs nothing: its threads wait for Python's lock to do so, for good where that is held by who ends them."""
+    """Keep FFmpeg from logging: its threads need Python's lock for that, and would block who holds it and ends them."""
     av_module().logging.set_level(None)
     try:
         yield
