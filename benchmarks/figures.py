@@ -23,7 +23,7 @@ from benchmarks.figures_tables import (
     splits_tables,
 )
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.research.bench.intervals import half_width
+from tg4mm.research.bench.means import half_width
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"

@@ -5,30 +5,125 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tg4mm.cli.bench_data import release, truth, verify
-from tg4mm.cli.bench_options import (
-    Alphas,
-    Banded,
-    Datasets,
-    FastVqa,
-    Lpips,
-    MdVqa,
-    Methods,
-    Out,
-    Outside,
-    SameTime,
-    Settings,
-    VqaPython,
-)
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.cli.evaluate import parse_alphas
 from tg4mm.cli.train import split_settings
 from tg4mm.core.errors import Tg4mmError
+
+
+def truth(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder with per-pixel truth of its test views.")],
+) -> None:
+    """Write a dataset's truth as optical flow, part masks, occlusion and tracks of points.
+
+    DATASET/truth/flow, parts, occlusion, parts.json, tracks.npz, of the test views, not magnified: docs/conventions.md.
+    """
+    from tg4mm.research.bench.truth_files import write_truth
+
+    typer.echo("\n".join(map(str, write_truth(dataset))))
+
+
+def release(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with datasets, at any depth.")],
+    version: Annotated[str, typer.Option(help="Version of the data.")] = "1",
+) -> None:
+    """Write the card and the checksums with which datasets are passed on.
+
+    DIR/README.md: what the datasets are; DIR/SHA256SUMS: of every file.
+    """
+    from tg4mm.research.bench.release import release as write
+
+    typer.echo("\n".join(map(str, write(folder, version))))
+
+
+def verify(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with SHA256SUMS.")]) -> None:
+    """Check every file of datasets against SHA256SUMS.
+
+    A line for each file that is missing, changed or not listed; exit code 1 if there is any.
+    """
+    from tg4mm.research.bench.release import verify as check
+
+    wrong = check(folder)
+    typer.echo("\n".join(wrong) if wrong else f"{folder}: every file is as it was")
+    if wrong:
+        raise typer.Exit(1)
+
+
+class SameTime(StrEnum):
+    """When a paper preset is trained once more, for as long as modal took."""
+
+    needed = "needed"
+    always = "always"
+    never = "never"
+
+
+Datasets = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="DATASET…",
+        help="Dataset folders with ground truth (tg4mm generate), or NAME=DIR where two folders have one name.",
+    ),
+]
+Out = Annotated[
+    Path, typer.Option(help="Folder for runs, figures, tables and pictures; an unfinished one is resumed.")
+]
+Alphas = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,A,…", help="Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]"
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="A setting of tg4mm train for every run that has it, e.g. space.iterations=500; may be repeated.",
+    ),
+]
+Lpips = Annotated[
+    list[Path] | None,
+    typer.Option(help="Local file(s) with the AlexNet trunk and LPIPS heads; LPIPS is omitted without them."),
+]
+Banded = Annotated[
+    bool,
+    typer.Option(
+        "--band-around-motion/--all-frequencies",
+        help="Magnify the motion's frequencies ± 1.5 Hz, or all frequencies.",
+    ),
+]
+
+
+Methods = Annotated[
+    str,
+    typer.Option(
+        metavar="M,M,…",
+        help="Some of modal, paper-tuned, paper (presets of tg4mm train), tracking, 4dgs, sc-gs, per-frame, 3dmm, "
+        "phase-2d, linear-2d.",
+    ),
+]
+Outside = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=DIR",
+        help="Pictures of another method, DIR/<dataset's name>/magnified/x005/000/test/r_000.png …, or its "
+        "displacements, DIR/<dataset's name>/displacement.npz; may be repeated. docs/protocol.md.",
+    ),
+]
+MdVqa = Annotated[
+    Path | None, typer.Option(help="Checkout of MD-VQA with its weights; MD-VQA is omitted without it.")
+]
+FastVqa = Annotated[
+    Path | None, typer.Option(help="Checkout of FAST-VQA with its weights; FAST-VQA is omitted without it.")
+]
+VqaPython = Annotated[str, typer.Option(help="Python interpreter for MD-VQA and FAST-VQA.")]
+
 
 if TYPE_CHECKING:
     from tg4mm.research.bench.request import Plan

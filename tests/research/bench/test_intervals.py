@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.research.bench.intervals import half_width
-from tg4mm.research.bench.means import less, line_means
+from tg4mm.research.bench.means import half_width, less, line_means
 from tg4mm.research.bench.pages.tables import differences_tables, pivots
 
 
