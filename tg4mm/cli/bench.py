@@ -295,8 +295,11 @@ def job(
 
     Jobs of one OUT may run at once, on any machine that sees the folder. Done again, nothing happens.
     """
+    from tg4mm.research.bench.methods.known import METHODS
     from tg4mm.research.bench.scenes import run_one
 
+    if method in METHODS and method not in methods.split(","):
+        methods = ",".join(filter(None, (methods, method)))
     vqa = md_vqa, fast_vqa, vqa_python
     never = SameTime.never
     request = _request(methods, external, alphas, band, never, settings, lpips_weights, vqa, device)

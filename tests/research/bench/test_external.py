@@ -118,7 +118,7 @@ def test_results_of_another_dataset_of_that_name_are_not_overwritten(data, tmp_p
     shutil.copytree(data, other)
     scene = json.loads((other / "scene.json").read_text(encoding="utf-8"))
     (other / "scene.json").write_text(json.dumps(scene | {"seed": 17}))
-    assert main(["bench", "job", str(other), "linear-2d", "--methods", "linear-2d", "--out", str(out)]) == 2
+    assert main(["bench", "job", str(other), "linear-2d", "--out", str(out)]) == 2
     assert "holds results of another one of that name" in capsys.readouterr().err
 
 
