@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from tg4mm.core.lines.model import Shape, refined, solved
+from tg4mm.core.lines.modulation import modulated, reach, unknowns
 from tg4mm.core.lines.record import LEAST_CHANGE, Line, Lines, Record, covariances, nothing, wald
 from tg4mm.core.lines.search import candidates, without_between
 
@@ -43,9 +44,9 @@ def find_lines(
     if record is None:
         return nothing(values)
     shapes: list[Shape] = []
-    while len(shapes) < min(most, (len(record.t) - _BESIDE) // _EACH):
+    for _ in range(2 * most):
         more = _with_next(record, shapes)
-        if more is None:
+        if more is None or len(more) > min(most, (len(record.t) - _BESIDE) // _EACH):
             break
         shapes = more
         record = record.whitened(shapes)
@@ -111,7 +112,7 @@ def _shape_of(line: Line, t: np.ndarray) -> Shape:
 def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     """The shapes and one more, all refined; None where none stands out."""
     residual = solved(shapes, record.t, record.y)[1]
-    floor, freedom = record.floor(residual)
+    floor, freedom = record.floor(residual, shapes)
     width, tried = record.y.shape[1], _TRIED * len(record.t)
     least = width * float(f_distribution.isf(_CHANCE / tried, 2 * width, freedom))
     found = candidates(residual, record.t, floor, shapes, record.ends, least)
@@ -123,7 +124,47 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
         if own.start:
             own = _begun(record, shapes, own)
         options.append(refined([*shapes, own], record.t, record.y, record.ends))
-    return _beginnings(record, _simplest(record, options))
+    more = _beginnings(record, _simplest(record, options))
+    more = _cheapest(record, [more, *_changing(record, shapes, more)])
+    return None if unknowns(more) == unknowns(shapes) and len(more) == len(shapes) else more
+
+
+def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[list[Shape]]:
+    """What may be there in place of the newest of `more`: a change of a stronger line near it, or its mirror image."""
+    hz, out = more[-1].hz, []
+    for k, s in enumerate(shapes):
+        if abs(hz - s.hz) > reach(record, s):
+            continue
+        out.append(_refitted(record, modulated(record, shapes, k, abs(hz - s.hz))))
+        if s.rates:
+            out += [_refitted(record, more), _refitted(record, [*shapes, replace(more[-1], hz=2 * s.hz - hz)])]
+    return out
+
+
+def _refitted(record: Record, shapes: list[Shape]) -> list[Shape]:
+    """Refined, with the modulations that there are estimated anew beside all else."""
+    shapes = refined(shapes, record.t, record.y, record.ends)
+    changing = [k for k, s in enumerate(shapes) if s.rates]
+    for k in changing:
+        shapes = modulated(record, shapes, k)
+    return refined(shapes, record.t, record.y, record.ends) if changing else shapes
+
+
+def _cheapest(record: Record, options: list[list[Shape]]) -> list[Shape]:
+    """By Schwarz's criterion: misfit, and log T for each unknown."""
+    if len(options) == 1:
+        return options[0]
+    left = [solved(o, record.t, record.y)[1] for o in options]
+    best = int(np.argmin([(r**2).sum() for r in left]))
+    levels = record.levels(options[best], left[best])
+    at = record.bin_of(options[0][-1].hz, len(levels))
+    width, price = record.y.shape[1], np.log(len(record.t))
+    costs = [
+        float(((r**2).sum(0) / levels[at]).sum())
+        + price * (unknowns(o) + sum(2 * width + 1 + s.is_free + (s.start > 0) for s in o))
+        for o, r in zip(options, left, strict=True)
+    ]
+    return options[int(np.argmin(costs))]
 
 
 def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
@@ -169,7 +210,7 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
     if not shapes:
         return shapes
     duration = float(np.ptp(record.t))
-    free = refined([replace(s, is_free=True) for s in shapes], record.t, record.y, record.ends)
+    free = _refitted(record, [replace(s, is_free=True) for s in shapes])
     phasors, residual = solved(free, record.t, record.y)
     own = covariances(record, free, phasors, record.levels(free, residual))
     sure = np.sqrt(chi2.isf(_SURE, 1))
@@ -178,7 +219,7 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
         lasting = duration - float(record.t[s.start] - record.t[0])
         changes = abs(s.decay) > max(sure * np.sqrt(c[1, 1]), LEAST_CHANGE / lasting)
         out.append(s if changes else replace(s, decay=0.0, is_free=False))
-    return refined(out, record.t, record.y, record.ends)
+    return _refitted(record, out)
 
 
 def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
@@ -204,10 +245,22 @@ def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
         for j, b in enumerate(shapes):
             if i != j and abs(a.hz - b.hz) < resolution and strength[i] <= strength[j]:
                 doubtful[i] |= not _are_two(record, shapes, i, j, levels)
+    doubtful |= np.array([_is_change(record, shapes, k, size) for k in range(len(shapes))])
     if not doubtful.any():
         return shapes
     out = int(np.where(doubtful, strength, np.inf).argmin())
     return [s for k, s in enumerate(shapes) if k != out]
+
+
+def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) -> bool:
+    """Whether a change of a stronger line in its reach explains what line i does."""
+    for j, s in enumerate(shapes):
+        if size[j] > size[i] and abs(shapes[i].hz - s.hz) < reach(record, s):
+            alone = [own for k, own in enumerate(shapes) if k != i]
+            alone = _refitted(record, modulated(record, alone, j - (j > i), abs(shapes[i].hz - s.hz)))
+            if _cheapest(record, [shapes, alone]) is alone:
+                return True
+    return False
 
 
 def _are_two(record: Record, shapes: list[Shape], i: int, j: int, levels: np.ndarray) -> bool:

@@ -7,7 +7,7 @@ The noise that lines stand in: its level over frequency, and what it does to a l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -29,6 +29,9 @@ class Shape:
     decay: float = 0.0  # per second
     start: int = 0  # sample from which on it is there
     is_free: bool = False  # whether the decay is fitted
+    rates: tuple[float, ...] = ()  # of its modulation, half cycles in its part of the record (`modulation.py`)
+    pairs: tuple[float, ...] = ()  # Hz, of sidebands that were seen
+    modulation: np.ndarray | None = field(default=None, compare=False)  # [T] complex, of mean 1; None: 1
 
     def from_s(self, t: np.ndarray) -> float:
         """Where its envelope is 1."""
@@ -40,6 +43,11 @@ class Shape:
         e[: self.start] = 0
         return e
 
+    @property
+    def depth(self) -> float:
+        """Rms of the modulation."""
+        return 0.0 if self.modulation is None else float(np.sqrt((np.abs(self.modulation - 1) ** 2).mean()))
+
     def middle_s(self, t: np.ndarray) -> float:
         """The middle of its energy."""
         power = self.envelope(t) ** 2
@@ -49,6 +57,8 @@ class Shape:
         """[T] complex, phase 0 at `middle_s`."""
         e = self.envelope(t)
         middle = float((power := e**2) @ t / power.sum())
+        if self.modulation is not None:
+            e = e * self.modulation
         return e * np.exp(2j * np.pi * self.hz * (t - middle))
 
 

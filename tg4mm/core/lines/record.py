@@ -41,8 +41,9 @@ class Line:
     from_s: float
     middle_s: float
     start_s: float | None  # where it begins in the record, None: before it
-    change: str  # "steady", "decays", "grows", "begins" (and then lasts or decays), "untold"
+    change: str  # "steady", "decays", "grows", "begins" (and then lasts or decays), "varies", "untold"
     strength: float  # χ² of its amplitudes, of 2D degrees of freedom
+    modulation: float = 0.0  # rms of what its amplitude and phase (rad) change by beside that, relative; 0: none is told
 
     @property
     def hz_deviation(self) -> float:
@@ -108,6 +109,7 @@ FEWEST = 12  # samples from which there can be a line
 LEAST_CHANGE = 0.1
 _ALIKE = 6  # components up to which their correlation is taken out
 _TINY = 1e-12
+_NEXT = 4  # of a modulation's cosines that tell the slowest one
 _KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 
@@ -158,7 +160,17 @@ class Record:
         taken = np.zeros(len(power))
         for s in shapes:
             taken[self.bin_of(s.hz, len(power))] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
-        return np.maximum(around(power, taken), self._least())
+        return np.maximum(around(power, taken + self._by_modulation(shapes, len(power))), self._least())
+
+    def _by_modulation(self, shapes: Sequence[Shape], n_bins: int) -> np.ndarray:
+        """[F] share of each bin's power that the shapes' modulations took away with them."""
+        taken = np.zeros(n_bins)
+        for s in shapes:
+            lasting = float(self.t[-1] - self.t[s.start])
+            for off in (k / (2 * lasting) for k in s.rates):
+                for hz in (s.hz - off, s.hz + off):
+                    taken[self.bin_of(hz, n_bins)] += 1 / (4 * self.y.shape[1])
+        return taken
 
     def folded(self, hz: float) -> float:
         """Where a frequency appears in samples of this record's step."""
@@ -169,7 +181,7 @@ class Record:
         """The row of a level [n_bins, D] that a frequency belongs to."""
         return int(np.clip(round(self.folded(hz) * float(np.ptp(self.t))) - 1, 0, n_bins - 1))
 
-    def floor(self, residual: np.ndarray) -> tuple[np.ndarray, int]:
+    def floor(self, residual: np.ndarray, shapes: Sequence[Shape]) -> tuple[np.ndarray, int]:
         """[F, D] the same, lines that may still be there left out, and its degrees of freedom.
 
         Of a short record, whose bins a line may fill, what is known of the noise from elsewhere, if anything is.
@@ -177,7 +189,8 @@ class Record:
         power = np.abs(spectra(residual, self.t)) ** 2
         if len(power) < FEWEST and (self.known > 0).all():
             return np.broadcast_to(self._least(), power.shape), _KNOWN
-        return np.maximum(level(power), self._least()), degrees(len(power))
+        left = np.maximum(1 - self._by_modulation(shapes, len(power)), 0.5)
+        return np.maximum(level(power / left[:, None]), self._least()), degrees(len(power))
 
     def _least(self) -> np.ndarray:
         """[D] of a level: what is known, and rounding."""
@@ -208,7 +221,8 @@ class Record:
         start = float(self.t[s.start]) if s.start else None
         own = turn @ covariance @ turn.T
         strength = wald(phasor, covariance)
-        return Line(s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, _change(s, free), strength)
+        change = _change(s, free)
+        return Line(s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, change, strength, s.depth)
 
 
 def _change(s: Shape, free: tuple[float, float]) -> str:
@@ -216,6 +230,8 @@ def _change(s: Shape, free: tuple[float, float]) -> str:
         return "begins"
     if s.is_free:
         return "decays" if s.decay > 0 else "grows"
+    if s.modulation is not None and np.abs(s.modulation - 1).max() > LEAST_CHANGE:
+        return "varies"
     return "steady" if abs(free[0]) + 2 * free[1] < 2 * LEAST_CHANGE else "untold"
 
 
@@ -268,11 +284,30 @@ def covariances(
     inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-12, hermitian=True)
     whole = inverse @ sandwiched(x, levels, record.t) @ inverse / np.outer(scale, scale)
     out = []
-    for rows in numbers:
+    for s, rows in zip(shapes, numbers, strict=True):
         block = whole[np.ix_(rows, rows)]
         block[rows < 0], block[:, rows < 0] = 0, 0
+        by_phase, by_size = _slow_variance(s, record.t)
+        block[0, 0] += by_phase / (2 * np.pi) ** 2
+        block[1, 1] += by_size * s.is_free
         out.append(block)
     return out
+
+
+def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
+    """What a modulation adds to the variance of a line's slopes, (rad / s)² of phase and 1 / s² of log amplitude.
+
+    A slope is what half a cycle over the record, cos(πs), would look like: −24 / π² of it. How strong that is, is told
+    by the next slowest cosines, as if their size fell with 1 / k as a random walk's does.
+    """
+    if s.modulation is None:
+        return 0.0, 0.0
+    since = (t[s.start :] - t[s.start]) / (t[-1] - t[s.start])
+    own = s.modulation[s.start :] - 1
+    k = np.arange(2, 2 + _NEXT)
+    c = 2 * own @ np.cos(np.pi * since[:, None] * k) / len(since)
+    scale = (24 / np.pi**2 / (t[-1] - t[s.start])) ** 2
+    return scale * float((k * c.imag) @ (k * c.imag)) / _NEXT, scale * float((k * c.real) @ (k * c.real)) / _NEXT
 
 
 def _jacobian(

@@ -28,8 +28,6 @@ _DECAYS = 0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0  # e-foldings over the recor
 _GROWTHS = -1.5, -4.0
 _BLOCKS = 32  # beginnings that are tried
 _LEAST_SAMPLES, _LEAST_PERIODS = 8.0, 1.0  # of a filter's energy
-# over the duration, Hz: sidebands so near to a line are its own changes if both sides have them
-_NEAR = 8.0
 
 
 @dataclass(frozen=True)
@@ -78,8 +76,6 @@ class _Look:
     turned: np.ndarray  # [F, T] exp(−iωt)
     level: np.ndarray  # [F, D]
     away: np.ndarray  # [F] Hz to the nearest line; −1 within the width of one
-    beside: np.ndarray  # [M] near a line
-    mirrored: np.ndarray  # [5, M] on its other side
     least: float
 
     @staticmethod
@@ -96,17 +92,12 @@ class _Look:
         hz = np.arange(ends[0], ends[1], 1 / (_OVERSAMPLED * duration))
         bins = np.arange(1, len(levels) + 1)
         level = np.stack([np.interp(hz * duration, bins, own) for own in levels.T], 1)
-        away, beside, mirrored = np.full(len(hz), np.inf), [np.zeros(0, int)], [np.zeros((5, 0), int)]
+        away = np.full(len(hz), np.inf)
         for s in lines:
             off = np.abs(hz - s.hz)
             away = np.where(off < max(0.5 / duration, abs(s.decay) / np.pi), -1, np.minimum(away, off))
-            near = np.flatnonzero(off < _NEAR / duration)
-            other = np.rint((2 * s.hz - hz[near] - ends[0]) * _OVERSAMPLED * duration).astype(int)
-            beside.append(near)
-            mirrored.append(np.clip(other + np.arange(-2, 3)[:, None], 0, len(hz) - 1))
         turned = np.exp(-2j * np.pi * hz[:, None] * (t - t[0]))
-        sides = np.concatenate(beside), np.concatenate(mirrored, 1)
-        return _Look(residual, t, step, hz, turned, level, away, *sides, least)
+        return _Look(residual, t, step, hz, turned, level, away, least)
 
     def all_along(self, rates: Sequence[float]) -> Candidate:
         """Over the whole record. rates: e-foldings over it."""
@@ -141,17 +132,13 @@ class _Look:
     def _highest(self, sums: np.ndarray, energy: float, shape: Shape) -> Candidate:
         """Of one filter's sums [F, D]; the frequency is that of the power's own peak nearby."""
         power = np.abs(sums) ** 2 / energy
-        level = self.level
-        if len(self.beside):
-            level = level.copy()
-            level[self.beside] = np.maximum(level[self.beside], power[self.mirrored].max(0))
         lasts = energy * self.step
         allowed = (self.hz * lasts >= _LEAST_PERIODS) & (
             self.away > (0.5 if lasts > 0.5 * np.ptp(self.t) else 1) / lasts
         )
         if energy < _LEAST_SAMPLES or not allowed.any():
             return Candidate(shape, 0.0)
-        statistic = np.where(allowed, (power / level).sum(1), 0.0)
+        statistic = np.where(allowed, (power / self.level).sum(1), 0.0)
         total = (power / self.level.mean(0)).sum(1)
         stands_out = statistic >= self.least
         at = int((np.where(stands_out, total, 0) if stands_out.any() else statistic).argmax())
