@@ -19,18 +19,21 @@ APART = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0)  # over the duration
 RATIOS = (1.0, 0.5, 0.2, 0.05)
 
 
-def draw(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray, float, str]:
+def draw(
+    rng: np.random.Generator, kind: str, longest: int = 1500
+) -> tuple[np.ndarray, np.ndarray, float, str]:
     """Values and times [T] of a record, its frequency in Hz and what it is in words."""
-    n, fps, depth = int(np.exp(rng.uniform(np.log(150), np.log(1500)))), rng.uniform(20, 240), rng.uniform(0.02, 0.3)
+    n, fps, depth = (
+        int(np.exp(rng.uniform(np.log(150), np.log(longest)))),
+        rng.uniform(20, 240),
+        rng.uniform(0.02, 0.3),
+    )
     t, duration = np.arange(n) / fps, n / fps
     hz = rng.uniform(max(8 / duration, 0.04 * fps), 0.42 * fps)
     noise = 10 ** rng.uniform(-3, -1)
     slow = change(rng, "sinusoid" if kind == "phase" else kind, t, min(0.2 * hz, 12 / duration))
     phase = 2 * np.pi * hz * t + rng.uniform(0, 2 * np.pi)
-    if kind == "phase":
-        values = np.cos(phase + depth * slow)
-    else:
-        values = (1 + depth * slow) * np.cos(phase)
+    values = np.cos(phase + depth * slow) if kind == "phase" else (1 + depth * slow) * np.cos(phase)
     words = f"{kind} {depth:.3f} n {n} fps {fps:.1f} hz {hz:.3f} bin {hz * duration:.1f} noise {noise:.4f}"
     return values + noise * rng.normal(size=n), t, hz, words
 
@@ -52,9 +55,9 @@ def change(rng: np.random.Generator, kind: str, t: np.ndarray, fastest: float) -
     return np.asarray(out / np.abs(out).max())
 
 
-def scored(seed: int, kind: str) -> tuple[bool, int, float, str]:
+def scored(seed: int, kind: str, longest: int = 1500) -> tuple[bool, int, float, str]:
     """Whether a record's line was lost, how many others there are, and the frequency's error over its ±."""
-    values, t, hz, words = draw(np.random.default_rng([seed, KINDS.index(kind)]), kind)
+    values, t, hz, words = draw(np.random.default_rng([seed, KINDS.index(kind)]), kind, longest)
     lines = find_lines(values, t).lines
     own = [line for line in lines if abs(line.hz - hz) < 0.5 / t[-1] and line.amplitude[0] > 0.5]
     error = (own[0].hz - hz) / own[0].hz_deviation if own else np.nan
@@ -67,21 +70,26 @@ def told_apart(seed: int, apart: float, ratio: float, noise: float) -> bool:
     rng, t = np.random.default_rng(seed), np.arange(300) / 30
     hz = rng.uniform(3, 10)
     both = hz, hz + apart / 10 * rng.choice([-1, 1])
-    values = sum(a * np.cos(2 * np.pi * f * t + rng.uniform(0, 6.3)) for a, f in zip((1, ratio), both, strict=True))
+    values = sum(
+        a * np.cos(2 * np.pi * f * t + rng.uniform(0, 6.3)) for a, f in zip((1, ratio), both, strict=True)
+    )
     found = sorted(line.hz for line in find_lines(values + noise * rng.normal(size=300), t).lines)
     return len(found) == 2 and bool(np.abs(np.array(found) - sorted(both)).max() < 0.3 * apart / 10)
 
 
 def run(options: Any) -> None:
-    print(f"{'change':10} {'records':>7} {'lost':>5} {'false':>6} {'within 1 ±':>11} {'2 ±':>6} {'largest':>8}")
-    for kind in KINDS:
+    print(
+        f"{'change':10} {'records':>7} {'lost':>5} {'false':>6} {'within 1 ±':>11} {'2 ±':>6} {'largest':>8}"
+    )
+    for kind in KINDS if options.records else ():
         scores = [scored(options.first + k, kind) for k in range(options.records // len(KINDS))]
-        for lost, more, error, words in scores:
-            if lost or more or abs(error) > 4:
-                print(f"    {words}")
-        z = np.abs([error for _, _, error, _ in scores if np.isfinite(error)])
-        lost, more = sum(s[0] for s in scores), sum(s[1] > 0 for s in scores)
-        print(f"{kind:10} {len(scores):7} {lost:5} {more:6} {(z < 1).mean():11.1%} {(z < 2).mean():6.1%} {z.max():8.1f}", flush=True)
+        for own in scores:
+            if own[0] or own[1] or abs(own[2]) > 4:
+                print(f"    {own[3]}")
+        z = np.abs([own[2] for own in scores if np.isfinite(own[2])])
+        lost, more = sum(own[0] for own in scores), sum(own[1] > 0 for own in scores)
+        within = f"{(z < 1).mean():11.1%} {(z < 2).mean():6.1%} {max(z, default=0):8.1f}"
+        print(f"{kind:10} {len(scores):7} {lost:5} {more:6} {within}", flush=True)
     for noise in (0.001, 0.03) if options.pairs else ():
         print(f"two lines called two, noise {noise:g}: apart by, over the duration")
         print("ratio " + " ".join(f"{apart:5g}" for apart in APART))

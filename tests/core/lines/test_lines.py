@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.modulated_lines import scored, told_apart
 from tg4mm.core.lines import find_lines, fit_lines
 
 FPS = 30.0
@@ -80,6 +81,34 @@ def test_a_strength_that_changes_is_no_second_line():
     lines = find_lines(values, t).lines
     assert [round(line.hz, 1) for line in lines] == [5.3]
     assert abs(lines[0].hz - 5.3) < 3 * lines[0].hz_deviation
+
+
+@pytest.mark.parametrize("kind", ["sinusoid", "walk", "step"])
+def test_an_amplitude_that_changes_by_2_to_30_percent_is_one_line_with_its_frequency(kind):
+    """Of 450 such records none was lost, one had a second line, and 98 % of the frequencies were within 2 ±."""
+    scores = [scored(300 + k, kind, longest=400) for k in range(8)]
+    assert not any(lost for lost, _, _, _ in scores)
+    assert sum(others > 0 for _, others, _, _ in scores) <= 1
+    z = np.abs([error for _, _, error, _ in scores])
+    assert (z < 2).sum() >= 5
+    assert z.max() < 5
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.5, 0.1])
+def test_two_steady_lines_a_bin_and_a_half_apart_are_no_modulation(ratio):
+    """One neighbour has no mirror image on the other side of the stronger line."""
+    assert sum(told_apart(k, 1.5, ratio, 0.01) for k in range(5)) >= 4
+
+
+def test_a_pair_beside_a_stronger_line_is_its_modulation_and_one_neighbour_is_a_line():
+    rng, t = np.random.default_rng(20), np.arange(300) / FPS
+    carrier = np.cos(2 * np.pi * 6.3 * t) + 0.01 * rng.normal(size=300)
+    pair = 0.1 * np.cos(2 * np.pi * 6.3 * t) * np.cos(2 * np.pi * 0.7 * t + 1)
+    line = one(carrier + pair, t)
+    assert line.modulation == pytest.approx(0.1 / np.sqrt(2), rel=0.1)
+    both = find_lines(carrier + 0.05 * np.cos(2 * np.pi * 7 * t + 1), t).lines
+    assert [own.hz for own in both] == pytest.approx([6.3, 7], abs=0.02)
+    assert [own.modulation for own in both] == [0, 0]
 
 
 @pytest.mark.parametrize("decay", [0.0, -1.0])

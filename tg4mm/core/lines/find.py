@@ -137,7 +137,10 @@ def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[li
             continue
         out.append(_refitted(record, modulated(record, shapes, k, abs(hz - s.hz))))
         if s.rates:
-            out += [_refitted(record, more), _refitted(record, [*shapes, replace(more[-1], hz=2 * s.hz - hz)])]
+            out += [
+                _refitted(record, more),
+                _refitted(record, [*shapes, replace(more[-1], hz=2 * s.hz - hz)]),
+            ]
     return out
 
 

@@ -4,10 +4,10 @@
 
 m is of the slowest cosines cos(π k s), k = 1, 2, … K, s from 0 to 1 over the line's part of the record, of s and s²,
 which have what slope m has at the ends and no cosine has, and of pairs cos, sin(2π Δ t) at rates Δ of which sidebands
-were seen. All are slower than `_SLOWEST` of f. K may be 0. ψ = 0 is a modulation of the amplitude, π/2 one of the phase. All components have the same a. Its sidebands come
-in pairs, as strong above f as below it. A second line in place of a modulation is on one side alone: a line in the
-model explains all of it, any m half of it at most. So whether there is a second line or a modulation is a comparison of
-two models' misfits (`find.py`), each with the price of its unknowns (Schwarz 1978).
+were seen. All are slower than `_SLOWEST` of f; K may be 0. ψ = 0 is a modulation of the amplitude, π/2 one of the
+phase. All components have the same a. Its sidebands come in pairs, as strong above f as below it. A second line is on
+one side alone: a line in the model explains all of it, any m half of it at most. So whether there is a second line or
+a modulation is a comparison of two models' misfits (`find.py`), each with the price of its unknowns (Schwarz 1978).
 
 m has no mean, and its phase part no slope: amplitude, phase and frequency are the means over the record.
 """
@@ -49,6 +49,7 @@ def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | Non
     changes = _changes(plain, t, count, pairs)
     phasor, residual = solved(out, t, record.y)[0][j], solved(out, t, record.y)[1]
     columns, left, across = _beside(record, out, j, phasor, changes)
+    bases = [np.linalg.qr(own)[0] for own in columns]
     best = (0.0, 0, 0.0)  # of what cost, how many columns, which angle
     for _ in range(_STEPS):
         own = _directed(columns, best[2])[:, : best[1]]
@@ -56,7 +57,7 @@ def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | Non
         beside = residual - (left - now).reshape(len(t), -1) @ across.T
         floor = record.floor(beside, shapes)[0]
         level = float(floor[record.bin_of(plain.hz, len(floor))].mean())
-        last, best = best, _best(columns, left, 2 * len(pairs), level * np.log(len(t)))
+        last, best = best, _best(columns, bases, left, 2 * len(pairs), level * np.log(len(t)))
         if last[1:] == best[1:]:
             break
     if not best[1]:
@@ -74,7 +75,9 @@ def _directed(columns: np.ndarray, angle: float) -> np.ndarray:
     return np.asarray(np.cos(angle) * columns[0] + np.sin(angle) * columns[1])
 
 
-def _best(columns: np.ndarray, left: np.ndarray, first: int, price: float) -> tuple[float, int, float]:
+def _best(
+    columns: np.ndarray, bases: list[np.ndarray], left: np.ndarray, first: int, price: float
+) -> tuple[float, int, float]:
     """Cost, number of columns and angle that cost least; price: of each unknown.
 
     Columns [2, N, K] of both directions; there are none of them, the `first` alone, or those and all up to any.
@@ -83,19 +86,21 @@ def _best(columns: np.ndarray, left: np.ndarray, first: int, price: float) -> tu
     allowed = np.zeros(count + 1, bool)
     allowed[[0, first]] = allowed[first + _ENDS + 1 :] = True
     prices = np.where(allowed, price * np.arange(count + 1), np.inf)
-    bases = [np.linalg.qr(own)[0] for own in columns]
-    both = sum(np.concatenate([[0.0], np.cumsum((basis.T @ left) ** 2)]) for basis in bases)
-    n = int((2 * prices - both).argmin())
-    options = [(0.0, 0.0), (np.pi / 2, 0.0)]
+    gains = [np.concatenate([[0.0], np.cumsum((basis.T @ left) ** 2)]) for basis in bases]
+    n = int((2 * prices - sum(gains)).argmin())
+    options = [(0.0, prices - gains[0]), (np.pi / 2, prices - gains[1])]
     if n:
         flat = np.concatenate([columns[0][:, :n], columns[1][:, :n]], 1)
         parts = np.linalg.lstsq(flat, left, rcond=None)[0]
         series = (parts[:n] + 1j * parts[n:]) * np.sqrt((columns[0][:, :n] ** 2).sum(0))
-        options.append((float(np.angle((series**2).sum()) / 2), price))
+        angle = float(np.angle((series**2).sum()) / 2)
+        basis = np.linalg.qr(_directed(columns, angle)[:, :n])[0]
+        own = prices.copy()
+        own[1 : n + 1] += price - np.cumsum((basis.T @ left) ** 2)
+        own[n + 1 :] = np.inf
+        options.append((angle, own))
     found = (0.0, 0, 0.0)
-    for angle, more in options:
-        basis = np.linalg.qr(_directed(columns, angle))[0]
-        costs = prices + more - np.concatenate([[0.0], np.cumsum((basis.T @ left) ** 2)])
+    for angle, costs in options:
         k = int(costs[1:].argmin()) + 1
         found = min(found, (float(costs[k]), k, angle))
     return found
@@ -133,7 +138,12 @@ def _beside(
     bent = [c.ravel()[:, None] for c in slopes(shapes[j], own, t, wave)]
     basis = np.linalg.qr(np.hstack([x, *bent]))[0]
     turning = wave[:, None] * own
-    columns = np.stack([(part.real[:, :, None] * changes[:, None]).reshape(len(t) * n, -1) for part in (turning, 1j * turning)])
+    columns = np.stack(
+        [
+            (part.real[:, :, None] * changes[:, None]).reshape(len(t) * n, -1)
+            for part in (turning, 1j * turning)
+        ]
+    )
     columns = columns - basis @ (basis.T @ columns)
     y = (record.y @ kept).ravel()
     return columns, y - basis @ (basis.T @ y), kept
@@ -146,6 +156,8 @@ def _centred(shape: Shape, t: np.ndarray, change: np.ndarray) -> np.ndarray:
     out = np.zeros(len(t), complex)
     for part, turn, degree in ((change.real, 1, int(shape.is_free)), (change.imag, 1j, 1)):
         x = np.vander(since, degree + 1) * weights[:, None]
-        out += turn * (part - np.vander(since, degree + 1) @ np.linalg.lstsq(x, part * weights, rcond=None)[0])
+        out += turn * (
+            part - np.vander(since, degree + 1) @ np.linalg.lstsq(x, part * weights, rcond=None)[0]
+        )
     out[: shape.start] = 0
     return out

@@ -43,7 +43,9 @@ class Line:
     start_s: float | None  # where it begins in the record, None: before it
     change: str  # "steady", "decays", "grows", "begins" (and then lasts or decays), "varies", "untold"
     strength: float  # χ² of its amplitudes, of 2D degrees of freedom
-    modulation: float = 0.0  # rms of what its amplitude and phase (rad) change by beside that, relative; 0: none is told
+    modulation: float = (
+        0.0  # rms of what its amplitude and phase (rad) change by beside that, relative; 0: none is told
+    )
 
     @property
     def hz_deviation(self) -> float:
@@ -307,7 +309,9 @@ def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
     k = np.arange(2, 2 + _NEXT)
     c = 2 * own @ np.cos(np.pi * since[:, None] * k) / len(since)
     scale = (24 / np.pi**2 / (t[-1] - t[s.start])) ** 2
-    return scale * float((k * c.imag) @ (k * c.imag)) / _NEXT, scale * float((k * c.real) @ (k * c.real)) / _NEXT
+    return scale * float((k * c.imag) @ (k * c.imag)) / _NEXT, scale * float(
+        (k * c.real) @ (k * c.real)
+    ) / _NEXT
 
 
 def _jacobian(

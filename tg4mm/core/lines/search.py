@@ -96,7 +96,7 @@ class _Look:
         for s in lines:
             off = np.abs(hz - s.hz)
             away = np.where(off < max(0.5 / duration, abs(s.decay) / np.pi), -1, np.minimum(away, off))
-        turned = np.exp(-2j * np.pi * hz[:, None] * (t - t[0]))
+        turned = _turned(hz, t - t[0])
         return _Look(residual, t, step, hz, turned, level, away, least)
 
     def all_along(self, rates: Sequence[float]) -> Candidate:
@@ -146,6 +146,13 @@ class _Look:
         peak = first + int((power[first : at + _OVERSAMPLED + 1] / self.level[at]).sum(1).argmax())
         hz = float(self.hz[peak if allowed[peak] else at])
         return Candidate(Shape(hz, shape.decay, shape.start), float(statistic[at]), float(total[at]))
+
+
+def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """[F, T] exp(−iωt) of frequencies of one step: each a product of two, an exponential costs more."""
+    few = int(np.sqrt(len(hz))) + 1
+    coarse, fine = (np.exp(-2j * np.pi * own[:, None] * t) for own in (hz[::few], hz[:few] - hz[:1]))
+    return np.asarray((coarse[:, None] * fine).reshape(-1, len(t))[: len(hz)])
 
 
 _SURE = 1e-3  # chance that pictures between others are called lossy though they are not

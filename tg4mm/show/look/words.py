@@ -28,6 +28,7 @@ _CHANGES = {
     "grows": "grows",
     "decays": "rings down",
     "begins": "begins at {start:.2f} s",
+    "varies": "varies",
     "untold": "too faint to tell",
 }
 

@@ -98,7 +98,7 @@ def _changes(line: Line) -> list[str]:
     """What a test says of a line's strength over the record."""
     if line.change == "begins":
         return [f"begins at {line.start_s:.3g} s"]
-    return {"decays": ["rings down"], "grows": ["grows"]}.get(line.change, [])
+    return {"decays": ["rings down"], "grows": ["grows"], "varies": ["varies"]}.get(line.change, [])
 
 
 def direction_text(direction: np.ndarray, labels: tuple[str, ...]) -> str:

@@ -63,6 +63,7 @@ def why_no_damping(line: Line | None) -> str:
     words = {
         "steady": "the vibration stays as strong as it is during the record",
         "grows": "the vibration grows during the record",
+        "varies": "the vibration gets stronger and weaker during the record",
         "begins": "the vibration begins during the record and lasts",
     }
     return words.get(line.change, "noise hides whether the vibration gets weaker during the record")

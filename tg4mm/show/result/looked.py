@@ -20,6 +20,7 @@ _MOST = 4  # things that move by themselves, said one by one
 _WHY_NO_DAMPING = {
     "steady": "it stays as strong as it is during the record",
     "grows": "it grows during the record",
+    "varies": "it gets stronger and weaker during the record",
     "untold": "it is too faint to tell whether it rings down",
 }
 
