@@ -5,8 +5,8 @@
         line.hz, line.hz_deviation               # Hz; in (0, half the rate)
         line.phasor, line.amplitude_deviation    # [D] complex, [D]: u(t) = envelope(t) Re[phasor exp(i 2π f t)]
         line.damping, line.damping_deviation     # ζ = decay / (2π f), None unless a test says that it rings down
-        line.change                              # "steady", "decays", "grows", "begins", "varies" or "untold", each tested
-    line.modulation                          # rms of the slow change of amplitude and phase, relative; 0: none is told
+        line.change                              # "steady", "decays", "grows", "begins", "varies" or "untold", tested
+        line.modulation                          # rms of what changes slowly beside that, relative; 0: none is told
     fit_lines(values, times_s, hz)               # the same at frequencies [K] that are known to within a bin, or with
                                                  # the frequencies and envelopes of other lines [K]
 

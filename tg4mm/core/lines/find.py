@@ -2,7 +2,8 @@
 
 A line enters as the simplest that does: steady; decaying or growing where that explains more, by a likelihood-ratio
 test; beginning in the record where that does. So what rings down is one line, not several steady ones beside each
-other. Two that are nearer than 1 / duration need a test of their own.
+other. Where a stronger line lies near, a change of that (`modulation.py`) competes with a new line. Two that are nearer
+than 1 / duration need a test of their own.
 """
 
 from collections.abc import Sequence
