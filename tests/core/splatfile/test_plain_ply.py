@@ -1,11 +1,13 @@
 """3DGS files of other programs: any order, float or double, any degree, further properties and elements."""
 
 import random
+import re
 
 import numpy as np
 import pytest
 
 from tests.core.splatfile.conftest import NAMES, plain_ply
+from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import read_splat
 
 
@@ -91,3 +93,48 @@ def test_elements_before_and_after_are_skipped(read):
     data = plain_ply(before=before, after=after)
     head, _, body = data.partition(b"end_header\n")
     check_plain(read(head + b"end_header\n" + b"\xff" * 15 + body + b"\xff" * 8))
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (["t", "scale_t", "rot_r_0"], "4D Gaussian splatting"),
+        (["trbf_center", "trbf_scale", "motion_0", "omega_0"], "Spacetime Gaussians"),
+        (["motion_8"], "Spacetime Gaussians"),
+        (["f_offset_0", "f_anchor_feat_0"], "Scaffold-GS"),
+    ],
+)
+def test_gaussians_that_are_not_at_rest_are_refused_by_their_kind(read, names, kind):
+    for known in (NAMES, [name for name in NAMES if not name.startswith("f_dc")]):
+        with pytest.raises(
+            SplatFileError, match=f"is of {kind}.*not read; export the Gaussians of one moment"
+        ):
+            read(plain_ply(dict.fromkeys([*known, *names], ("float", "<f4"))))
+
+
+@pytest.mark.parametrize(
+    "place", [(456_789.0, 5_432_100.0, 210.0), (-2_700_000.0, 0.0, 4_200_000.0), (0.0, 0.0, 0.0)]
+)
+def test_double_places_far_from_the_origin_are_shifted_before_they_are_rounded(read, place):
+    rng = np.random.default_rng(0)
+    data = np.zeros(200, [(name, "<f8" if name in "xyz" else "<f4") for name in NAMES])
+    local = rng.uniform(-2, 2, (200, 3))
+    for k, name in enumerate("xyz"):
+        data[name] = local[:, k] + place[k]
+    for k in range(3):
+        data[f"scale_{k}"] = np.log(0.01)
+    data["rot_0"] = 1
+    kinds = {name: ("double", "<f8") if name in "xyz" else ("float", "<f4") for name in NAMES}
+    splat = read(plain_ply(kinds, count=200, data=data.tobytes()))
+    np.testing.assert_allclose(splat.means - splat.means[0], local - local[0], atol=2e-6)
+    is_far = any(place)
+    assert bool(splat.notes) == is_far
+    if is_far:
+        start = [float(x) for x in re.search(r"from \((.*)\) on", splat.notes[0])[1].split(",")]
+        np.testing.assert_allclose(splat.means + start, local + place, atol=2e-6)
+
+
+@pytest.mark.parametrize("comment", ["comment SplatRenderMode: mip", "comment rasterize_mode antialiased"])
+def test_files_of_anti_aliased_renderers_are_said(read, comment):
+    assert "was trained anti-aliased" in read(plain_ply(before=[comment])).notes[0]
+    assert not read(plain_ply(before=["comment amid a mipmap"])).notes

@@ -51,6 +51,10 @@ def parsed_frequencies(text: str) -> tuple[float, ...]:
     return tuple(found)
 
 
+ANTIALIASED = (
+    "was trained anti-aliased, for renderers that fade what their low-pass widens: here, Gaussians that are small "
+    "in the picture are too opaque"
+)
 _FIRST = ("means", "quats", "scales", "opacities", "sh")  # arrays with a row for each Gaussian
 _SECOND = ("displacement", "rotation", "deviation")  # of each mode
 _WORDS = {"means": "position", "quats": "rotation", "scales": "scale", "opacities": "opacity", "sh": "colour"}

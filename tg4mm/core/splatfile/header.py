@@ -1,6 +1,7 @@
 """The header of a PLY, everything checked before any data is read; and its rows, a block at a time."""
 
 import itertools
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -53,6 +54,10 @@ class Element:
         return self.count * size if self.properties else 0
 
 
+# What Brush and others write of files that are drawn with compensated opacities.
+_ANTIALIASED = re.compile(r"(?i)\b(mip\b|anti-?alias)")
+
+
 @dataclass(frozen=True)
 class Header:
     """A whole header. Messages carry no file name; the reader puts it in front."""
@@ -61,6 +66,7 @@ class Header:
     elements: tuple[Element, ...]
     about: dict[str, Any] | None  # what `comment tg4mm` says; None for a plain 3DGS PLY
     nbytes: int  # length of the header itself
+    is_antialiased: bool = False  # as a comment says
 
 
 def read_header(file: BinaryIO) -> Header:
@@ -82,7 +88,8 @@ def read_header(file: BinaryIO) -> Header:
             _add_property(elements[-1], words, line)
         else:
             raise SplatFileError(f"header line {line[:60]!r} is not understood")
-    return Header(form, tuple(elements), about, nbytes)
+    is_antialiased = any(_ANTIALIASED.search(line) for line in lines if line.startswith("comment"))
+    return Header(form, tuple(elements), about, nbytes, is_antialiased)
 
 
 def _lines(file: BinaryIO) -> tuple[list[str], str, int]:

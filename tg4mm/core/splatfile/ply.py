@@ -11,7 +11,7 @@ from tg4mm.core.splatfile import model, supersplat
 from tg4mm.core.splatfile.header import blocks, check_size, columns
 
 from ..errors import SplatFileError
-from .drawable import Head, Options, drawable
+from .drawable import ANTIALIASED, Head, Options, drawable
 from .header import ASCII, Element, Header, read_header
 from .model import SH_COUNTS, SplatFile
 
@@ -21,6 +21,13 @@ FILTER = ("filter_3D",)  # of Mip-Splatting, scene units
 PREFIX = "scalar_"  # of CloudCompare, before each property that it does not know
 NEEDED = (*model.POSITION, *model.F_DC, *model.OPACITY, *model.SCALE, *model.ROTATION)
 OF_SPLATS = (*model.OPACITY, *model.SCALE, *model.ROTATION)
+# Properties by which files are told whose Gaussians are not at rest, or not there: what each is.
+_KINDS = {
+    r"(t|time|scale_t|t_scale|rot_r_[0-3])": "4D Gaussian splatting, whose Gaussians live in space and time",
+    r"(trbf_(center|scale)|omega_[0-3]|motion_[0-9]+)": "Spacetime Gaussians, which move along polynomials",
+    r"(f_offset|f_anchor_feat)_?[0-9]+": "Scaffold-GS, whose anchors become Gaussians by neural networks beside it",
+}
+_FINE = 0.01  # of a Gaussian's median size, that float32 must tell at its place
 DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
 
 
@@ -54,6 +61,8 @@ def read_ply(file: BinaryIO, size: int, options: Options) -> SplatFile:
         check_size(header, size)
         return supersplat.read(file, header, vertex)
     plan = _plan(vertex.properties, header.about, options)
+    if header.is_antialiased and not plan.filter:
+        plan = replace(plan, notes=(*plan.notes, ANTIALIASED))
     check_size(header, size)
     if header.form == ASCII and (file.seek(size - 1), file.read(1))[1] != b"\n":
         plan = replace(plan, notes=("its last line has no end: the last number may be cut off", *plan.notes))
@@ -86,6 +95,11 @@ def _rename(names: dict[str, str], old: str, new: str) -> None:
 
 def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options) -> Plan:
     notes: list[str] = []
+    for pattern, kind in _KINDS.items():
+        if (found := next((name for name in names if re.fullmatch(pattern, name)), None)) and about is None:
+            raise SplatFileError(
+                f"is of {kind} (property {found}): not read; export the Gaussians of one moment as a 3DGS PLY"
+            )
     missing = [name for name in NEEDED if name not in names]
     colour: tuple[str, ...] = model.F_DC
     scale: tuple[str, ...] = model.SCALE
@@ -175,7 +189,9 @@ def _deviations(names: dict[str, str], m: int) -> tuple[str, ...]:
 
 def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatFile:
     n, k, m = vertex.count, 1 + len(plan.rest) // 3, plan.modes
-    means, quats = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
+    is_double = any(vertex.properties[name] == "<f8" for name in model.POSITION)
+    means = np.empty((n, 3), np.float64 if is_double else np.float32)
+    quats = np.empty((n, 4), np.float32)
     logs, logits = np.full((n, 3), -np.inf, np.float32), np.empty(n, np.float32)
     smooth = np.zeros(n, np.float32) if plan.filter else None
     sh = np.empty((n, k, 3), np.float32)
@@ -208,8 +224,12 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
         scales, opacities = np.exp(logs), model.sigmoid(logits)
     if smooth is not None:
         scales, opacities = _smoothed(scales, opacities, smooth)
+    origin = _far_origin(means, scales) if is_double else np.zeros(3, np.float32)
+    if origin.any():
+        place = ", ".join(f"{x:.10g}" for x in origin)
+        notes = (*notes, f"lies far from its origin: coordinates are from ({place}) on")
     fields: dict[str, Any] = {
-        "means": means,
+        "means": means - origin,
         "quats": quats,
         "scales": scales,
         "opacities": opacities,
@@ -218,6 +238,17 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
     if m:
         fields |= {"displacement": displacement, "rotation": rotation, "deviation": deviation}
     return drawable(fields | _said(plan.about, m), notes)
+
+
+def _far_origin(means: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """[3] whole units to take off places [N, 3] that float32 would round; zeros where it tells them."""
+    finite = means[np.isfinite(means).all(axis=1)]
+    if not len(finite):
+        return np.zeros(3)
+    centre, sizes = np.median(finite, axis=0), scales[np.isfinite(scales) & (scales > 0)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = np.spacing(np.abs(centre).max().astype(np.float32))
+    return np.round(centre) if len(sizes) and step > _FINE * np.median(sizes) else np.zeros(3)
 
 
 def _said(about: dict[str, Any], m: int) -> dict[str, Any]:

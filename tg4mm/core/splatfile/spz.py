@@ -21,13 +21,14 @@ from tg4mm.core.splatfile import model, spz
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE
 from .axes import TURN, transformed, y_up
-from .drawable import Head, drawable
+from .drawable import ANTIALIASED, Head, drawable
 from .model import SplatFile
 from .supersplat import largest_put_in
 from .write import replacing
 
 GZIP, NGSP = b"\x1f\x8b", b"NGSP"
 _HEAD, _HEAD_4 = struct.Struct("<IIIBBBB"), struct.Struct("<IIIBBBBI12x")
+_ANTIALIASED = 1  # a flag
 _EXTENSIONS, _MOST_EXTENSIONS = 2, 1 << 20  # a flag; bytes after the Gaussians that are looked at
 _ZSTD = 1 << 17  # bytes, at most, that one byte packed by zstd stands for: a block of one value
 _AXES = 0xADBE0003  # the extension that names the axes, one of these, right left up down back front
@@ -192,7 +193,7 @@ def _gaussians(header: _Header, sections: list[np.ndarray]) -> SplatFile:
         "opacities": opacities / np.float32(255),
         "sh": sh,
     }
-    return drawable(fields)
+    return drawable(fields, [ANTIALIASED] if header.flags & _ANTIALIASED else [])
 
 
 def _places(raw: np.ndarray, header: _Header) -> np.ndarray:
