@@ -71,3 +71,11 @@ def test_a_damaged_one_is_one_line(tmp_path):
         (tmp_path / "b.tif").write_bytes(data)
         with suppress(CaptureError):
             decode(tmp_path / "b.tif")
+
+
+def test_tiles_of_no_height_are_one_line(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", COLOUR, photometric="rgb", tile=(16, 16))
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        file.pages[0].tags["TileLength"].overwrite(0)
+    with pytest.raises(CaptureError, match=r"a\.tif"):
+        decode(tmp_path / "a.tif")

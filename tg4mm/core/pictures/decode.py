@@ -18,7 +18,7 @@ THREADS = min(8, os.cpu_count() or 1)
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF")
 # What Pillow raises on a damaged file, depending on where the damage is.
 DAMAGE: tuple[type[BaseException], ...] = (
-    *(OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, MemoryError, OverflowError),
+    *(OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, MemoryError, ArithmeticError),
     *(RuntimeError, IndexError, KeyError, TypeError, AttributeError, Image.DecompressionBombError),
 )
 # Pixels, at most, that one byte of a file stands for. Of a PNG: of one bit each, packed by zlib. A JPEG has a bit or
