@@ -1,5 +1,6 @@
 """COLMAP folders: files as pycolmap writes them and by hand, and what is refused."""
 
+import logging
 import os
 import shutil
 
@@ -113,7 +114,6 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text):
         ("cameras", "20 21 6 4.5", "-20 21 6 4.5", ("fl_x is -20.0",)),
         ("images", "0.5 0.5 0.5 0.5 1", "0.5 0.5 0.5 2 1", ("image 1: has the pose [0.5, 0.5, 0.5, 2.0",)),
         ("images", "1 2 3 1 a", "1 nan 3 1 a", ("image 1: has the pose",)),
-        ("images", "a/r_2.png", "a/r_3.png", ("r_3.png does not exist",)),
         ("images", "a/r_2.png", "../../x.png", ("leads outside the dataset's folder",)),
         ("images", "1 2 3 1 a", "1 x 3 1 a", ("images.txt: is truncated or damaged",)),
         ("points3D", "1.5 2.5", "inf 2.5", ("points3D.txt: holds a point that is not finite",)),
@@ -127,3 +127,35 @@ def test_bad_models_are_refused(text, file, old, new, parts):
 def test_no_registered_image(text):
     (text / "sparse/0/images.txt").write_text("# none\n")
     refused(text, "holds no registered image")
+
+
+def test_of_several_models_the_largest_is_taken_and_said(text, caplog):
+    sparse = text / "sparse"
+    small = shutil.copytree(sparse / "0", sparse / "2") / "images.txt"
+    shutil.copytree(sparse / "0", sparse / "1")
+    for folder in ("0", "2"):
+        lines = [line for line in IMAGES.splitlines(keepends=True) if not line.startswith("#")]
+        (sparse / folder / "images.txt").write_text("".join(lines[:2]))
+    assert small.is_file()
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        check(text)
+        check(text)
+    said = "sparse: holds 3 models, with pictures: 0 (1), 1 (3), 2 (1); the largest is taken"
+    assert caplog.text.count(said) == 1
+
+
+def test_missing_pictures_are_left_out_and_counted_unless_they_are_half(text, caplog):
+    images = text / "images"
+    (images / NAMES[1]).unlink()
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        assert len(load_capture(text).paths) == 2
+    assert "1 of 3 pictures are missing and left out" in caplog.text
+    (images / NAMES[0]).unlink()
+    refused(text, "does not exist", "2 of 3 pictures are missing")
+
+
+def test_names_with_backslashes_are_those_of_windows(text):
+    edit(text / "sparse/0/images.txt", "a/r_2.png", "a\\r_2.png")
+    check(text)
+    edit(text / "sparse/0/images.txt", "a\\r_2.png", "..\\..\\x.png")
+    refused(text, "leads outside the dataset's folder")

@@ -1,6 +1,7 @@
 """nerfstudio's transforms.json: what is read, and what is refused."""
 
 import json
+import logging
 
 import numpy as np
 import pytest
@@ -59,6 +60,33 @@ def test_points_come_from_the_named_file(studio):
     refused(studio, "ply_file_path is 'gone.ply', which does not exist")
     edit(studio / "transforms.json", lambda v: v.update(ply_file_path="../x.ply"))
     refused(studio, "leads outside the dataset's folder")
+
+
+@pytest.mark.parametrize("outside", ["..\\..\\x.png", "\\x.png", "C:\\x.png", "images\\..\\..\\x.png"])
+def test_paths_with_backslashes_are_those_of_windows_and_stay_inside(studio, outside):
+    (studio.parent.parent / "x.png").write_bytes((studio / "images/r_000.png").read_bytes())
+    (studio.parent / "x.png").write_bytes((studio / "images/r_000.png").read_bytes())
+
+    def back(v):
+        for frame in v["frames"]:
+            frame["file_path"] = frame["file_path"].replace("/", "\\")
+
+    edit(studio / "transforms.json", back)
+    assert [p.name for p in load_capture(studio).paths] == ["r_000.png", "r_001.png", "r_002.png"]
+    edit(studio / "transforms.json", lambda v: v["frames"][0].update(file_path=outside))
+    refused(studio, "frame 0")
+
+
+def test_missing_pictures_are_left_out_and_counted_unless_they_are_half(studio, caplog):
+    whole = load_capture(studio)
+    (studio / "images/r_001.png").unlink()
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        capture = load_capture(studio)
+        load_capture(studio)
+    assert caplog.text.count("transforms.json: 1 of 3 pictures are missing and left out") == 1
+    np.testing.assert_array_equal(capture.viewmats, whole.viewmats[[0, 2]])
+    (studio / "images/r_002.png").unlink()
+    refused(studio, "r_001.png does not exist; 2 of 3 pictures are missing")
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from tg4mm.capture.cameras import check_near
-from tg4mm.capture.confine import image_path, inside
+from tg4mm.capture.confine import image_path, inside, portable
 from tg4mm.capture.model import Capture, SurfacePoints
+from tg4mm.capture.planes import say_once
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import View, assemble, in_order
+from tg4mm.capture.transforms import View, assemble, for_each_there, in_order
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.records import Record
 
@@ -203,8 +204,10 @@ _TEXT = (_cameras, _images, _points)
 
 LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
 IMAGES, MASKS = "images", "masks"
-# Where a model lies: COLMAP's mapper numbers its models, its undistorter does not.
-FOLDERS = ("sparse/0", "sparse")
+FOLDERS = (
+    "sparse/0",
+    "sparse",
+)  # where a model lies: COLMAP's mapper numbers its models, its undistorter does not
 # Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
@@ -240,14 +243,36 @@ def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
         raise CaptureError(f"{folder}: holds no registered image")
     used = {image.camera_id for image in model.images} & set(model.cameras)
     lenses = _lenses(model, used) if any(_bends(model.cameras[i]) for i in used) else {}
-    return [_view(root, model, image, lenses) for image in model.images], model.points
+    views: list[View] = []
+    for_each_there(str(folder), model.images, lambda image: views.append(_view(root, model, image, lenses)))
+    return views, model.points
 
 
 def _model_folder(root: Path) -> Path | None:
-    for name in FOLDERS:
-        if any((root / name / f"images{suffix}").is_file() for suffix in (".bin", ".txt")):
-            return root / name
-    return None
+    """Where the model lies; of several in sparse/, which COLMAP makes of pictures that do not join, the largest."""
+    models = [f for f in sorted(root.glob("sparse/*/")) if f.name.isdigit() and _images_file(f) is not None]
+    if len(models) > 1:
+        counts = [_count(inside(root, folder, "the COLMAP model")) for folder in models]
+        best = counts.index(max(counts))
+        listed = ", ".join(f"{f.name} ({n})" for f, n in zip(models, counts, strict=True))
+        say_once(
+            root / "sparse", f"holds {len(models)} models, with pictures: {listed}; the largest is taken"
+        )
+        return models[best]
+    places = (*models, root / "sparse")
+    return next((folder for folder in places if _images_file(folder) is not None), None)
+
+
+def _images_file(folder: Path) -> Path | None:
+    files = (folder / f"images{suffix}" for suffix in (".bin", ".txt"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def _count(folder: Path) -> int:
+    """Return the number of pictures in a model."""
+    file = _images_file(folder)
+    assert file is not None
+    return len(_guarded(file, (_TEXT if file.suffix == ".txt" else _BINARY)[1]))
 
 
 def _bends(camera: ColmapCamera) -> bool:
@@ -278,7 +303,7 @@ def _lenses(model: ColmapModel, used: set[int]) -> dict[int, Lens]:
 def _view(root: Path, model: ColmapModel, image: ColmapImage, lenses: dict[int, Lens]) -> View:
     where = f"{model.folder}: image {image.name!r}"
     path = image_path(root, root / IMAGES, image.name, where)
-    named = root / MASKS / f"{image.name}.png"  # as COLMAP's own extractor has it
+    named = root / MASKS / f"{portable(root / IMAGES, image.name)}.png"  # as COLMAP's own extractor has it
     mask = inside(root, named, where) if named.is_file() else None
     if image.camera_id not in model.cameras:
         raise CaptureError(f"{where}: is of camera {image.camera_id}, which is not among the cameras")

@@ -9,6 +9,15 @@ from tg4mm.core.errors import CaptureError
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff")
 
 
+class MissingPictureError(CaptureError):
+    """A picture that a dataset names is not there."""
+
+
+def portable(folder: Path, name: str) -> str:
+    """Return a file's name with the backslashes of Windows as slashes, unless there is a file that is called so."""
+    return name.replace("\\", "/") if "\\" in name and not (folder / name).exists() else name
+
+
 def inside(root: Path, path: Path, where: str) -> Path:
     """`path` unchanged if, links and .. resolved, it lies inside `root`; else CaptureError naming `where`."""
     try:
@@ -26,6 +35,7 @@ def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
     Without a suffix those of `IMAGE_SUFFIXES` are tried. Raises CaptureError if it is absolute, leaves `root`, or is
     not there.
     """
+    file_path = portable(folder, file_path)
     if PurePosixPath(file_path).is_absolute() or PureWindowsPath(file_path).drive:
         raise CaptureError(f"{where}: file_path {file_path!r} is absolute; expected one relative to {folder}")
     named = folder / file_path
@@ -46,4 +56,4 @@ def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
         kinds = ", ".join(IMAGE_SUFFIXES)
         raise CaptureError(f"{where}: image {named} is of a kind that is not read; expected one of {kinds}")
     tried = "" if has_suffix else f" (tried {', '.join(IMAGE_SUFFIXES)})"
-    raise CaptureError(f"{where}: image {named} does not exist{tried}")
+    raise MissingPictureError(f"{where}: image {named} does not exist{tried}")

@@ -22,7 +22,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     """
     if alpha:
         raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
-    views, scene = read_views(root, root, split, 0), read_scene(root, needs_fps=False)
+    views, scene = read_views(root, root, split, 0, may_miss=True), read_scene(root, needs_fps=False)
     n_timesteps = 1
     if whole_dataset(root) is None:
         views, scene, n_timesteps = timed(views, scene)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.cameras import distortion_of, read_intrinsics
+from tg4mm.capture.confine import portable
 from tg4mm.capture.frames import picture_header
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
@@ -45,7 +46,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     if not isinstance(frames, list) or not frames:
         raise file.error("frames", "a list of frames")
     chosen = _of_split(file, frames, split)
-    views = views_of_frames(root, root, file, chosen, 0)
+    views = views_of_frames(root, root, file, chosen, 0, may_miss=True)
     views, scene, n_timesteps = timed(_through_lenses(views), read_scene(root, needs_fps=False))
     return assemble(root, split, views, scene, n_timesteps, _points(root, file))
 
@@ -120,7 +121,7 @@ def _model_of(view: View) -> str:
 def _points(root: Path, file: Record) -> SurfacePoints | None:
     if not file.has("ply_file_path"):
         return None
-    name = file.text("ply_file_path")
+    name = portable(root, file.text("ply_file_path"))
     points = read_points(root, name)
     if points is None:
         raise CaptureError(f"{file.where}: ply_file_path is {name!r}, which does not exist")

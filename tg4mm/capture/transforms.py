@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
-from tg4mm.capture.confine import image_path, inside
+from tg4mm.capture.confine import MissingPictureError, image_path, inside, portable
 from tg4mm.capture.frames import frame_of, picture_header
 from tg4mm.capture.model import Capture, SurfacePoints
+from tg4mm.capture.planes import say_once
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
@@ -28,6 +29,7 @@ from tg4mm.core.values import shown
 if TYPE_CHECKING:
     from tg4mm.capture.sfm.undistort import Lens
 
+T = TypeVar("T")
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
 
@@ -47,7 +49,7 @@ class View:
     lens: Lens | None = None
 
 
-def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View]:
+def read_views(root: Path, folder: Path, split: str, timestep: int, may_miss: bool = False) -> list[View]:
     """The frames of folder/transforms_<split>.json in order of file name.
 
     Raises CaptureError if the file is missing, empty or malformed, or a path or pose in it is unusable.
@@ -61,18 +63,27 @@ def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View
         raise file.error("frames", "a list of frames")
     if not frames:
         raise CaptureError(f"{path}: frames is empty: the {split!r} split has no images")
-    return views_of_frames(root, folder, file, list(enumerate(frames)), timestep)
+    return views_of_frames(root, folder, file, list(enumerate(frames)), timestep, may_miss)
 
 
 def views_of_frames(
-    root: Path, folder: Path, file: Record, frames: list[tuple[int, Any]], timestep: int
+    root: Path,
+    folder: Path,
+    file: Record,
+    frames: list[tuple[int, Any]],
+    timestep: int,
+    may_miss: bool = False,
 ) -> list[View]:
     """Frames, each with its number in the file, as views in order of file name; paths are relative to `folder`.
+
+    may_miss: less than half of the pictures may be missing, which is said.
 
     Raises CaptureError if a frame is no object, its path or pose is unusable, or two show one image.
     """
     views: dict[Path, View] = {}
-    for i, values in frames:
+
+    def add(numbered: tuple[int, Any]) -> None:
+        i, values = numbered
         if not isinstance(values, dict):
             raise CaptureError(f"{file.where}: frame {i} is {shown(values)}; expected an object {{…}}")
         frame = Record(f"{file.where}: frame {i}", values)
@@ -83,7 +94,31 @@ def views_of_frames(
         views[image] = View(
             image, timestep, read_pose(frame), frame, file, time_s, _mask(root, folder, frame)
         )
+
+    for_each_there(file.where, frames, add, may_miss)
     return in_order(views.values())
+
+
+def for_each_there(where: str, named: Sequence[T], use: Callable[[T], object], may_miss: bool = True) -> None:
+    """Call `use` with everything that names a picture, and say how many of these are missing.
+
+    Raises MissingPictureError where no more than half are there, or none may be missing.
+    """
+    missing = []
+    for one in named:
+        try:
+            use(one)
+        except MissingPictureError as error:
+            missing.append(error)
+    if missing and (not may_miss or 2 * len(missing) >= len(named)):
+        of = (
+            ""
+            if len(named) == 1 or not may_miss
+            else f"; {len(missing)} of {len(named)} pictures are missing"
+        )
+        raise MissingPictureError(f"{missing[0]}{of}")
+    if missing:
+        say_once(Path(where), f"{len(missing)} of {len(named)} pictures are missing and left out")
 
 
 def _mask(root: Path, folder: Path, frame: Record) -> Path | None:
@@ -91,7 +126,7 @@ def _mask(root: Path, folder: Path, frame: Record) -> Path | None:
     if not frame.has("mask_path"):
         return None
     where = f"{frame.where}: mask_path"
-    path = inside(root, folder / frame.text("mask_path"), where)
+    path = inside(root, folder / portable(folder, frame.text("mask_path")), where)
     if not path.is_file():
         raise CaptureError(f"{where} is {frame.text('mask_path')!r}, which does not exist")
     return path

@@ -224,7 +224,7 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
         scales, opacities = np.exp(logs), model.sigmoid(logits)
     if smooth is not None:
         scales, opacities = _smoothed(scales, opacities, smooth)
-    origin = _far_origin(means, scales) if is_double else np.zeros(3, np.float32)
+    origin: np.ndarray = _far_origin(means, scales) if is_double else np.zeros(3, np.float32)
     if origin.any():
         place = ", ".join(f"{x:.10g}" for x in origin)
         notes = (*notes, f"lies far from its origin: coordinates are from ({place}) on")
