@@ -73,6 +73,13 @@ def process(
             help="A coarse first answer: in 3D 1,000 iterations and 10,000 Gaussians; numbers and the video, no pages.",
         ),
     ] = False,
+    all_files: Annotated[
+        bool,
+        typer.Option(
+            "--all-files",
+            help="Keep the magnified video's pictures (magnified/), and write plots as SVG, too.",
+        ),
+    ] = False,
     settings: SettingsOption = None,
     device: DeviceOption = Device.cpu,
     threads: ThreadsOption = 0,
@@ -117,6 +124,7 @@ def process(
         read_drawn(regions),
         only or "",
         quick,
+        all_files,
         threads or -1,
     )
     processed(source, out, options, typer.echo)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import Any, Protocol, TextIO
 
 from tg4mm.core import events
@@ -16,6 +17,38 @@ PLAIN_EVERY_S = 5.0
 EVENTS_EVERY_S = 0.5
 _PULSE_S = 1.0  # between looks whether a job that reports nothing is to be shown all the same
 _EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
+
+
+_FEW_FIRST_S, _FEW_GROWTH = 10.0, 1.3  # seconds to the first of few lines, and by what the next takes longer
+
+
+@dataclass
+class _Few:
+    """When the next line of progress is due where only few are wanted, of whatever jobs there are."""
+
+    due: float
+    every_s: float = _FEW_FIRST_S
+
+    def take(self, now: float) -> bool:
+        """Whether a line may be shown now; then the next one is later by more."""
+        if now < self.due:
+            return False
+        self.every_s *= _FEW_GROWTH
+        self.due = now + self.every_s
+        return True
+
+
+_few: ContextVar[_Few | None] = ContextVar("few", default=None)
+
+
+@contextmanager
+def few_lines() -> Iterator[None]:
+    """Within it jobs share their lines of progress, ever further apart, about 20 in an hour; finished bars go."""
+    token = _few.set(_Few(time.monotonic() + _FEW_FIRST_S))
+    try:
+        yield
+    finally:
+        _few.reset(token)
 
 
 _listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
@@ -44,6 +77,7 @@ def progress(
     """
     stream = stream or sys.stderr
     bar = stream.isatty() and not events.wanted() and importlib.util.find_spec("rich") is not None
+    brief = brief or (bar and _few.get() is not None)
     show = _bar if bar else _lines
     listener = _listener.get()
     heard = None if listener is None else HeardProgress(label, total, unit, start, stream, listener=listener)
@@ -133,6 +167,7 @@ class PlainProgress:
     """Progress as lines of text, the first after `first_s` seconds, then one every `every_s`, for logs and pipes."""
 
     first_s, every_s = PLAIN_FIRST_S, PLAIN_EVERY_S
+    may_be_few = True  # within `few_lines`
 
     def __init__(
         self,
@@ -146,6 +181,7 @@ class PlainProgress:
     ) -> None:
         self._label, self._total, self._unit, self._start = label, total, unit, start
         self._stream, self._clock, self._brief = stream, clock, brief
+        self._few = _few.get() if self.may_be_few else None
         self._began = clock()
         self._due = self._began + self.first_s
         self._was_shown = False
@@ -174,11 +210,11 @@ class PlainProgress:
 
     def finish(self) -> None:
         """The job is over."""
-        if self._was_shown or not self._brief:
+        if self._few is None and (self._was_shown or not self._brief):
             self._ended(self._clock() - self._began)
 
     def _show_if_due(self, now: float) -> None:
-        if now >= self._due:
+        if now >= self._due and (self._few is None or self._few.take(now)):
             self._due, self._was_shown = now + self.every_s, True
             self._show(now - self._began, self._left_s(now) if self._done < self._total else None)
 
@@ -206,6 +242,7 @@ class HeardProgress(PlainProgress):
     """Progress reported to a listener (`listened_to`)."""
 
     first_s = every_s = EVENTS_EVERY_S
+    may_be_few = False
 
     def __init__(self, *args: Any, listener: Callable[[str], None], **options: Any) -> None:
         super().__init__(*args, **options)
@@ -219,6 +256,7 @@ class EventProgress(PlainProgress):
     """Progress as events (`tg4mm.core.events`)."""
 
     first_s = every_s = EVENTS_EVERY_S
+    may_be_few = False
 
     def _show(self, elapsed_s: float, left_s: float | None) -> None:
         events.emit(

@@ -15,6 +15,7 @@ from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
+from tg4mm.core.progress import few_lines
 from tg4mm.core.regions import Regions
 from tg4mm.core.steps import Say, Step, run_steps
 from tg4mm.core.untrusted import read_json
@@ -22,13 +23,18 @@ from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.motion.observations import check_band_told, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
-from tg4mm.show.measure import Sensor, measure, prepare
+from tg4mm.show.measure import Measurement, Sensor, measure, prepare
 from tg4mm.show.measure.locate import check_pixel, check_sensors
+from tg4mm.show.measure.plots import PLOTS
 from tg4mm.show.measure.sensors import OF_PICTURE, checked_names, drawn_sensors
 from tg4mm.show.measure.write import MARK, write_measurement
 from tg4mm.show.measure.write import work_folder as measured_folder
+from tg4mm.show.process_words import estimate_line, result_lines
 from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
+from tg4mm.show.render.sequence import RECORD as RENDER_RECORD
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
+from tg4mm.show.render.sequence import record as record_of
+from tg4mm.show.report.sources import Shown
 from tg4mm.show.report.write import ReportOptions, write_report
 from tg4mm.show.result.read import result_of
 from tg4mm.show.result.requested import how_sure, refuse_empty
@@ -55,6 +61,7 @@ class ProcessOptions:
     regions: Regions | None = None  # drawn, more sensors; with a scale
     only: str = ""  # the one of them that is measured and shown
     quick: bool = False  # fewer Gaussians and iterations, and no pages
+    all_files: bool = False  # the magnified video's pictures, and plots as SVG, too
     threads: int = -1  # of COLMAP; −1: all cores
 
 
@@ -72,12 +79,20 @@ def process(source: Path, out: Path, options: ProcessOptions | None = None, say:
         options.regions[options.only]
     checked(options.sfm)
     RenderRequest(Magnification(everywhere=options.alpha or 0.0)).checked()
-    pictures = files_of(find_sources(source, timed=options.sfm.fps is not None))
+    sources = find_sources(source, timed=options.sfm.fps is not None)
+    pictures = files_of(sources)
     record = {"format": "tg4mm-process", "version": 1, "source": str(source.resolve())}
     folder = WorkFolder(out, RECORD, free=("done",))
     with folder.held("processes into it"):
         folder.claim(record, {**record, "done": {}})
-        run_steps(folder, record, _steps(source, out, options, pictures, say), say)
+        say(estimate_line(sources, options.sfm))
+        with few_lines():
+            run_steps(folder, record, _steps(source, out, options, pictures, say), say)
+        if not options.all_files:
+            _remove_pictures(out / "magnified")
+        opens = "magnified.mp4" if options.quick or options.only else "report.html"
+        for line in result_lines(result_of(Run.open(out / "run"), options.band), out, opens):
+            say(line)
     return out
 
 
@@ -86,11 +101,14 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     name = source.resolve().stem if source.is_file() else source.resolve().name
     scale = {key: settings.pop(key) for key in SCENE_ONLY}
     clock = {"fps": options.sfm.fps, "readout_s": options.sfm.readout_s}
+    made: list[Measurement] = []  # in this call: the report needs no other
     trained = {**(QUICK if options.quick else {}), **options.settings}
     magnified: dict[str, Any] = {"alpha": options.alpha, "band": options.band}
     sensors = [*([s.name, repr(s)] for s in options.sensors), repr(options.regions), options.only]
     sensors = sensors if options.regions is not None else sensors[:-2]
     magnified |= {"only": repr(options.regions[options.only])} if options.only and options.regions else {}
+
+    all_files = {"all_files": True} if options.all_files else {}
 
     def with_band() -> dict[str, str]:
         """The settings, with the band where the fit depends on it."""
@@ -116,6 +134,8 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
             band=options.band,
             sensors=_sensors(dataset, options),
             scale=None if options.regions is None else options.regions.scale,
+            shown=_shown(Run.open(run), out, options),
+            measurement=made[0] if made else None,
         )
         return write_report(Run.open(run), out / "report.html", chosen)
 
@@ -125,10 +145,12 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         Step("scale", "Scale and rate", dataset / "scene.json", make, scale, ["dataset"], in_place=True),
         Step("run", "The scene at rest and its motion", run / "space.safetensors", fit,
              lambda: {"settings": with_band(), "device": options.device, **clock}, ["dataset"], run),
-        Step("measured", "Measure", out / "measured", lambda: _measure(run, out / "measured", options, say),
-             lambda: {"sensors": sensors, "quick": options.quick, **banded()}, ["scale", "run"]),
+        Step("measured", "Measure", out / "measured",
+             lambda: made.extend(_measure(run, out / "measured", options, say)),
+             lambda: {"sensors": sensors, "quick": options.quick, **banded(), **all_files}, ["scale", "run"]),
         Step("magnified", "The magnified video", out / "magnified", lambda: _magnify(run, out, options, say),
-             magnified, ["run", "measured"] if options.only else ["run"]),
+             {**magnified, **all_files}, ["run", "measured"] if options.only else ["run"],
+             in_place=not options.all_files),
     ]  # fmt: skip
     pages = [
         Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
@@ -180,56 +202,90 @@ def _fits_by_band(dataset: Path, band: tuple[float, float] | None) -> bool:
     return frames_of(capture)[0] != "synchronous" or not ((bins >= band[0]) & (bins <= band[1])).any()
 
 
-def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
+def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> list[Measurement]:
+    """OUT/measured; returns the measurement, none of a still scene."""
     run = Run.open(path)
     if run.load_motion() is None:
         out.mkdir(exist_ok=True)
         say(f"{out}: empty, since the scene is still")
-        return
+        return []
     sensors = _sensors(run.dataset, options)
     check_sensors(run, sensors)
     scale = None if options.regions is None else options.regions.scale
     with measured_folder(out).held("writes a measurement there"):
         found = measure(prepare(run), sensors or None, band=options.band, scale=scale)
-        say(write_measurement(found, out, animate=not options.quick))
+        plots = PLOTS if options.all_files else PLOTS[:1]
+        write_measurement(found, out, animate=not options.quick, plots=plots)
+    return [found]
+
+
+def _shown(run: Run, out: Path, options: ProcessOptions) -> Shown | None:
+    """What OUT/magnified.mp4 shows; None where there is none."""
+    result = result_of(run, options.band)
+    band = options.band or (_band_of(out / "measured", options.only) if options.only else result.band)
+    if run.load_motion() is None or band is None:
+        return None
+    alpha = result.alpha if options.alpha is None else options.alpha
+    return Shown(Magnification.of(alpha, band), out / "magnified")
 
 
 def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
     """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
     run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
-    still, result = run.load_motion() is None, result_of(run, options.band)
-    band = options.band or (_band_of(out / "measured", options.only) if options.only else result.band)
+    shown = _shown(run, out, options)
     video.unlink(missing_ok=True)
     folder.mkdir(exist_ok=True)
-    if still or band is None:
+    if shown is None:
         why = (
             "the scene is still"
-            if still
+            if run.load_motion() is None
             else f"no vibration was found{' in ' * bool(options.only)}{options.only}; --band LO HI magnifies a band "
             "all the same"
         )
         say(f"no {video}: {why}")
         return
-    alpha = result.alpha if options.alpha is None else options.alpha
-    request = RenderRequest(Magnification.of(alpha, band)).checked()
+    request = RenderRequest(shown.magnified).checked()
     if options.band is not None:
         refuse_empty(run, request.magnified)
         for line in how_sure(run, request.magnified):
             say(line)
-    if (camera := _standing(run)) is not None:
+    camera = _standing(run)
+    if camera is None:
+        centre = run.load_space().means.median(dim=0).values.numpy()
+        cameras, kind = list(orbit(load_capture(run.dataset), ORBIT, centre)), "orbit"
+    else:
         if options.only and options.regions is not None:
             camera = camera.cut(options.regions[options.only].corners, _AROUND)
-        render_sequence(run, [camera], request, folder, device=options.device)
-    else:
-        centre = run.load_space().means.median(dim=0).values.numpy()
-        render_orbit(
-            run, orbit(load_capture(run.dataset), ORBIT, centre), request, folder, device=options.device
-        )
+        cameras, kind = [camera], "sequence"
+    _remove_others(folder, record_of(run, request, cameras, kind))
+    render = render_orbit if camera is None else render_sequence
+    render(run, cameras, request, folder, device=options.device)
     made = next(folder.glob("*.mp4"), None)
     if made is None:
         raise RunError(f"{folder}: no video was written")
-    write_atomic(video, lambda temporary: shutil.copyfile(made, temporary))
-    say(f"{video}: {1 + alpha:g} times the motion from {band[0]:g} to {band[1]:g} Hz")
+    if options.all_files:
+        write_atomic(video, lambda temporary: shutil.copyfile(made, temporary))
+    else:
+        made.replace(video)
+    (low, high), alpha = shown.magnified.limits[0], shown.magnified.alpha
+    say(f"{video}: {1 + alpha:g} times the motion from {low:g} to {high:g} Hz")
+
+
+def _remove_others(folder: Path, asked: Mapping[str, Any]) -> None:
+    """Remove the pictures of another request from the folder of the magnified video's."""
+    record = folder / RENDER_RECORD
+    if record.exists() and read_json(record) != asked:
+        shutil.rmtree(folder)
+        folder.mkdir()
+
+
+def _remove_pictures(folder: Path) -> None:
+    """Leave of the magnified video's folder what it was rendered by."""
+    for path in folder.glob("*") if (folder / RENDER_RECORD).exists() else ():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.name != RENDER_RECORD:
+            path.unlink()
 
 
 def _band_of(measured: Path, sensor: str) -> tuple[float, float] | None:

@@ -1,6 +1,7 @@
 """Plots by matplotlib, one page a sensor as SVG and PNG: waveform, spectrum with floor and peaks, orbit."""
 
 import io
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,15 @@ from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.units import Unit, unit_of
 from tg4mm.show.regions import composite
 
+PLOTS = ("png", "svg")  # files of each
 _MARKED = 200  # samples: of a longer record they would run into each other
 
 
-def write_plots(measurement: Measurement, out: Path) -> list[Path]:
-    """OUT/plots/<sensor>.svg and .png of every sensor; of a flat capture composite.svg and .png, too."""
+def write_plots(measurement: Measurement, out: Path, endings: Sequence[str] = PLOTS) -> list[Path]:
+    """OUT/plots/<sensor>.svg and .png of every sensor; of a flat capture composite.svg and .png, too.
+
+    endings: of `PLOTS`; files of the others that an earlier measurement left are removed.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -31,20 +36,23 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 
     folder, paths = out / "plots", []
     folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*"):
+        if old.suffix.removeprefix(".") in set(PLOTS) - set(endings):
+            old.unlink()
     count = len(measurement.sensors)
     with plt.rc_context(STYLE), progress("plots", count, "sensors") as update:
         for done, result in enumerate(measurement.sensors, 1):
             figure = _figure(plt, result, unit_of(measurement, result))
-            paths += _saved(plt, figure, folder / file_name(result.name))
+            paths += _saved(plt, figure, folder / file_name(result.name), endings)
             update(done)
         if measurement.look is not None:
-            paths += _saved(plt, _composite(plt, measurement.look), folder / "composite")
+            paths += _saved(plt, _composite(plt, measurement.look), folder / "composite", endings)
     return paths
 
 
-def _saved(plt: Any, figure: Any, stem: Path) -> list[Path]:
+def _saved(plt: Any, figure: Any, stem: Path, endings: Sequence[str]) -> list[Path]:
     paths = []
-    for ending in ("svg", "png"):
+    for ending in sorted(endings, reverse=True):
         data = io.BytesIO()
         figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
         figure.set_layout_engine("none")  # the first picture has laid it out

@@ -17,7 +17,7 @@ from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import main_is_above
-from tg4mm.show.measure.plots import write_plots
+from tg4mm.show.measure.plots import PLOTS, write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.table import format_table
 from tg4mm.show.measure.tables import write_csv_files, write_xlsx
@@ -49,11 +49,16 @@ def work_folder(out: Path) -> WorkFolder:
 
 
 def write_measurement(
-    found: Measurement, out: Path, animate: bool = True, formats: Sequence[str] = tuple(FORMATS)
+    found: Measurement,
+    out: Path,
+    animate: bool = True,
+    formats: Sequence[str] = tuple(FORMATS),
+    plots: Sequence[str] = PLOTS,
 ) -> str:
     """Everything into the folder OUT; returns the table, and where it lies. animate: the shape at every peak, too.
 
-    formats: names of `FORMATS`; a file that an earlier measurement wrote there in another one is removed.
+    formats: names of `FORMATS`, plots: of `PLOTS`; a file that an earlier measurement wrote there in another one is
+    removed.
     """
     write_json_file(found, out)
     with progress("files", len(FORMATS), "formats", brief=True) as update:
@@ -64,7 +69,7 @@ def write_measurement(
                 for old in [file] if file else [f"{t}.csv" for t in ("series", "spectra", "peaks")]:
                     (out / old).unlink(missing_ok=True)
             update(done)
-    write_plots(found, out)
+    write_plots(found, out, plots)
     lines = [format_table(found)]
     if animate:
         lines += [

@@ -11,7 +11,7 @@ from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.frames import read_png, to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
@@ -137,10 +137,34 @@ class View:
         return int(np.argmax([np.abs(one.astype(np.int16) - shown[0]).mean() for one in shown]))
 
 
-def gather_view(run: Run, train: Capture, model: Model, magnified: Magnification) -> View:
-    """Render the camera that sees most motion, and read its pictures and ground truth."""
+@dataclass(frozen=True)
+class Shown:
+    """A magnified video that there is."""
+
+    magnified: Magnification
+    folder: Path  # its pictures, as `render_sequence` or `render_orbit` leaves them
+
+    def camera_of(self, shots: Sequence[PosedFrames]) -> int | None:
+        """Which of the cameras it was rendered from; None where it is of none, or its pictures are gone."""
+        named = [k for k, shot in enumerate(shots) if (self.folder / "000" / f"{shot.name}.png").is_file()]
+        return named[0] if named else None
+
+    def pictures(self, name: str, count: int) -> np.ndarray | None:
+        """[count, H, W, 3] uint8 of the first timesteps; None where some are missing."""
+        files = [self.folder / f"{t:03d}" / f"{name}.png" for t in range(count)]
+        return np.stack([read_png(f) for f in files]) if all(f.is_file() for f in files) else None
+
+
+def gather_view(
+    run: Run, train: Capture, model: Model, magnified: Magnification, shown: Shown | None = None
+) -> View:
+    """Render the camera that sees most motion, and read its pictures and ground truth.
+
+    shown: a video of the same magnification; its camera and its pictures are taken, not rendered again.
+    """
     split, clock, shots = _shots(run.dataset, train)
-    best = _most_telling(train, model, shots)
+    there = None if shown is None or clock != "synchronous" else shown.camera_of(shots)
+    best = _most_telling(train, model, shots) if there is None else there
     alpha = magnified.alpha
     pose, n_timesteps, fps = pose_of(run, RenderRequest(magnified))
     camera = _camera(train, shots[best])
@@ -154,12 +178,13 @@ def gather_view(run: Run, train: Capture, model: Model, magnified: Magnification
     kept = _kept(len(rows), train)
     jobs = [(float(split.times_s[rows[i]]) * fps, _camera(train, own[i])) for i in range(kept)]
     jobs = [(t - jobs[0][0] if clock == "independent" else t, c) for t, c in jobs]
-    ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}")
+    found = None if there is None or shown is None else shown.pictures(shots[best].name, kept)
+    ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}") if found is None else found
     fixed = None
     if clock == "moving":
         still, _, _ = pose_of(run, RenderRequest())
-        there = [(t, camera) for t, _ in jobs]
-        fixed = _rendered(still, there, "one pose, α = 0"), _rendered(pose, there, f"one pose, α = {alpha:g}")
+        posed = [(t, camera) for t, _ in jobs]
+        fixed = _rendered(still, posed, "one pose, α = 0"), _rendered(pose, posed, f"one pose, α = {alpha:g}")
     recorded = _pictures(split, np.array(rows[:kept]))
     truth, why = _truth(run.dataset, split, rows[:kept], alpha)
     return View(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)

@@ -21,13 +21,14 @@ from tg4mm.core.scale import Scale
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
 from tg4mm.run.tensor_file import model_hash
-from tg4mm.show.measure import Sensor
+from tg4mm.show.measure import Measurement, Sensor
 from tg4mm.show.regions import composite, region_picture
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
 from tg4mm.show.report.sections import capture_section, motion_section
 from tg4mm.show.report.sources import (
     Evaluate,
+    Shown,
     choose_alpha,
     contact_images,
     gather_view,
@@ -53,6 +54,8 @@ class ReportOptions:
     band: tuple[float, float] | None = None  # Hz, magnified; None = every frequency
     scale: Scale | None = None  # of the sensors, marked in the picture
     sensors: Sequence[Sensor] = ()  # (): the parts that move alike, what stands still, and the whole scene
+    shown: Shown | None = None  # a magnified video that there is: its α, band and pictures are taken
+    measurement: Measurement | None = None  # of these sensors; None: measured now
     orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
     # Further files or folders to list with their size.
     files: Mapping[str, Path] = field(default_factory=dict)
@@ -96,20 +99,18 @@ def _check_writable(out: Path) -> None:
 
 def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
     bands = () if options.band is None else (check_band(options.band, train.fps),)
-    chosen = Magnification.of(1.0, *bands)
+    chosen = Magnification.of(1.0, *bands) if options.shown is None else options.shown.magnified.times(1.0)
     reading = reading_of(run)
     result = result_from(reading, options.band)
     model = load_model(reading, train, chosen)
-    alpha, why_alpha = options.alpha, ""
+    alpha, why_alpha = options.alpha if options.shown is None else options.shown.magnified.alpha, ""
     if alpha is None or model.motion is None:
         alpha, why_alpha = choose_alpha(reading, result.noise_px, chosen)
-    view = gather_view(run, train, model, chosen.times(float(alpha)))
+    view = gather_view(run, train, model, chosen.times(float(alpha)), options.shown)
     with progress("sensors", 1, "part", brief=True):
-        measurement, why_no_sensors = (
-            (None, "")
-            if model.motion is None
-            else measured(run, options.sensors, options.band, options.scale)
-        )
+        measurement, why_no_sensors = options.measurement, ""
+        if model.motion is not None and measurement is None:
+            measurement, why_no_sensors = measured(run, options.sensors, options.band, options.scale)
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run, options.evaluate)
     if metrics and metrics.get("format") != "tg4mm-metrics":
         raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
