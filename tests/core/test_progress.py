@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from tg4mm.core.progress import HeardProgress, PlainProgress, listened_to, progress
+from tg4mm.core.progress import HeardProgress, PlainProgress, few_lines, listened_to, progress
 
 
 class Clock:
@@ -110,3 +110,19 @@ def test_only_jobs_of_the_listening_thread_are_heard(monkeypatch):
     with progress("two", 3) as update:
         update(1)
     assert [line.partition(":")[0] for line in heard] == ["one"]
+
+
+def test_of_many_jobs_few_lines_are_shown_ever_further_apart(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("tg4mm.core.progress.time.monotonic", clock)
+    stream = io.StringIO()
+    with few_lines():
+        for number in range(60):  # of a minute each
+            job = PlainProgress(f"job {number}", 60, "it", 0, stream, clock)
+            for done in range(60):
+                clock.now += 1.0
+                job.update(done)
+            job.finish()
+    shown = stream.getvalue().splitlines()
+    assert 12 <= len(shown) <= 20
+    assert shown[0].startswith("job 0: 9/60 it")

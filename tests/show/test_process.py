@@ -1,6 +1,7 @@
 """`tg4mm process` on a small video of one fixed camera: what it leaves, and what a second call does."""
 
 import json
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -47,7 +48,28 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
     sensors = json.loads((out / "measured" / "measure.json").read_text(encoding="utf-8"))["sensors"]
     strongest = [s["peaks"][0]["frequency_hz"] for s in sensors if s["peaks"]]
     assert min(abs(hz - HZ) for hz in strongest) < 0.05
-    capsys.readouterr()
+    assert (
+        len(
+            [p for name in made - {"dataset"} for p in [out / name, *out.glob(f"{name}/**/*")] if p.is_file()]
+        )
+        <= 40
+    )
+    assert [p.name for p in (out / "magnified").iterdir()] == ["render.json"]
+    said, progress = capsys.readouterr()
+    first, *steps, hz, amplitude, where, missing, opens = said.splitlines()
+    assert first.startswith(
+        "50 pictures of 96×72, one fixed camera: about 2 min of processor time and 0.6 GB"
+    )
+    assert len(steps) + len(progress.splitlines()) <= 40
+    assert float(hz.removeprefix("frequency").split(" ± ")[0]) == pytest.approx(HZ, abs=0.05)
+    assert amplitude.startswith("amplitude  0.")
+    assert amplitude.endswith(" px")
+    assert where.startswith("where      pixel ")
+    assert missing.startswith("not found  a flat capture shows motion across the sight alone")
+    assert opens == f"open       {out / 'report.html'}"
+    times = re.search(r"magnified.mp4: (\S+) times", said)[1]
+    assert f"shown here {times} times larger" in (out / "report.html").read_text(encoding="utf-8")
+    assert "magnified view" not in progress
 
     stamps = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file() and p.name != "process.json"}
     assert main(["process", str(video), "--out", str(out)]) == 0
@@ -58,7 +80,20 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
     said = capsys.readouterr().out
     assert said.count("already done") == 5  # dataset, scale, run, measured, page
     assert "magnified.mp4: 4 times the motion from 3 to 5 Hz" in said
-    assert (out / "magnified_1").is_dir()
+    assert not (out / "magnified_1").exists()
+    options = ["--alpha", "3", "--band", "3", "5", "--all-files"]
+    assert main(["process", str(video), "--out", str(out), *options]) == 0
+    assert len(list((out / "magnified").glob("*/*.png"))) == 50
+    assert list((out / "measured" / "plots").glob("*.svg"))
+
+
+def test_a_still_film_is_answered(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    base = rng.integers(30, 220, (9, 12, 3)).repeat(8, 0).repeat(8, 1)
+    frames = [np.clip(base + rng.normal(0, 1, base.shape), 0, 255).astype(np.uint8) for _ in range(40)]
+    video = write_video(tmp_path / "still.mp4", frames, Fraction(FPS), crf=38)
+    assert main(["process", str(video), "--out", str(tmp_path / "out")]) == 0
+    assert "frequency  nothing vibrates" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

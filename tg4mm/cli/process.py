@@ -77,7 +77,8 @@ def process(
         bool,
         typer.Option(
             "--all-files",
-            help="Keep the magnified video's pictures (magnified/), and write plots as SVG, too.",
+            help="Keep the magnified video's pictures (magnified/), write plots as SVG, too, and the whole scene to "
+            "page.html, which else is at most 10 MB.",
         ),
     ] = False,
     settings: SettingsOption = None,

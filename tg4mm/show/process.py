@@ -42,6 +42,7 @@ from tg4mm.show.web.write import export_html
 
 RECORD = "process.json"
 ORBIT = 90  # pictures
+LARGEST_PAGE = 10_000_000  # bytes
 _AROUND = 0.5  # of a region's own size, that its video shows around it
 _BAND_BINS = 1.5  # over the duration, to either side of a region's strongest line
 # of a first answer: the fewest iterations that a scene of any size is given, and Gaussians that they can place
@@ -61,7 +62,9 @@ class ProcessOptions:
     regions: Regions | None = None  # drawn, more sensors; with a scale
     only: str = ""  # the one of them that is measured and shown
     quick: bool = False  # fewer Gaussians and iterations, and no pages
-    all_files: bool = False  # the magnified video's pictures, and plots as SVG, too
+    all_files: bool = (
+        False  # the magnified video's pictures, plots as SVG, and the page with the whole scene, too
+    )
     threads: int = -1  # of COLMAP; −1: all cores
 
 
@@ -109,6 +112,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     magnified |= {"only": repr(options.regions[options.only])} if options.only and options.regions else {}
 
     all_files = {"all_files": True} if options.all_files else {}
+    largest = None if options.all_files else LARGEST_PAGE
 
     def with_band() -> dict[str, str]:
         """The settings, with the band where the fit depends on it."""
@@ -155,8 +159,9 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     pages = [
         Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
              ["scale", "run"]),
-        Step("page", "The page to send", out / "page.html", lambda: export_html(Run.open(run), out / "page.html"),
-             {}, ["scale", "run"]),
+        Step("page", "The page to send", out / "page.html",
+             lambda: export_html(Run.open(run), out / "page.html", largest),
+             all_files, ["scale", "run"]),
     ]  # fmt: skip
     return steps if options.quick or options.only else [*steps, *pages]
 

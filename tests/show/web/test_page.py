@@ -15,6 +15,7 @@ from tg4mm.cli import main
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
+from tg4mm.show.web.fit import packed_within
 from tg4mm.show.web.pack import SH_STEP, MotionFields, motion_fields, pack, unpack
 from tg4mm.show.web.write import export_html, make_page, render
 
@@ -180,3 +181,21 @@ def test_the_program_is_built_from_its_sources(repo_root):
     assert not found, (
         f"changed since the last build: {found}; cd tg4mm/show/web/player && npm ci && npm run build"
     )
+
+
+def test_a_page_within_a_size_loses_what_is_not_seen_then_colours_then_what_counts_least(moving_run):
+    gaussians = moving_run.load_space()
+    n = len(gaussians)
+    fields, weights = motion_fields(moving_run.load_motion()), np.arange(n) / 4.0
+    whole = pack(gaussians, fields)
+    assert packed_within(gaussians, fields, None, weights, 10**9).layout == whole.layout
+    size = len(whole.block)
+    seen = packed_within(gaussians, fields, None, weights, size - 1)
+    assert (seen.layout.n_gaussians, seen.layout.sh_count) == (n - 2, 16)  # weights 0 and .25 are not seen
+    coarse = packed_within(gaussians, fields, None, weights, int(0.6 * size))
+    assert (coarse.layout.n_gaussians, coarse.layout.sh_count) == (n - 2, 4)
+    few = packed_within(gaussians, fields, None, weights, int(0.2 * size))
+    assert len(few.block) <= 0.2 * size
+    assert few.layout.sh_count == 4
+    exact, _ = unpack(few.block, few.layout)
+    assert np.array_equal(exact[:, :3], gaussians.means.numpy()[-few.layout.n_gaussians :])  # the heaviest

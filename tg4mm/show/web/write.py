@@ -26,11 +26,14 @@ from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.result.model import title_of, unit_of
 from tg4mm.show.result.read import peak_bands, result_from
 from tg4mm.show.result.reading import reading_of
+from tg4mm.show.web.fit import packed_within
 from tg4mm.show.web.pack import MotionFields, Packed, motion_fields, pack
+from tg4mm.show.weights import blending_weights
 
 _HERE = Path(__file__).parent
 _PLAYER = _HERE / "player" / "dist"
 _SUFFIXES = (".html", ".htm")
+_NUMBERS = 200_000  # bytes of style, cameras and temporal components
 
 
 @dataclass(frozen=True)
@@ -41,9 +44,10 @@ class Page:
     block: bytes
 
 
-def export_html(run: Run, out: Path) -> Path:
+def export_html(run: Run, out: Path, most_bytes: int | None = None) -> Path:
     """Write the run as one page that plays in a browser, from the file alone (docs/web.md).
 
+    most_bytes: of the file, where the whole scene would be larger (`fit.py` says what is left out); None: any size.
     A run without motion gives a page of the still scene. Raises Tg4mmError for an `out` that is a folder, or a file
     that is no page; RunError for a run without a space stage or whose dataset is gone; CaptureError for a bad one.
     """
@@ -51,25 +55,35 @@ def export_html(run: Run, out: Path) -> Path:
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'scene.html'}")
     if out.suffix.lower() not in _SUFFIXES:
         raise Tg4mmError(f"--out {out}: expected a name that ends in .html, as browsers need it")
-    page = make_page(run)
-    text = render(page)
+    text = render(make_page(run, most_bytes))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return out
 
 
-def make_page(run: Run) -> Page:
-    """The scene and its numbers. Raises what `export_html` does of the run."""
+def make_page(run: Run, most_bytes: int | None = None) -> Page:
+    """The scene and its numbers, of the whole page's size at most. Raises what `export_html` does of the run."""
     with progress("page", 4, unit="steps") as update:
         gaussians, motion = run.load_space(), run.load_motion()
         update(1)
         fields = _fields(motion, len(gaussians))
         update(2)
-        packed = pack(gaussians, fields, None if motion is None else motion.appearance)
+        light = None if motion is None else motion.appearance
+        if most_bytes is None:
+            packed = pack(gaussians, fields, light)
+        else:
+            most = int(0.75 * (most_bytes - _own_bytes()))  # base64 takes four bytes for three
+            weights = blending_weights(gaussians, load_capture(run.dataset))
+            packed = packed_within(gaussians, fields, light, weights, most)
         update(3)
         scene = scene_json(run, gaussians, motion, fields, packed)
         update(4)
     return Page(scene, packed.block)
+
+
+def _own_bytes() -> int:
+    """Size of a page without its block, about: program, style, numbers."""
+    return _NUMBERS + sum((_PLAYER / name).stat().st_size for name in ("player.js", "licences.txt"))
 
 
 def _fields(motion: ModalMotion | None, n: int) -> MotionFields:
