@@ -29,6 +29,12 @@ def test_peaks_are_by_falling_strength_and_no_weaker_than_three_percent():
     np.testing.assert_allclose(peaks(motion, 0.67), [7.0, 3.4])
 
 
+def test_what_a_region_showed_is_a_peak_however_weak_in_the_mean():
+    motion = moving([3.4, 7.0, 9.0, 9.4], [1.0, 2.0, 0.01, 0.01])
+    np.testing.assert_allclose(peaks(motion, 0.67, None, [9.02]), [7.0, 3.4, 9.0])
+    np.testing.assert_allclose(peaks(motion, 0.67, None, [8.2]), [7.0, 3.4])  # no mode is there
+
+
 def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one():
     """Bins of a record of 3 s, falling from the drift of the first one."""
     hz = np.arange(1, 40) / 3

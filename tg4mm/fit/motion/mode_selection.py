@@ -20,7 +20,9 @@ _STANDS_OUT = 4.0  # robust deviations of its logarithm
 _APART = 1 + 1e-6  # neighbouring bins, whose distance is rounded, are not apart
 
 
-def peaks(motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None) -> np.ndarray:
+def peaks(
+    motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None, known_hz: Sequence[float] = ()
+) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
     Below half the frame rate, where cosine and sine cannot be told apart.
@@ -29,7 +31,8 @@ def peaks(motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None
     A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger mode is its
     flank, or that of a drift. Where `noise` [N] is known (standard deviation of each Gaussian's displacement, scene
     units), no mode is a peak that may be noise: of few modes, which have no floor of their own, one is to have more
-    power than all noise.
+    power than all noise. known_hz: of vibrations that regions showed: a part of the scene may move at them alone, which
+    its mean does not show, and the mode there is a peak all the same.
     """
     rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
     is_able = motion.freqs_hz >= lowest_hz
@@ -47,6 +50,9 @@ def peaks(motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None
     is_top = np.array([(np.abs(hz[:i] - f) > apart).all() for i, f in enumerate(hz)], bool)
     is_between = (hz >= lowest_hz) & (hz < _HIGHEST * motion.fps / 2)
     is_peak = (rms >= least) & worth_keeping(motion, noise)
+    for known in known_hz:
+        away = np.abs(motion.freqs_hz - known)
+        is_peak |= (away == away.min(initial=np.inf)) & (away < lowest_hz / 4)  # half a bin
     return hz[is_top & is_peak[strongest_first] & is_between]
 
 

@@ -72,6 +72,7 @@ class Observations:
     counts: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that count; None: all
     # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for
     courses: np.ndarray | None = None
+    steady_hz: tuple[float, ...] = ()  # of those that neither begin nor ring down: each is a mode
     factor: int = 1  # pixels of the recording along a side of one of these
     is_part: bool = False  # of the recording's pictures: the scene reaches beyond
 

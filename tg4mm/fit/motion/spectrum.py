@@ -10,7 +10,7 @@ Sinusoids are fitted at the times of the frames, which need not be even: phones 
 that such times lie on; what sinusoids leave is interpolated to it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,11 +75,13 @@ def modes_of(
     appearance: np.ndarray | None = None,
     band: tuple[float, float] | None = None,
     times_s: np.ndarray | None = None,
+    known_hz: Sequence[float] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [K] in Hz, ascending, and phasors [K, R] of the temporal components a_r(t) of Σ_r a_r(t) fields[r].
 
     basis [R, F], fields [R, N, D], appearance [R, ...]: fields of colour that share the components. times_s [F]: of the
-    frames, in seconds, timestep 0 being the first; None: F even ones.
+    frames, in seconds, timestep 0 being the first; None: F even ones. known_hz: of steady vibrations, however weak in
+    the mean over the scene: each is a sinusoid, or the bin that it lies on.
     Σ_k Re[m_k exp(i 2π f_k t / fps)] reconstructs the motion at every timestep, less its mean over time, which is the
     residuals pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
     (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
@@ -92,7 +94,9 @@ def modes_of(
     basis = basis - basis.mean(1, keepdims=True)
     products = np.einsum("rnc,snc->rs", fields[..., :3], fields[..., :3], dtype=np.float64)
     weighted = basis * np.sqrt(np.diag(products))[:, None]
-    sinusoids = find_sinusoids(weighted, clock)
+    sinusoids = _with_known(
+        find_sinusoids(weighted, clock), np.array(known_hz) * n_timesteps / fps, n_timesteps
+    )
     if band is not None:
         sinusoids = _with_band(sinusoids, weighted, clock, fps, band)
     cycles, series = _with_bins(basis, sinusoids, clock)
@@ -101,8 +105,17 @@ def modes_of(
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
     oscillates = cycles >= 1
     dropped = _DROPPED * power[oscillates].sum() if n_timesteps > ALL_BINS_UP_TO else -1.0
-    keep = all_but_weakest(power, oscillates, dropped)
+    keep = all_but_weakest(power, oscillates, dropped) | np.isin(cycles, sinusoids.cycles)
     return cycles[keep] * fps / n_timesteps, series[keep]
+
+
+def _with_known(sinusoids: "Sinusoids", cycles: np.ndarray, n_timesteps: int) -> "Sinusoids":
+    """With further frequencies, each that is far enough from those that there are and from half the frame rate."""
+    for own in cycles:
+        ends = np.append(sinusoids.cycles, n_timesteps / 2)
+        if own >= 1 - _ON_BIN and np.abs(ends - own).min() >= _APART:
+            sinusoids = replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, own)))
+    return _on_bins(sinusoids)
 
 
 def _with_band(

@@ -61,7 +61,8 @@ def train_motion(
     if found is not None and found.vibrations and observations.clock == "synchronous":
         times = observations.frames[0].times_s
         courses = np.concatenate([line.course(times) for line in found.vibrations])
-        observations = dataclasses.replace(observations, courses=courses)
+        steady = tuple(line.hz for line in found.vibrations if line.start_s is None and not line.damping)
+        observations = dataclasses.replace(observations, courses=courses, steady_hz=steady)
     checkpoint = RunCheckpoint(run, began, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:

@@ -55,7 +55,7 @@ class Measurement:
     reference: str  # name of the sensor that phases are against
     notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
     clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
-    look: Found | None = None  # of a flat capture: what the look at its regions found
+    look: Found | None = None  # of one fixed camera: what the look at its regions found
     marked_scale_m: float | None = None  # metres per scene unit by what was marked in the picture
 
     @property
@@ -84,8 +84,8 @@ def measure(
 
     Args:
         run: a run, or what `prepare` or `prepare_fit` returned, which needs no pictures for further sensors.
-        sensors: regions to measure; `None`: clusters that move alike, of a flat capture the regions that vibrate, and
-            the whole scene.
+        sensors: regions to measure; `None`: the regions of one fixed camera that vibrate, but for a flat capture
+            clusters that move alike, and the whole scene.
         reference: name of the sensor that phases and coherence refer to; `None`: the first.
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
         band: (low, high) in Hz: every sensor has a peak there, found or not; its ± says how little a short record
@@ -107,7 +107,8 @@ def measure(
     groups = clusters or clusters_of(scene)
     found = found_in(scene)
     own = region_sensors(scene, found) if found is not None else []
-    usual = [*own, Sensor("all", "all")] if own else default_sensors(groups)
+    usual = [Sensor("all", "all")] if own and not scene.capture.kind.sees_depth else default_sensors(groups)
+    usual = [*own, *usual]
     wanted = checked_names(sensors if sensors is not None else usual)
     if not wanted:
         raise MeasureError("no sensor was named")
@@ -249,10 +250,8 @@ class _silent:
 
 
 def found_in(scene: Prepared) -> Found | None:
-    """What the look found; None of other captures than flat ones, and of fits without a run."""
-    if scene.capture.kind.sees_depth or scene.folder is None:
-        return None
-    return look_of(Run.open(scene.folder))
+    """What the look at the one fixed camera found; None of other captures, and of fits without a run."""
+    return None if scene.folder is None else look_of(Run.open(scene.folder))
 
 
 def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:

@@ -1,6 +1,8 @@
-"""A flat capture's vibrations as the look at its regions found them: what the picture's whole does not show, either."""
+"""Vibrations before one fixed camera as the look at its regions found them, also what its whole does not show."""
 
 import shlex
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +12,9 @@ from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.look.zoom import swing_note
 from tg4mm.capture.scene import is_coded, video_file
 from tg4mm.core.files import argument
+from tg4mm.core.phasors import scale_top
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import CLEAR_PERIODS
+from tg4mm.fit.motion.observations import CLEAR_PERIODS, fixed_cameras
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.model import Length, Vibration
 from tg4mm.show.result.reading import Reading
@@ -25,26 +28,55 @@ _WHY_NO_DAMPING = {
 }
 
 
-def looked_vibrations(found: Found, capture: Capture, fps: float, duration_s: float) -> tuple[Vibration, ...]:
-    """Those without a mark, the largest amplitude first."""
+def looked_vibrations(
+    found: Found,
+    capture: Capture,
+    fps: float,
+    duration_s: float,
+    depths: Sequence[float] | None = None,
+) -> tuple[Vibration, ...]:
+    """Those without a mark, the largest amplitude first.
+
+    depths: how far from the camera, along its axis, each of them is; None: of a flat capture, at 1.
+    """
     lines = found.vibrations
     deviations = [line.hz_deviation for line in lines]
     reach = [max(1 / duration_s, 2 * line.hz * (line.damping or 0)) for line in lines]  # half the width: ζ f
     bands = suggested_bands([line.hz for line in lines], deviations, duration_s, fps, reach)
-    return tuple(_vibration(line, capture, band) for line, band in zip(lines, bands, strict=True))
+    row = 0 if depths is None else int(fixed_cameras(capture)[0].rows[0])
+    viewmat, K = capture.viewmats[row].astype(float), capture.Ks[row].astype(float)
+    out = []
+    for line, depth, band in zip(lines, depths or [1.0] * len(lines), bands, strict=True):
+        sight = np.linalg.solve(K, [*line.centre_px, 1.0]) * depth
+        place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
+        own = _vibration(line, place, depth / K[0, 0], band)
+        out.append(replace(own, place_px=line.centre_px) if depths is None else own)
+    return tuple(out)
 
 
-def _vibration(line: LookLine, capture: Capture, band: tuple[float, float]) -> Vibration:
-    viewmat, K = capture.viewmats[0].astype(float), capture.Ks[0].astype(float)
-    sight = np.array([*(np.array(line.centre_px) - K[:2, 2]) / K[[0, 1], [0, 1]], 1.0])
-    place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
+def depths_of(reading: Reading, found: Found, capture: Capture) -> list[float]:
+    """Of what is seen in each vibration's region, the median; of all that is seen where nothing is there."""
+    (frames, *_), means = fixed_cameras(capture), reading.gaussians.means.numpy()
+    x = means.astype(float) @ frames.viewmat[:3, :3].T + frames.viewmat[:3, 3]
+    depth = np.maximum(x[:, 2], 1e-9)
+    at = np.floor(x[:, :2] / depth[:, None] * np.diag(frames.K)[:2] + frames.K[:2, 2])
+    inside = (x[:, 2] > 0) & ((at >= 0) & (at < found.size)).all(1)
+    column, row = np.where(inside[:, None], at, 0).astype(int).T
+    seen, out = np.where(inside, reading.seen.weights, 0), []
+    for line in found.vibrations:
+        own = np.where(found.pixels(line.region)[row, column], seen, 0)
+        out.append(float(scale_top(depth, own if own.any() else seen, 0.5)))
+    return out
+
+
+def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float, float]) -> Vibration:
+    """unit: scene units of a pixel."""
     pixels = Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))
     return Vibration(
         hz=line.hz,
         deviation_hz=line.hz_deviation,
-        amplitude=pixels.times(1 / K[0, 0]),
+        amplitude=pixels.times(unit),
         place=(float(place[0]), float(place[1]), float(place[2])),
-        place_px=line.centre_px,
         pixels=pixels,
         damping=line.damping,
         damping_deviation=line.damping_deviation,
@@ -54,11 +86,12 @@ def _vibration(line: LookLine, capture: Capture, band: tuple[float, float]) -> V
     )
 
 
-def looked_notes(found: Found) -> list[str]:
+def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
     """What moves by itself or passes, what the light does, and lines that may be none of their own."""
-    out = [_moves(mover) for mover in found.movers[:_MOST]]
-    if len(found.movers) > _MOST:
-        out.append(f"{len(found.movers) - _MOST} more places where something moves by itself or passes")
+    movers = found.movers if is_flat else ()  # other fits leave nothing out
+    out = [_moves(mover) for mover in movers[:_MOST]]
+    if len(movers) > _MOST:
+        out.append(f"{len(movers) - _MOST} more places where something moves by itself or passes")
     out += [
         f"whether something vibrates at {line.hz:.4g} Hz ({line.amplitude_px:.2g} px at {_at(line)}): {line.mark}"
         for line in found.lines
@@ -94,7 +127,9 @@ def _at(line: LookLine) -> str:
 def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
     """What the run cannot tell, a line each."""
     duration = reading.duration_s
-    out = [*reading.log.get("notes", ()), *([] if reading.look is None else looked_notes(reading.look))]
+    out = [*reading.log.get("notes", ())]
+    if reading.look is not None and reading.capture is not None:
+        out += looked_notes(reading.look, not reading.capture.kind.sees_depth)
     out.append(
         f"frequencies under {CLEAR_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
         f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"

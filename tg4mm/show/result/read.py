@@ -24,7 +24,7 @@ from tg4mm.show.result.line import (
     series_of,
     why_no_damping,
 )
-from tg4mm.show.result.looked import cannot_tell, looked_vibrations
+from tg4mm.show.result.looked import cannot_tell, depths_of, looked_vibrations
 from tg4mm.show.result.model import Band, Length, Result, Vibration
 from tg4mm.show.result.reading import Reading, reading_of
 
@@ -104,8 +104,7 @@ def result_from(reading: Reading, band: Band | None = None) -> Result:
     motion = reading.motion
     if motion is None:
         return _still(reading)
-    has_regions = reading.look is not None and bool(reading.look.vibrations)
-    found = [] if has_regions else _found(reading, motion)
+    found = [] if _by_regions(reading) else _found(reading, motion)
     drifts = [v for v in found if is_drift(v, reading.duration_s)]
     vibrations, beside = _named(reading, motion, [v for v in found if v not in drifts])
     vibrations = _with_asked(reading, motion, vibrations, band)
@@ -154,17 +153,50 @@ def _named(
     """The vibrations that the model holds, and others; where a flat capture's regions name some, these alone.
 
     Where they name none, the whole picture may still show what no region does: motion that is no steady tone, but
-    also a little sway or noise.
+    also a little sway or noise. Of a scene with depth the model's are named, and what only a region shows beside them.
     """
     if reading.look is None or reading.capture is None:
         return _vibrations(reading, motion, found), ()
-    if not reading.look.vibrations:
+    is_flat = not reading.capture.kind.sees_depth
+    if is_flat and not reading.look.vibrations:
         return tuple(replace(v, doubt=_DOUBT) for v in _vibrations(reading, motion, found)), ()
-    every = looked_vibrations(reading.look, reading.capture, motion.fps, reading.duration_s)
+    depths = None if is_flat else depths_of(reading, reading.look, reading.capture)
+    every = looked_vibrations(reading.look, reading.capture, motion.fps, reading.duration_s, depths)
     hz = np.asarray(motion.freqs_hz)
+    if not is_flat:
+        return _with_regions(_vibrations(reading, motion, found), every, hz)
     held = [bool(((hz >= v.band[0]) & (hz <= v.band[1])).any()) for v in every]
     inside = tuple(v for v, is_held in zip(every, held, strict=True) if is_held)
     return inside, tuple(v for v, is_held in zip(every, held, strict=True) if not is_held)
+
+
+def _by_regions(reading: Reading) -> bool:
+    """Whether the regions of a flat capture name its vibrations."""
+    is_flat = reading.capture is not None and not reading.capture.kind.sees_depth
+    return is_flat and reading.look is not None and bool(reading.look.vibrations)
+
+
+def _with_regions(
+    found: tuple[Vibration, ...], every: tuple[Vibration, ...], hz: np.ndarray
+) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
+    """The model's vibrations and those that it does not hold; by its region what a small part alone does."""
+    own, beside = list(found), []
+    for line in every:
+        near = [k for k, v in enumerate(own) if v.band[0] <= line.hz <= v.band[1]]
+        if not near:
+            held = bool(((hz >= line.band[0]) & (hz <= line.band[1])).any())
+            (own if held else beside).append(line)
+        elif _is_local(own[near[0]], line):
+            own[near[0]] = replace(line, band=own[near[0]].band)
+    own.sort(key=lambda v: v.amplitude.value, reverse=True)
+    return tuple(own), tuple(beside)
+
+
+def _is_local(whole: Vibration, region: Vibration) -> bool:
+    """Whether a region moves more than twice as far as most of what is seen says."""
+    if whole.pixels is None or region.pixels is None:
+        return False
+    return whole.pixels.value < region.pixels.value / 2
 
 
 def _still(reading: Reading) -> Result:
@@ -200,7 +232,9 @@ def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
 
 def _found(reading: Reading, motion: ModalMotion) -> list[Peak]:
     """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
-    hz = [float(f) for f in peaks(motion, PERIODS / reading.duration_s, reading.uncertainty.get("noise"))]
+    known = [] if reading.look is None else [line.hz for line in reading.look.vibrations]
+    noise = reading.uncertainty.get("noise")
+    hz = [float(f) for f in peaks(motion, PERIODS / reading.duration_s, noise, known)]
     told = {float(f): float(d) for f, d in zip(*(reading.log.get(k, ()) for k in _STATED), strict=False)}
     out: list[Peak] = []
     for f in hz:

@@ -70,8 +70,8 @@ class Reading:
 
     @cached_property
     def look(self) -> Found | None:
-        """What the look at a flat capture's regions found."""
-        return None if self.capture is None or self.capture.kind.sees_depth else look_of(self.run)
+        """What the look at the one fixed camera's regions found."""
+        return None if self.capture is None else look_of(self.run)
 
     def largest(
         self, phasors: np.ndarray, deviation: np.ndarray | None

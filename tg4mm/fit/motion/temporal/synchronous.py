@@ -94,7 +94,8 @@ class Synchronous(TemporalModel):
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
         band, times_s = asked_band(self.config.band, fps), self.observations.frames[0].times_s
-        freqs, series = modes_of(self.basis, fields, fps, appearance, band, times_s)
+        known = self.observations.steady_hz
+        freqs, series = modes_of(self.basis, fields, fps, appearance, band, times_s, known)
         values = apply_series(series, fields)
         shown = None
         if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
@@ -102,7 +103,7 @@ class Synchronous(TemporalModel):
         return ModalMotion(freqs, values[..., :3], values[..., 3:], fps, n_timesteps, appearance=shown)
 
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-        return peaks(motion, self.observations.lowest_hz, noise)
+        return peaks(motion, self.observations.lowest_hz, noise, self.observations.steady_hz)
 
 
 def principal_components(
