@@ -14,7 +14,7 @@ import yaml
 
 from benchmarks.calibration.score import EDGES, Score, share
 from dataset_gen.scenes import NAMES
-from tg4mm.capture.codec import reported_deviation
+from tg4mm.capture.codec import before_compression
 from tg4mm.capture.truth_file import Truth, load_truth
 from tg4mm.core.phasors import peak_displacement
 from tg4mm.research.evaluate.truth import exact_motion
@@ -228,8 +228,8 @@ def _compare_peak(
     decay = 0.0 if what.decay_s is None else 1 / what.decay_s
     if (peak.line is not None and peak.line.damping is not None) == bool(decay):
         size *= float(np.exp(-decay * peak.line.from_s)) if peak.line is not None and decay else 1.0
-        deviation = reported_deviation(orbit.amplitude, orbit.deviation, result.loss_of(best))
-        out.amplitudes.append((orbit.amplitude - size) / deviation)
+        found, deviation = before_compression(orbit.amplitude, orbit.deviation, result.loss_of(best))
+        out.amplitudes.append((found - size) / deviation)
     if damping is not None:
         _compare_damping(out, hz, what, damping.ratio, damping.deviation)
 

@@ -84,19 +84,19 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
 
 def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
     """Of a sensor, as `measure.json` has them; marked: what its table marks."""
-    from tg4mm.capture.codec import reported_deviation
+    from tg4mm.capture.codec import before_compression
     from tg4mm.show.measure.orbit import main_is_above
 
     left, upper, right, lower = region
     each = zip(sensor.spectrum.peaks, sensor.orbits, sensor.damping, strict=True)
     for k, (peak, orbit, damping) in enumerate(each):
         loss, px = sensor.loss_of(k), sensor.px_per_unit
-        deviation = reported_deviation(orbit.amplitude, orbit.deviation, loss)
+        size, deviation = before_compression(orbit.amplitude, orbit.deviation, loss)
         is_marked = bool(
             peak.harmonic or peak.sideband or (loss and loss.why) or not main_is_above(peak, orbit)
         )
         yield Named(  # type: ignore[call-arg]
-            *(peak.frequency_hz, peak.frequency_deviation_hz, px * orbit.amplitude, px * deviation),
+            *(peak.frequency_hz, peak.frequency_deviation_hz, px * size, px * deviation),
             *((damping.ratio, damping.deviation) if damping else (None, None)),
             0.0 if peak.line is None else peak.line.from_s,
             ((left + right) / 2, (upper + lower) / 2),

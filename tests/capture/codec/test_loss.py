@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, texture
-from tg4mm.capture.codec import Tone, codec_losses
+from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
 from tg4mm.capture.codec.probe import probe
 from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.capture.planes import Orientation
@@ -71,6 +71,16 @@ def test_a_video_that_cannot_be_read_is_marked(tmp_path):
     (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
     assert np.isnan(loss.gain)
     assert "cannot be tested" in loss.why
+
+
+def test_an_amplitude_is_corrected_by_what_was_let_through_unless_it_is_marked():
+    """Of .4 ± .03 with a gain of .8 ± .1: .5, whose relative deviation is the root sum of squares of the two."""
+    size, deviation = before_compression(0.4, 0.03, Loss(0.8, 0.1))
+    assert size == pytest.approx(0.5)
+    assert deviation / size == pytest.approx(np.hypot(0.03 / 0.4, 0.1 / 0.8))
+    assert before_compression(0.4, 0.03, None) == (0.4, 0.03)
+    assert before_compression(0.4, 0.03, Loss(0.3, 0.1, "smaller")) == (0.4, 0.03)
+    assert before_compression(0.4, 0.03, Loss(1.06, 0.1))[0] == 0.4  # nothing is added by a codec
 
 
 @pytest.mark.parametrize("flags", list(itertools.product([False, True], repeat=3)))

@@ -145,7 +145,9 @@ def test_a_small_part_s_own_frequency_is_a_mode_where_it_is_known(hz):
     t, rng = np.arange(100) / FPS, np.random.default_rng(3)
     one, other = np.zeros((400, 6)), rng.normal(size=(400, 6))
     one[7, :3], other[7] = 0.05, 0
-    motion = np.cos(2 * np.pi * 4.71 * t)[:, None, None] * other + np.sin(2 * np.pi * hz * t)[:, None, None] * one
+    motion = (
+        np.cos(2 * np.pi * 4.71 * t)[:, None, None] * other + np.sin(2 * np.pi * hz * t)[:, None, None] * one
+    )
     flat = (motion - motion.mean(0)).reshape(100, -1)
     left, strength, right = np.linalg.svd(flat, full_matrices=False)
     rank = int((strength > 1e-9 * strength[0]).sum())

@@ -13,6 +13,7 @@ from tests.helpers.look import found
 from tests.helpers.synthetic import exact_run
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
+from tg4mm.capture.look.record import to_record
 from tg4mm.cli import main
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.result import lines_of, result_of
@@ -47,6 +48,39 @@ def test_frequencies_and_amplitudes_are_the_motions(result):
         assert v.damping is None
     assert (result.n_cameras, result.n_timesteps, result.fps, result.unit_scale_m) == (3, 30, 30.0, 0.1)
     assert result.agreement == (0.99, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("hz", "size", "where"), [(5.2, 0.1, "beside"), (7.5, 90.0, "own"), (7.5, 0.1, "model")]
+)
+def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, where):
+    """What the model lacks stands beside it; where a small part moves much further than it says, by the region."""
+    region = np.zeros((2, 2), bool)
+    region[1, 0] = True
+    seen = found(hz=hz)
+    line = replace(
+        seen.lines[0],
+        amplitude_px=size,
+        centre_px=(9.0, 21.0),
+        cells=region,
+        region=region,
+        box=(0, 16, 16, 32),
+    )
+    seen = replace(seen, lines=(line,), movers=(), moves_by_itself=~region & region, size=(32, 32))
+    copy.record("look", to_record(seen))
+    told = result_of(copy)
+    assert sorted(v.hz for v in told.vibrations) == [3.0, 7.5]
+    if where == "model":
+        assert not told.beside
+        assert all(v.amplitude.value < 2 * AMPLITUDE for v in told.vibrations)
+        return
+    (v,) = told.beside if where == "beside" else told.vibrations[:1]
+    assert (v.hz, v.pixels.value) == (hz, size)
+    capture = load_capture(copy.dataset)
+    at = capture.viewmats[0, :3, :3] @ v.place + capture.viewmats[0, :3, 3]
+    assert (capture.Ks[0] @ at)[:2] / at[2] == pytest.approx((9.0, 21.0))
+    assert v.amplitude.value == pytest.approx(size * at[2] / capture.Ks[0, 0, 0])
+    assert ("only its own region" in "\n".join(lines_of(told))) == (where == "beside")
 
 
 def test_pixels_are_how_far_a_point_lands_apart(result, run):

@@ -1,6 +1,6 @@
 """What a video's compression takes from small motion: measured by sending a known motion through the same encoder."""
 
-from tg4mm.capture.codec.loss import Loss, codec_losses, reported_deviation
+from tg4mm.capture.codec.loss import Loss, before_compression, codec_losses
 from tg4mm.capture.codec.trial import Tone
 
-__all__ = ["Loss", "Tone", "codec_losses", "reported_deviation"]
+__all__ = ["Loss", "Tone", "before_compression", "codec_losses"]

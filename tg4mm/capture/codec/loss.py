@@ -177,12 +177,12 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
     return groups
 
 
-def reported_deviation(amplitude: float, deviation: float, loss: Loss | None) -> float:
-    """Of an amplitude that stands as it was measured: what compression took may be missing; same units as given.
+def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:
+    """An amplitude and its deviation over the gain, which the test told; same units as given.
 
-    A marked one keeps its own: the true amplitude is larger by an amount that is not known.
+    A marked one stays as it was measured: the true amplitude is larger by an amount that is not known.
     """
     if loss is None or loss.why:
-        return deviation
-    missing = max(1 / loss.gain - 1, 0.0)
-    return float(np.hypot(deviation, amplitude * np.hypot(missing, loss.deviation / loss.gain**2)))
+        return amplitude, deviation
+    gain = min(loss.gain, 1.0)
+    return amplitude / gain, float(np.hypot(deviation, amplitude * loss.deviation / gain)) / gain

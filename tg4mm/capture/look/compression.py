@@ -1,4 +1,4 @@
-"""What a video's compression took from the vibrations that a look found: in their ±, or said."""
+"""What a video's compression took from the vibrations that a look found: corrected, or said."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss, Tone, codec_losses, reported_deviation
+from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
 from tg4mm.capture.look.model import Found, LookLine
 
 _DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, weighted as least squares does
@@ -40,10 +40,11 @@ def _tone(line: LookLine) -> Tone:
 
 
 def _with_loss(line: LookLine, loss: Loss) -> LookLine:
-    deviation = reported_deviation(line.amplitude_px, line.amplitude_deviation_px, loss)
+    amplitude, deviation = before_compression(line.amplitude_px, line.amplitude_deviation_px, loss)
     is_known = bool(np.isfinite(loss.gain))
     return replace(
         line,
+        amplitude_px=amplitude,
         amplitude_deviation_px=deviation,
         kept=loss.gain if is_known else None,
         kept_deviation=loss.deviation if is_known else None,

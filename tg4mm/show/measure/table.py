@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tg4mm.capture.codec import Loss, reported_deviation
+from tg4mm.capture.codec import Loss, before_compression
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.lines import FEWEST, Line
 from tg4mm.show.measure.measurement import Measurement
@@ -41,14 +41,14 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     out: list[list[str]] = []
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
         loss = result.loss_of(k)
-        error = reported_deviation(orbit.amplitude, orbit.deviation, loss)
+        size, error = before_compression(orbit.amplitude, orbit.deviation, loss)
         damping, pixels = result.damping[k], result.pixels(orbit.direction)
         out.append(
             [
                 result.name if not out else "",
                 value_with_deviation(peak.frequency_hz, peak.frequency_deviation_hz),
-                f"{value_with_deviation(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
-                f"{value_with_deviation(orbit.amplitude * pixels, error * pixels)} px",
+                f"{value_with_deviation(size * unit.factor, error * unit.factor)} {unit.name}",
+                f"{value_with_deviation(size * pixels, error * pixels)} px",
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
                 ""
@@ -88,7 +88,9 @@ def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:
     if (tone := peak.asked) is not None:
         doubts.append(f"asked for, {tone.band[0]:g} to {tone.band[1]:g} Hz: {tone.periods:.2g} periods")
     if loss is not None and (loss.why or loss.gain < _WHOLE):
-        doubts.append(loss.why or f"compression lets {loss.gain:.2f} ± {loss.deviation:.2f} of it through")
+        doubts.append(
+            loss.why or f"corrected: compression let {loss.gain:.2f} ± {loss.deviation:.2f} of it through"
+        )
     return "; ".join(
         [*doubts, *(str(other) for other in (peak.harmonic, peak.sideband) if other is not None)]
     )

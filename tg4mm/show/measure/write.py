@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.codec import reported_deviation
+from tg4mm.capture.codec import before_compression
 from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_json
 from tg4mm.core.progress import progress
@@ -188,7 +188,8 @@ def _series(record: Record) -> dict[str, Any]:
 
 def _peak(result: SensorResult, k: int) -> dict[str, Any]:
     peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
-    loss, error = result.loss_of(k), orbit.deviation
+    loss = result.loss_of(k)
+    size, deviation = before_compression(orbit.amplitude, orbit.deviation, loss)
     return {
         "frequency_hz": peak.frequency_hz,
         "frequency_deviation_hz": peak.frequency_deviation_hz,
@@ -203,8 +204,8 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
         "change": None if peak.line is None else peak.line.change,
         "begins_s": None if peak.line is None else peak.line.start_s,
-        "main_amplitude": orbit.amplitude,
-        "main_deviation": reported_deviation(orbit.amplitude, error, loss),
+        "main_amplitude": size,
+        "main_deviation": deviation,
         "codec_gain": None if loss is None or not np.isfinite(loss.gain) else loss.gain,
         "codec_gain_deviation": None if loss is None or not np.isfinite(loss.gain) else loss.deviation,
         "codec_mark": None if loss is None else loss.why or None,
