@@ -1,11 +1,14 @@
 """Drawn regions as sensors, and a scale that is marked in the picture."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.helpers.look import found
 from tests.show.measure.filmed import of_parts, run_of, sine
+from tg4mm.capture.look.record import to_record
 from tg4mm.cli import main
 from tg4mm.core.scale import Scale
 from tg4mm.show.measure import MeasureError, measure, parse_sensor, prepare
@@ -31,6 +34,24 @@ def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat):
     size = np.abs(metres).max()
     np.testing.assert_allclose(metres, pixels @ slope.T, atol=2e-3 * size)
     assert (found["all"].deviation > 0).all()
+
+
+def test_before_one_fixed_camera_what_a_region_showed_is_a_sensor_too(tmp_path):
+    """Of a scene with depth: beside its clusters a disc at the region, at the depth of what is seen there."""
+    sway = sine(4.0, [0.02, 0.0, 0.01])
+    run = run_of(tmp_path, of_parts(post=sway, ball=sway), n_views=1, n_timesteps=40)
+    region = np.zeros((3, 3), bool)
+    region[1, 1] = True
+    seen = found(hz=4.0)
+    line = replace(seen.lines[0], centre_px=(24.0, 24.0), cells=region, region=region)
+    seen = replace(seen, lines=(line,), movers=(), moves_by_itself=region & ~region, size=(48, 48))
+    run.record("look", to_record(seen))
+    measured = measure(run)
+    names = [s.name for s in measured.sensors]
+    assert {"moving 1", "all", "4 Hz"} <= set(names)
+    assert names[0] == measured.reference == "moving 1"
+    assert measured["4 Hz"].sensor.values[:2] == (24.0, 24.0)
+    assert measured["4 Hz"].spectrum.peaks[0].frequency_hz == pytest.approx(4.0, abs=0.05)
 
 
 def regions(path, size, **more):

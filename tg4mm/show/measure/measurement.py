@@ -84,8 +84,8 @@ def measure(
 
     Args:
         run: a run, or what `prepare` or `prepare_fit` returned, which needs no pictures for further sensors.
-        sensors: regions to measure; `None`: the regions of one fixed camera that vibrate, but for a flat capture
-            clusters that move alike, and the whole scene.
+        sensors: regions to measure; `None`: clusters that move alike, the whole scene, and the regions that vibrate
+            before one fixed camera; of a flat capture these in place of clusters.
         reference: name of the sensor that phases and coherence refer to; `None`: the first.
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
         band: (low, high) in Hz: every sensor has a peak there, found or not; its ± says how little a short record
@@ -107,8 +107,9 @@ def measure(
     groups = clusters or clusters_of(scene)
     found = found_in(scene)
     own = region_sensors(scene, found) if found is not None else []
-    usual = [Sensor("all", "all")] if own and not scene.capture.kind.sees_depth else default_sensors(groups)
-    usual = [*own, *usual]
+    usual = [*own, Sensor("all", "all")] if own else default_sensors(groups)
+    if scene.capture.kind.sees_depth:
+        usual = [*default_sensors(groups), *own]
     wanted = checked_names(sensors if sensors is not None else usual)
     if not wanted:
         raise MeasureError("no sensor was named")
