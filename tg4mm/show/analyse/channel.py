@@ -1,4 +1,4 @@
-"""Channels: one value over even times with its unit and noise, from a measurement's folder or from a CSV file."""
+"""Channels: one value on an even clock with its unit and noise, from a measurement's folder or from a CSV file."""
 
 import csv
 import io
@@ -15,6 +15,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import find_peaks, periodogram
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.untrusted import read_json
 
@@ -31,7 +32,6 @@ _UNITS = {
     "n": (FORCE, "N", 1.0), "v": (OTHER, "V", 1.0),
 }  # fmt: skip
 _TIMES = {"t", "time", "times", "seconds"}
-_EVEN = 0.05  # of a step
 _FEWEST = 16  # samples
 _MOST_BYTES = 1 << 30
 _AROUND = 51  # frequencies of a spectrum whose median is the noise at the middle one
@@ -149,9 +149,9 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
     clock, out = series["clock"], []
     for k in np.flatnonzero(keep):
         name = "/".join(filter(None, [sensor["name"], clock, list(series["axes"])[k]]))
-        times = _even(np.array(series["times_s"], float), name)
+        times, own = _even(np.array(series["times_s"], float), values[:, k] * factor, name)
         share = float(np.hypot(series["model_share"][k], _taken(sensor["peaks"], k)))
-        out.append(Channel(name, DISPLACEMENT, base, times, values[:, k] * factor, noise[k] * factor, share))
+        out.append(Channel(name, DISPLACEMENT, base, times, own, noise[k] * factor, share))
     return out
 
 
@@ -209,7 +209,7 @@ def _of_csv(path: Path) -> list[Channel]:
     at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
     if not at:
         raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(names)}")
-    times = _even(table[:, at[0]] * (1e-3 if head[at[0]][1] == "ms" else 1.0), str(path))
+    times, values = _even(table[:, at[0]] * (1e-3 if head[at[0]][1] == "ms" else 1.0), table, str(path))
     noise = {
         name.removesuffix(" deviation"): k for k, (name, _) in enumerate(head) if name.endswith(" deviation")
     }
@@ -219,7 +219,7 @@ def _of_csv(path: Path) -> list[Channel]:
             continue
         quantity, base, factor = _UNITS.get(unit, (OTHER, unit or "1", 1.0))
         sure = float(np.sqrt((table[:, noise[name]] ** 2).mean()) * factor) if name in noise else float("nan")
-        out.append(Channel(name, quantity, base, times, table[:, k] * factor, sure))
+        out.append(Channel(name, quantity, base, times, values[:, k] * factor, sure))
     if not out:
         raise AnalyseError(f"{path} has a column of times and no other")
     return out
@@ -242,14 +242,16 @@ def _column(text: str) -> tuple[str, str]:
     return name, unit.strip().lower().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
 
 
-def _even(times: np.ndarray, what: str) -> np.ndarray:
+def _even(times: np.ndarray, values: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values [T, ...] with even steps; what lacks is interpolated."""
     if len(times) < _FEWEST:
         raise AnalyseError(f"{what}: {len(times)} samples, expected {_FEWEST} or more")
     steps = np.diff(times)
     if not (steps > 0).all():
         raise AnalyseError(f"{what}: times do not increase at {times[int(np.argmin(steps > 0))]:g} s")
-    if np.ptp(steps) > _EVEN * np.median(steps):
+    if not is_filled(times):
         raise AnalyseError(
-            f"{what}: times are not even, their steps are {steps.min():.4g} to {steps.max():.4g} s"
+            f"{what}: times have gaps, their steps are {steps.min():.4g} to {steps.max():.4g} s; expected "
+            f"{LONGEST:g} times the usual one at most: cut the record there"
         )
-    return np.linspace(times[0], times[-1], len(times))
+    return on_even_clock(times, values)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import csd, welch
 
+from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.lines.band import Tone, tone_in
 from tg4mm.show.measure.orbit import Orbit, orbit_in, orbit_of
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 _SEGMENTS = 4  # of a record, half overlapping
 _SHORTEST = 16  # samples of a segment
-_EVEN = 0.05  # of a step
 
 
 @dataclass(frozen=True)
@@ -97,13 +97,13 @@ def _at(result: SensorResult, reference: SensorResult) -> list[tuple[Orbit, bool
 
 
 def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
-    """Of motion along each one's direction of largest variance; nothing of uneven or short records."""
-    n, steps = len(a.times_s), np.diff(a.times_s)
+    """Of motion along each one's direction of largest variance; nothing of short records and those with long gaps."""
+    times, x = on_even_clock(a.times_s, _along_main(a))
+    y, n = on_even_clock(b.times_s, _along_main(b))[1], len(times)
     length = 2 * n // (_SEGMENTS + 1)
-    if length < _SHORTEST or np.ptp(steps) > _EVEN * steps.mean():
+    if length < _SHORTEST or not is_filled(a.times_s):
         return np.zeros(0), np.zeros(0), 0
-    x, y = _along_main(a), _along_main(b)
-    of = {"fs": 1 / float(steps.mean()), "nperseg": length, "noverlap": length // 2}
+    of = {"fs": (n - 1) / float(np.ptp(times)), "nperseg": length, "noverlap": length // 2}
     freqs, cross = csd(x, y, **of)
     power = welch(x, **of)[1] * welch(y, **of)[1]
     segments = 1 + (n - length) // (length - length // 2)

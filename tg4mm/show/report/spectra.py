@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.core.scale import Scale
@@ -20,7 +21,7 @@ from tg4mm.show.report.summary import Material
 from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import amplitude_spectrum
 
-_EVEN, _FEWEST = 0.05, 64  # of a step; pictures of a waterfall
+_FEWEST = 64  # pictures of a waterfall
 
 
 def model_spectrum(m: Material) -> Block:
@@ -128,14 +129,14 @@ _DEEP = 60.0  # decibels below the largest amplitude
 def _waterfall(result: SensorResult) -> tuple[str, Callable[[Any], None]] | None:
     """The direction of the largest motion, and what draws its amplitudes in short segments, decibels below the largest.
 
-    None where times are not even, or too few.
+    None where times have long gaps, or are too few.
     """
     series, told = result.series, result.series.is_resolved
-    steps = np.diff(series.times_s)
-    if not told.any() or np.ptp(steps) > _EVEN * np.median(steps) or len(steps) < _FEWEST:
+    if not told.any() or len(series.times_s) <= _FEWEST or not is_filled(series.times_s):
         return None
     k = int(np.argmax(np.where(told, series.displacement.std(0), -1)))
-    own = Channel(result.name, DISPLACEMENT, "units", series.times_s, series.displacement[:, k])
+    even = on_even_clock(series.times_s, series.displacement[:, k])
+    own = Channel(result.name, DISPLACEMENT, "units", *even)
     freqs, times, amplitude = waterfall_of(own, FALL)
     if len(times) < 2 or not amplitude.max() > 0:
         return None
