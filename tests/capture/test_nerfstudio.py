@@ -220,10 +220,15 @@ class TestTimes:
         self.timed(studio, [0.0, 0.25, 1.0], fps=30.0)
         capture = load_capture(studio)
         assert (capture.n_timesteps, capture.timesteps.tolist()) == (5, [0, 1, 4])
-        self.timed(studio, [0.0, 0.25, 0.6], fps=30.0)
-        refused(studio, "the times of its frames are not even")
         self.timed(studio, [0.0, 0.1, 0.1], fps=30.0)
         assert load_capture(studio).timesteps.tolist() == [0, 1, 1]
+
+    def test_uneven_times_are_those_of_the_frames(self, studio):
+        """Steps of .25 and .35: three timesteps, whose median step is the rate's."""
+        self.timed(studio, [0.0, 0.25, 0.6], fps=30.0)
+        capture = load_capture(studio)
+        assert (capture.n_timesteps, capture.timesteps.tolist()) == (3, [0, 1, 2])
+        np.testing.assert_allclose(capture.times_s, np.array([0.0, 0.25, 0.6]) / 0.3 / 30)
 
     def test_without_a_rate_they_are_refused(self, studio):
         self.timed(studio, [0.0, 0.5, 1.0])

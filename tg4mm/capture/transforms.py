@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
+_USUAL = 90  # percentile of the differences of times: that of a step, where cameras film together
 
 
 @dataclass(frozen=True)
@@ -136,8 +137,9 @@ def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
     """Views of one file at the timesteps that their frames' times say, the scene with its frame rate, and T.
 
     Frames of one file that have several times, in seconds or as fractions of the record (D-NeRF), are of timesteps: the
-    times in order, as even as frames are. `time_s` of a frame, which `tg4mm convert` writes, is its time in seconds.
-    The rate is scene.json's, else the file's `fps`. Raises CaptureError where there is none, or times are uneven.
+    times in order; where these are no multiples of a step, as a phone's are, each is one, and the median step is the
+    rate's. `time_s` of a frame, which `tg4mm convert` writes, is its time in seconds. The rate is scene.json's, else
+    the file's `fps`. Raises CaptureError where there is none.
     """
     times = np.array([view.time_s for view in views])
     moments = np.unique(times[np.isfinite(times)])
@@ -150,16 +152,31 @@ def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
             f"{where}: its frames have {len(moments)} different times, but no rate is known: add "
             '"fps": <frames per second> to it'
         )
-    step = float(np.diff(moments).min())
-    places = (times - moments[0]) / step
+    places = (times - moments[0]) / float(np.diff(moments).min())
+    own = np.full(len(views), math.nan)
     if np.nanmax(np.abs(places - np.round(places))) > UNEVEN:
-        raise CaptureError(
-            f"{where}: the times of its frames are not even: some are no multiple of {step:g} apart"
-        )
-    known = [v.frame.number("time_s") if v.frame.has("time_s") else math.nan for v in views]
+        places, own = _uneven(times, moments, fps)
+    known = [
+        v.frame.number("time_s") if v.frame.has("time_s") else float(s)
+        for v, s in zip(views, own, strict=True)
+    ]
     timesteps = np.nan_to_num(np.round(places)).astype(int).tolist()
     views = [replace(v, timestep=t, time_s=s) for v, t, s in zip(views, timesteps, known, strict=True)]
     return views, replace(scene, fps=fps), max(timesteps) + 1
+
+
+def _uneven(times: np.ndarray, moments: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Timesteps and seconds of times [C], of which `moments` are the different ones in order.
+
+    Cameras that film together differ by less than half a step: that is one timestep.
+    """
+    steps = np.diff(moments)
+    is_next = np.concatenate([[False], steps > np.percentile(steps, _USUAL) / 2])
+    number = np.cumsum(is_next)
+    first = moments[np.concatenate([[True], is_next[1:]])]
+    seconds = (times - moments[0]) / float(np.median(np.diff(first))) / fps
+    at = np.searchsorted(moments, np.nan_to_num(times, nan=moments[0]))
+    return number[at].astype(float), seconds
 
 
 def in_order(views: Iterable[View]) -> list[View]:

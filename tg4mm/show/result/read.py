@@ -180,7 +180,7 @@ def _with_regions(
     found: tuple[Vibration, ...], every: tuple[Vibration, ...], hz: np.ndarray
 ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
     """The model's vibrations and those that it does not hold; by its region what a small part alone does."""
-    own, beside = list(found), []
+    own, beside = list(found), list[Vibration]()
     for line in every:
         near = [k for k, v in enumerate(own) if v.band[0] <= line.hz <= v.band[1]]
         if not near:
