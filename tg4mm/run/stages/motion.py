@@ -25,7 +25,7 @@ from tg4mm.fit.motion.reduction import note_on, window_on
 from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 17  # of a checkpoint: steps of another version are computed anew
+_VERSION = 18  # of a checkpoint: steps of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 
