@@ -13,7 +13,8 @@ import av
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.capture.codec import Tone, codec_losses
+from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
+from tg4mm.capture.codec.loss import LOST
 from tg4mm.capture.codec.trial import gain_of, shifts_of
 
 WIDTH, HEIGHT, FRAMES, FPS = 240, 136, 150, 30
@@ -106,4 +107,16 @@ def run(options: argparse.Namespace) -> None:
     print(f"true - told, rms: {rms:.3f}; true - 1: {from_one:.3f}")
     print(
         f"within one deviation {(off < sure).mean():.0%}, within two {(off < 2 * sure).mean():.0%} of {len(rows)}"
+    )
+    _print_amplitudes(rows[rows[:, 2] >= LOST])
+
+
+def _print_amplitudes(rows: np.ndarray) -> None:
+    """Of films without a mark: measured over true amplitude, as it is and corrected."""
+    sizes, sure = np.array([before_compression(g, e, Loss(told, d)) for g, e, told, d in rows]).T
+    raw, off = (np.sqrt(((x - 1) ** 2).mean()) for x in (rows[:, 0], sizes))
+    one, two = ((np.abs(sizes - 1) < n * sure).mean() for n in (1, 2))
+    print(
+        f"amplitude of {len(rows)} without a mark, rms error: {raw:.3f}; corrected {off:.3f}, ± {np.median(sure):.3f} "
+        f"(median), within one deviation {one:.0%}, within two {two:.0%}"
     )
