@@ -10,7 +10,7 @@ from PIL import Image
 
 from dataset_gen.report import write_report
 from dataset_gen.report.__main__ import main
-from dataset_gen.report.findings import find
+from dataset_gen.report.findings import _step, find
 from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SWAY, Plane
 from tests.show.report.page_checks import check, read_page, words
 
@@ -23,6 +23,15 @@ def test_motion_in_pixels_is_what_the_pinhole_says(plane):
     # In the middle of the picture, heave moves nothing across it; away from it, it adds to the sway.
     assert view.maximum >= view.p95 >= view.median > 0.9 * FOCAL * sways / DISTANCE
     assert view.maximum < FOCAL * (sways + 0.5 * HEAVE) / (DISTANCE - HEAVE)
+
+
+def test_what_lies_outside_of_a_picture_has_no_motion_in_it(plane):
+    rest = np.array(
+        [[0.0, 0, 0], [9.0, 0, 0], [0.0, 0, 2 * DISTANCE]]
+    )  # seen, beside the picture, behind the camera
+    steps = _step(rest, np.full((3, 3), [SWAY, 0, 0]), find(plane).test, 0)
+    assert steps[0] == pytest.approx(FOCAL * SWAY / DISTANCE)
+    assert np.isnan(steps[1:]).all()
 
 
 def test_modes_are_those_of_the_truth(plane):

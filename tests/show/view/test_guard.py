@@ -23,7 +23,7 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App
 from tg4mm.show.view.charts import BAND_FIELD
-from tg4mm.show.view.guard import LARGEST_MESSAGE
+from tg4mm.show.view.guard import LARGEST_MESSAGE, _sensible
 from tg4mm.show.view.local_server import address, browsed, start_server, stop_server
 from tg4mm.show.view.painter import Look
 from tg4mm.show.view.session import Clock, Session
@@ -220,6 +220,11 @@ def test_the_nonsense_of_one_client_ends_nothing_for_another(app, capfd):
         assert app._session.look == before
         assert app._failure is None
     assert capfd.readouterr().err == ""
+
+
+def test_a_canvas_that_memory_is_not_there_for_is_no_message():
+    assert _sensible(msgspec.msgpack.encode(CAMERA))
+    assert not _sensible(msgspec.msgpack.encode(CAMERA | {"image_width": 9000, "image_height": 9000}))
 
 
 @pytest.mark.parametrize(
