@@ -95,7 +95,7 @@ def _compare(out: Score, true: TrueVibration, named: Named) -> None:
         if (true.damping is None) == (named.damping is None):
             errors, at = out.bounds if named.lower_bound else out.amplitudes, true.size_px * true.at(y)
             errors.append((size - at) / deviation)
-            out.ratios.append(size / at)
+            out.ratios.append(size / max(at, 1e-9))
     if true.damping is not None and named.damping is not None and named.damping_deviation:
         out.dampings.append((named.damping - true.damping) / named.damping_deviation)
 

@@ -2,11 +2,12 @@
 
 import itertools
 
+import av
 import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import encoded, texture
-from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
+from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses, is_lossless
 from tg4mm.capture.codec.probe import probe
 from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.capture.planes import Orientation
@@ -91,3 +92,27 @@ def test_directions_turn_with_the_picture(flags):
     assert (orientation.shown(stored) == shown).all()
     down, right = (float(g.mean()) for g in np.gradient(stored))
     assert orientation.stored_vector(np.array([1.0, 3.0])) == pytest.approx([right, down])
+
+
+@pytest.mark.parametrize(
+    ("codec", "options", "keeps"),
+    [
+        ("ffv1", {}, True),
+        ("utvideo", {}, True),
+        ("libx264", {"qp": "0"}, True),
+        ("libx264", {"crf": "12"}, False),
+        ("mpeg4", {}, False),
+    ],
+)
+def test_a_codec_that_keeps_every_pixel_is_told(tmp_path, codec, options, keeps):
+    path = tmp_path / ("a.avi" if codec in ("utvideo", "mpeg4") else "a.mkv")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options=options)
+        stream.width, stream.height = 64, 48
+        stream.pix_fmt = "yuv420p"
+        for k in range(4):
+            noise = np.random.default_rng(k).integers(0, 255, (48, 64), np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(noise, format="gray")))
+        container.mux(stream.encode())
+    assert is_lossless(path) == keeps
+    assert not is_lossless(tmp_path / "absent.mkv")

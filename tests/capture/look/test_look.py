@@ -82,6 +82,18 @@ def test_flicker_is_light_and_no_vibration():
     assert found.light[0].hz == pytest.approx(7.3, abs=0.05)
 
 
+@pytest.mark.parametrize(("size_px", "depth"), [(0.3, 0.03), (0.05, 0.05)])
+def test_what_vibrates_at_the_frequency_of_the_lamps_is_found_beside_them(size_px, depth):
+    """A motor at 100 Hz under lamps on the mains: the one is a shift of its place, the other a gain of all."""
+    moving = film((size_px, 0.0), tone(7.3), noise=2.0, seed=12)
+    found = seen(replace(moving, light=lambda t: 1 + depth * float(np.cos(2 * np.pi * 7.3 * t))))
+    assert [tone.hz for tone in found.light] == pytest.approx([7.3], abs=0.05)
+    assert [round(line.hz, 1) for line in found.vibrations] == [7.3]
+    line = found.vibrations[0]
+    assert line.amplitude_px == pytest.approx(size_px, rel=0.07)
+    assert inside(PLATE, line.centre_px)
+
+
 def test_a_plate_that_vibrates_is_no_light():
     found = seen(film((0.0, 0.3), tone(4.3), noise=1.0, seed=3))
     assert found.light == ()

@@ -8,6 +8,7 @@ import numpy as np
 from tests.helpers.look import found
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.record import from_record, to_record
+from tg4mm.capture.look.scene import Light
 
 
 def test_a_record_is_plain_and_read_back_the_same():
@@ -43,7 +44,14 @@ def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
         "the codec's turns at 7.5 Hz"
         in marked([line], 30.0, 6.0, taken_off={7.5: "the codec's turns at"})[0].mark
     )
-    assert not marked([line], 30.0, 6.0, taken_off={7.7: "the light's"})[0].mark
+    assert not marked([line], 30.0, 6.0, taken_off={7.7: "the codec's turns at"})[0].mark
+
+
+def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_frequency_is_not():
+    line = replace(found().lines[0], hz=7.4)
+    for size, is_marked in ((0.005, True), (0.05, False)):
+        own = marked([replace(line, amplitude_px=size)], 30.0, 6.0, light=[Light(7.5, 0.01, 0.03, False)])
+        assert bool(own[0].mark) == is_marked
 
 
 def test_an_image_by_the_codec_is_where_its_line_is():

@@ -49,3 +49,12 @@ def test_what_passes_is_told_from_motion(passes):
     moved = np.array([[0.5, 0.0]] * 3 + [[0.0, 0.0]] * 3)
     share = other_share(picture(1.2, 0), frames, moved, weights)
     assert share > 0.7 if passes else abs(share) < 0.1
+
+
+def test_of_pictures_in_which_nothing_but_noise_changes_no_share_passes():
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        mean = rng.random((40, 40, 3))
+        frames = mean + rng.normal(0, 0.05, (12, 40, 40, 3))
+        moved = np.concatenate([np.full((6, 2), 0.4), np.zeros((6, 2))])
+        assert 0 <= other_share(mean, frames, moved, np.ones((40, 40))) <= 1

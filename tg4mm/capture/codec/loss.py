@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec.probe import Probe, probe
+from tg4mm.capture.codec.probe import Probe, is_lossless, probe
 from tg4mm.capture.codec.trial import Tone, through
 from tg4mm.capture.video import av_module
 from tg4mm.core.errors import Tg4mmError
@@ -83,6 +83,8 @@ def codec_losses(
     fewest = int(max(_FEWEST, periods * (fps or 30.0) / slowest))
     most = max(fewest, int(pixels / (height * width)))
     try:
+        if is_lossless(video):
+            return [[Loss(1.0, 0.0) for _ in own] for own in tones]
         made = probe(video, start_s, most)
     except (OSError, ValueError, Tg4mmError, av_module().FFmpegError):
         made = None

@@ -17,6 +17,10 @@ _OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", 
             "weightp", "weightb", "aq-mode", "rd")  # fmt: skip
 
 
+# Of FFmpeg's names, those that keep every pixel.
+_LOSSLESS = {"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "magicyuv", "lagarith", "qtrle", "png"}
+
+
 @dataclass(frozen=True)
 class Probe:
     """A stretch of a video as its decoder hands it out."""
@@ -77,6 +81,26 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
         np.stack(planes), own == ALONE, own == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
         _encoder(codec, settings), _settings(settings), orientation,
     )  # fmt: skip
+
+
+def is_lossless(path: Path) -> bool:
+    """Whether a video's compression keeps every pixel: by its codec, or by what x264 and x265 wrote into the file.
+
+    False where it cannot be read: who reads it says why.
+    """
+    av = av_module()
+    try:
+        with av.open(file_url(path)) as container:
+            stream = container.streams.video[0]
+            if stream.codec_context.name not in ("h264", "hevc"):
+                return stream.codec_context.name in _LOSSLESS
+            frame = next(container.decode(stream), None)
+            data = frame.side_data if frame else ()
+            texts = [bytes(d)[16:].decode("latin1") for d in data if d.type.name == "SEI_UNREGISTERED"]
+    except (OSError, ValueError, IndexError, av.FFmpegError):
+        return False
+    options = texts[0].rstrip("\0").partition("options:")[2].split() if texts else []
+    return "lossless" in options or ("rc=cqp" in options and "qp=0" in options)
 
 
 def _encoder(codec: str, settings: str) -> str:

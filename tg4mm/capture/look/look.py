@@ -90,7 +90,7 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light)
     swings = tuple(swings_of(scene))
     lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
     found = _result(
@@ -196,7 +196,7 @@ def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list
     return Look(
         lines=tuple(lines),
         movers=movers_of(scene),
-        light=tuple(Tone(*tone) for tone in scene.light),
+        light=tuple(Tone(*line[:3]) for line in scene.light),
         whole=tuple(Tone(*tone) for tone in whole),
         hz=search.hz,
         composite=search.composite,

@@ -1,6 +1,6 @@
 """Which lines may be made of a stronger one: by the codec, or as its multiples."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from tg4mm.capture.look.model import LookLine
-from tg4mm.capture.look.scene import PATTERNS
+from tg4mm.capture.look.scene import PATTERNS, Light
 from tg4mm.capture.look.search import images
 from tg4mm.capture.look.usual import BLOCK
 
@@ -16,6 +16,7 @@ _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
+_LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
 _SHOWS, _SURE = 3, 3.0  # cells in which a line shows, and deviations of it, that are no accident of one cell
 
 
@@ -25,13 +26,28 @@ def marked(
     duration_s: float,
     patterns: tuple[int, ...] = PATTERNS,
     taken_off: Mapping[float, str] = MappingProxyType({}),
+    light: Sequence[Light] = (),
 ) -> list[LookLine]:
     """The same lines, each with why it may be none of its own.
 
-    patterns: of the codec's kinds of pictures. taken_off: frequencies in Hz of what is taken off the shifts, with all
-    that the record does not tell apart from it, and whose they are.
+    patterns: of the codec's kinds of pictures; none: it makes no line of another. taken_off: frequencies in Hz of what
+    is taken off the shifts, with all that the record does not tell apart from it, and whose they are. light: its lines.
     """
-    return [replace(line, mark=_mark(line, lines, rate, duration_s, patterns, taken_off)) for line in lines]
+    return [
+        replace(
+            line,
+            mark=_of_light(line, light, duration_s)
+            or _mark(line, lines, rate, duration_s, patterns, taken_off),
+        )
+        for line in lines
+    ]
+
+
+def _of_light(line: LookLine, light: Sequence[Light], duration_s: float) -> str:
+    for lamp in light:
+        if abs(lamp.hz - line.hz) < 1 / duration_s and line.amplitude_px < _LIGHT_PX * lamp.amplitude:
+            return f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -68,7 +84,7 @@ def _mark(
                 near(image, other) for image in images(other.hz, rate, patterns)
             ):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
-    for other in lines:
+    for other in lines if patterns else ():
         if other.statistic > _WEAK * line.statistic and _is_there(line, other):
             return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
     return ""

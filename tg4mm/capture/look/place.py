@@ -18,8 +18,8 @@ from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import Pool
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
-from tg4mm.capture.look.scene import PATTERNS, lacks
-from tg4mm.capture.look.search import Line, Search
+from tg4mm.capture.look.scene import lacks
+from tg4mm.capture.look.search import Line, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
 
 SYSTEMATIC, RIM = (
@@ -278,9 +278,8 @@ class _Placing:
     def _meets_image(self) -> bool:
         """Whether images that a codec makes of the line, at j / p of the rate less its frequency, lie on it."""
         scene, hz = self.search.scene, self.line.vibration.hz
-        images = [j / p / scene.dt - hz for p in PATTERNS for j in range(1, p)]
-        is_coded = bool((scene.series.kinds != INTRA).any())
-        return is_coded and min(abs(image - hz) for image in images) < 2 / scene.duration
+        own = images(hz, 1 / scene.dt, scene.patterns)
+        return min((abs(image - hz) for image in own), default=np.inf) < 2 / scene.duration
 
 
 def _along(fit: np.ndarray, noise: np.ndarray, inverse: np.ndarray) -> tuple[float, float, np.ndarray, float]:

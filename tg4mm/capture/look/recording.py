@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.capture.codec import is_lossless
 from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
@@ -82,10 +83,13 @@ def _expected(info: VideoInfo, window: Window) -> int:
 def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE) -> Iterator[Picture]:
     """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
 
+    Of a lossless one, what a picture is predicted from leaves no trace: each counts as one that stands by itself.
+
     Raises CaptureError where it cannot be decoded.
     """
+    lossless = is_lossless(path)
     for k, frame in enumerate(grey_frames(path, window.start_s, window.stop_s)):
-        kind = INTRA if frame.is_alone else BETWEEN if frame.is_between else FORWARD
+        kind = INTRA if lossless or frame.is_alone else BETWEEN if frame.is_between else FORWARD
         yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
 
 

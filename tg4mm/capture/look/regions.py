@@ -66,7 +66,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     remarks = [] if is_inside else ["its cells reach beyond it"]
     if not told.all():
         remarks.append(f"an edge: told along {axes[0, 0]:+.2f} right {-axes[1, 0]:+.2f} up alone")
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off)
+    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light)
     return RegionLook(region, tuple(lines), float(values[0] ** -0.5), "; ".join(remarks).replace("-", "−"))
 
 

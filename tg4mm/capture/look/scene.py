@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -21,10 +22,23 @@ _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
 PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
 _REGULAR = 0.7  # share of key frames that must be equally far apart
 _LONGEST_PATTERN = 1 / 8  # of the pictures: images of a line by a longer one are everywhere
-_MINOR_LIGHT = 0.3  # of the strongest light line: what is weaker is an image of it by the codec
-_EVERYWHERE = 0.4  # of the median amplitude that every quarter of the picture must show of a light line
+_PARTS, _EXCEPT = 3, 1  # of the picture, down and across, that must show a line of light; all but so many
+_IN_PHASE = 0.75  # of the sum of parts' amplitudes that their waves have together
+_EVERYWHERE, _SURE = (
+    0.4,
+    2.0,
+)  # of their median amplitude that each must show; deviations of noise that this must have
 _AGREES = 1.5  # times the typical ratio of scatter to noise: cells that do not move
 _FAR_OFF = 16.0  # times more: cells that no line moves, and that are yet no background
+
+
+class Light(NamedTuple):
+    """A line of the light."""
+
+    hz: float
+    deviation_hz: float
+    amplitude: float  # relative
+    is_banded: bool  # bands run over the picture, as rows are read one after another
 
 
 @dataclass(frozen=True)
@@ -46,7 +60,7 @@ class Scene:
     usable: np.ndarray  # [C]
     information: np.ndarray  # [C, 2, 2] px⁻² of a picture's shift
     nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
-    light: list[tuple[float, float, float]]  # frequency, ±, relative amplitude
+    light: list[Light]
     lost: float  # share of detail that B pictures lack
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
@@ -90,7 +104,12 @@ class Scene:
 
     @property
     def patterns(self) -> tuple[int, ...]:
-        """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular."""
+        """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular.
+
+        None where every picture stands by itself.
+        """
+        if (self.series.kinds == INTRA).all():
+            return ()
         found = dict.fromkeys(PATTERNS)
         for kind in (self.series.kinds == INTRA, ~self.between):
             if 1 < (period := _period(kind)) <= _LONGEST_PATTERN * len(self.times_s):
@@ -99,10 +118,10 @@ class Scene:
 
     @property
     def taken_off(self) -> dict[float, str]:
-        """Frequencies of what is taken off the shifts, and whose they are: the light's, and of B pictures' turns."""
+        """Frequencies of what is taken off the shifts, and whose they are: B pictures' turns', bands' of light."""
         period = _period(~self.between) if self.between.any() else 0
         turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
-        return turns | {hz: "the light's" for hz, _, _ in self.light}
+        return turns | {line.hz: "the light's" for line in self.light if line.is_banded}
 
     @property
     def treats_apart(self) -> bool:
@@ -228,8 +247,11 @@ def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 
 
-def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[tuple[float, float, float]]]:
+def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Light]]:
     """What is no vibration in every cell, and the lines of light.
+
+    Light is a gain of each cell, beside its shift, and is not taken off. But bands of light that run over the picture
+    have a slope in each cell, which looks like a shift.
 
     Encoders give B pictures quantisers by their distance from the last that is none: what that does to brightness is no
     line of light.
@@ -244,9 +266,8 @@ def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[tu
         ordered = np.concatenate([plain, positions], 1)
         fewer = _light(gain, series, ordered)
         light = fewer if len(fewer) < len(light) else light
-    strongest = max((line[2] for line in light), default=0.0)
-    major = [tone(series.times_s, line[0]) for line in light if line[2] > _MINOR_LIGHT * strongest]
-    return np.concatenate([plain, *major], 1), light
+    bands = [tone(series.times_s, line.hz) for line in light if line.is_banded]
+    return np.concatenate([plain, *bands], 1), light
 
 
 def _positions(kinds: np.ndarray) -> np.ndarray:
@@ -257,19 +278,28 @@ def _positions(kinds: np.ndarray) -> np.ndarray:
     return np.stack([(away == k) * 1.0 for k in enough], 1) if enough else np.zeros((len(kinds), 0))
 
 
-def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[tuple[float, float, float]]:
-    """Lines of the gain [F, C] that all the picture shares; what one thing's motion does to its cells is no light."""
+def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[Light]:
+    """Lines of the gain [F, C] that all the picture shares; what one thing's motion does to its cells is no light.
+
+    Nearly all parts of the picture that are seen show it, in the same phase at the same height.
+    """
     level = _median_of(gain)
     found = tones_of(level / level.mean() - 1, series.times_s, nuisance)
-    place = series.grid.centres() / np.array(series.size) > 0.5
-    quarters = [_median_of(gain[:, (place == corner).all(1)]) for corner in ([0, 0], [1, 0], [0, 1], [1, 1])]
-    quarters = [q for q in quarters if np.ptp(q) > 0]
+    row, column = np.floor(_PARTS * series.grid.centres() / np.array(series.size)).astype(int).T[::-1]
+    own = [(k, _median_of(gain[:, _PARTS * row + column == k])) for k in range(_PARTS**2)]
+    own = [(k, part) for k, part in own if np.isfinite(gain[:, _PARTS * row + column == k]).any()]
     kept = []
     for hz, deviation, amplitude in found:
         columns = np.concatenate([nuisance, tone(series.times_s, hz)], 1)
-        sizes = [np.hypot(*np.linalg.lstsq(columns, q, rcond=None)[0][-2:]) for q in quarters]
-        if sizes and min(sizes) > _EVERYWHERE * np.median(sizes):
-            kept.append((hz, deviation, amplitude))
+        fits = [np.linalg.lstsq(columns, part, rcond=None)[0] for _, part in own]
+        noise = [np.std(part - columns @ fit) for (_, part), fit in zip(own, fits, strict=True)]
+        waves = np.array([fit[-2] - 1j * fit[-1] for fit in fits])
+        sizes, sure = np.abs(waves), np.array(noise) * np.sqrt(2 / len(level))
+        shown = (sizes > _EVERYWHERE * np.median(sizes)) & bool(np.median(sizes) > _SURE * np.median(sure))
+        heights = np.array([k // _PARTS for k, _ in own])
+        alike = sum(abs(waves[heights == h].sum()) for h in range(_PARTS)) / max(sizes.sum(), 1e-30)
+        if shown.sum() >= len(own) - _EXCEPT and alike > _IN_PHASE:
+            kept.append(Light(hz, deviation, amplitude, abs(waves.sum()) < _IN_PHASE * sizes.sum()))
     return kept
 
 

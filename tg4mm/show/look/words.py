@@ -150,7 +150,7 @@ class Words:
                 f"{1e3 * steps[1]:.3g} ms; each picture has its own"
             )
         if f.light:
-            out.append("vibrations at the frequencies of the light")
+            out.append("faint vibrations at the frequencies of the light")
         reach = float(np.ptp(f.whole_px, axis=0).max()) if len(f.whole_px) else 0.0
         if reach > _MOVES_PX:
             out.append(

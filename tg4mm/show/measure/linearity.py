@@ -86,7 +86,7 @@ def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weigh
     """Of what changes pictures in a region, the share that is no motion of it: something passes, or a light.
 
     As `missing_share`; the first half of the pictures has the largest motions, the second the smallest, whose leftovers
-    are noise. Of each half the median picture counts.
+    are noise. Of each half the median picture counts. From 0 to 1; 0 where nothing but noise changes.
     """
     before, after = [], []
     for _, left, columns, change in _compared(mean, pictures, moved, weights):
@@ -94,8 +94,11 @@ def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weigh
         before.append(((change - light @ np.linalg.lstsq(light, change, rcond=None)[0]) ** 2).sum())
         after.append(((left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]) ** 2).sum())
     half = len(pictures) // 2
-    noise, all_of_it = np.median(after[half:]), np.median(before[:half])
-    return float((np.median(after[:half]) - noise) / max(all_of_it - noise, 1e-12))
+    noise = float(np.median(after[half:]))
+    all_of_it, other = float(np.median(before[:half])) - noise, float(np.median(after[:half])) - noise
+    if all_of_it < 3 * 1.4826 * float(np.median(np.abs(np.array(after[half:]) - noise))) or all_of_it <= 0:
+        return 0.0
+    return float(np.clip(other / all_of_it, 0, 1))
 
 
 def _compared(

@@ -104,7 +104,7 @@ def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
     ]
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
-        out.append(f"vibrations at the frequencies of the light: it flickers at {named}")
+        out.append(f"faint vibrations at the frequencies of the light: it flickers at {named}")
     for swing in found.swings:
         whose = "light" if swing.kind == "light" else "picture"
         out.append(f"motion of the scene from the camera's: the {whose} {swing_note(swing, found.size)}")
