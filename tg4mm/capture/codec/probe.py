@@ -9,14 +9,13 @@ import numpy as np
 
 from tg4mm.capture.planes import Orientation, orientation_of
 from tg4mm.capture.video import ALONE, BETWEEN, av_module, opened, stream_of
+from tg4mm.core.errors import Tg4mmError
 
 _REGULAR = 0.8  # of the distances, that one must have to be a period
 _PIXELS = ("yuv420p", "yuvj420p", "yuv420p10le")  # what the encoders are given
 # Options that x264 and x265 write into the file, by the names under which they take them.
 _OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", "keyint", "scenecut", "rc-lookahead",
             "weightp", "weightb", "aq-mode", "rd")  # fmt: skip
-
-
 # Of FFmpeg's names, those that keep every pixel.
 _LOSSLESS = {"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "magicyuv", "lagarith", "qtrle", "png"}
 
@@ -90,14 +89,14 @@ def is_lossless(path: Path) -> bool:
     """
     av = av_module()
     try:
-        with av.open(file_url(path)) as container:
-            stream = container.streams.video[0]
+        with opened(path) as container:
+            stream = stream_of(container)
             if stream.codec_context.name not in ("h264", "hevc"):
                 return stream.codec_context.name in _LOSSLESS
             frame = next(container.decode(stream), None)
             data = frame.side_data if frame else ()
             texts = [bytes(d)[16:].decode("latin1") for d in data if d.type.name == "SEI_UNREGISTERED"]
-    except (OSError, ValueError, IndexError, av.FFmpegError):
+    except (OSError, ValueError, Tg4mmError, av.FFmpegError):
         return False
     options = texts[0].rstrip("\0").partition("options:")[2].split() if texts else []
     return "lossless" in options or ("rc=cqp" in options and "qp=0" in options)
