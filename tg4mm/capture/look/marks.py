@@ -33,21 +33,21 @@ def marked(
     patterns: of the codec's kinds of pictures; none: it makes no line of another. taken_off: frequencies in Hz of what
     is taken off the shifts, with all that the record does not tell apart from it, and whose they are. light: its lines.
     """
-    return [
-        replace(
-            line,
-            mark=_of_light(line, light, duration_s)
-            or _mark(line, lines, rate, duration_s, patterns, taken_off),
-        )
-        for line in lines
-    ]
+    marks = [_mark(line, lines, rate, duration_s, patterns, taken_off) for line in lines]
+    own = [replace(line, mark=mark) for line, mark in zip(lines, marks, strict=True)]
+    return [_beside_light(line, light, duration_s) for line in own]
 
 
-def _of_light(line: LookLine, light: Sequence[Light], duration_s: float) -> str:
+def _beside_light(line: LookLine, light: Sequence[Light], duration_s: float) -> LookLine:
+    """The line with what light of its frequency makes it seem to move: in its ±, or as a mark where that is all."""
     for lamp in light:
-        if abs(lamp.hz - line.hz) < 1 / duration_s and line.amplitude_px < _LIGHT_PX * lamp.amplitude:
-            return f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
-    return ""
+        if abs(lamp.hz - line.hz) < 1 / duration_s:
+            seems = _LIGHT_PX * lamp.amplitude
+            why = f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
+            deviation = float(np.hypot(line.amplitude_deviation_px, seems))
+            mark = why if line.amplitude_px < seems else line.mark
+            return replace(line, amplitude_deviation_px=deviation, mark=mark)
+    return line
 
 
 @dataclass(frozen=True)
