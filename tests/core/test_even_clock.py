@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.core.even_clock import is_filled, on_even_clock
+from tg4mm.core.even_clock import is_filled, on_even_clock, unrounded
 
 RATE = 60.0
 
@@ -33,3 +33,15 @@ def test_even_samples_stay_bit_for_bit_though_times_are_rounded():
 def test_a_gap_of_four_frames_is_too_long():
     assert not is_filled(np.delete(np.arange(50), [20, 21, 22]) / RATE)
     assert is_filled(np.delete(np.arange(50), [20, 21]) / RATE)
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 4])
+@pytest.mark.parametrize("rate", [20, 30, 60, 100])
+def test_a_sample_that_lacks_is_not_taken_for_rounding(rate, decimals):
+    whole = np.round(np.arange(500) / rate, decimals)
+    even = unrounded(whole)
+    assert even is None or np.abs(even - np.arange(500) / rate).max() <= 0.51 * 10.0**-decimals
+    times = np.delete(whole, 250)
+    assert unrounded(times) is None
+    if 2 * rate < 10**decimals:  # else the gap itself is hardly told
+        assert len(on_even_clock(times, times)[0]) == 500

@@ -8,6 +8,8 @@ from scipy.interpolate import CubicSpline
 
 EVEN = 0.05  # of a step: what differs by less is rounding
 LONGEST = 3.5  # steps from sample to sample
+_DECIMALS = 9  # of times, at most
+_NEAR = 0.1  # of the last decimal
 
 
 def is_filled(times_s: np.ndarray) -> bool:
@@ -16,14 +18,47 @@ def is_filled(times_s: np.ndarray) -> bool:
     return bool(steps.max() <= LONGEST * np.median(steps))
 
 
+def unrounded(times_s: np.ndarray) -> np.ndarray | None:
+    """The even times [T] from which times, which do not fall, differ by the rounding of their last decimal; else None.
+
+    Of a whole number of samples per second, where that is one of those; else by least squares.
+    """
+    steps, k = np.diff(times_s), np.arange(len(times_s))
+    tick = _last_decimal(times_s)
+    if not (tick > 0 and np.ptp(times_s) > 0 and steps.min() >= 0):
+        return None
+    centred = k - k.mean()
+    step = float(centred @ (times_s - times_s[0]) / (centred @ centred))
+    if abs(step / tick - 1) < _NEAR:  # a sample that lacks would look like rounding
+        return None
+    whole, independent = round(1 / step), np.ptp(times_s) / max(tick, step)
+    if whole and np.ptp(times_s - k / whole) <= tick * 1.001:
+        step = 1 / whole
+    elif np.ptp(times_s - k * step) > tick * (1 + 2 / np.sqrt(independent)):
+        return None
+    return np.asarray(times_s[0] + np.mean(times_s - times_s[0] - k * step) + k * step)
+
+
+def _last_decimal(times_s: np.ndarray) -> float:
+    """Seconds, 0 where there are too many decimals to tell."""
+    for decimals in range(_DECIMALS + 1):
+        scaled = times_s * 10.0**decimals
+        if np.abs(scaled - np.round(scaled)).max() < 1e-4 and np.abs(scaled).max() < 1e11:
+            return 10.0**-decimals
+    return 0.0
+
+
 def on_even_clock(times_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times [N] with even steps from the first to the last of times [T], and values [N, ...] there of values [T, ...].
 
     As they are, but for rounding of the times, where steps are even already.
     """
+    if (even := unrounded(times_s)) is not None:
+        return even, values
     steps = np.diff(times_s)
     if np.ptp(steps) <= EVEN * np.median(steps):
         return np.linspace(times_s[0], times_s[-1], len(times_s)), values
-    count = round(float(np.ptp(times_s) / np.median(steps))) + 1
+    usual = steps[np.abs(steps - np.median(steps)) <= np.median(steps) / 2].mean()
+    count = round(float(np.ptp(times_s) / usual)) + 1
     even = np.linspace(times_s[0], times_s[-1], count)
     return even, np.asarray(CubicSpline(times_s, values)(even))

@@ -1,7 +1,6 @@
 """Channels: one value on an even clock with its unit and noise, from a measurement's folder or from a CSV file."""
 
-import csv
-import io
+import logging
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,10 +13,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks, periodogram
 
-from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock
+from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.untrusted import read_json
+from tg4mm.show.analyse.tables import AnalyseError, read_table
 
 G = 9806.65  # mm/s²
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (
@@ -29,20 +28,20 @@ _UNITS = {
     "m": (DISPLACEMENT, "mm", 1e3), "mm": (DISPLACEMENT, "mm", 1.0), "um": (DISPLACEMENT, "mm", 1e-3),
     "px": (DISPLACEMENT, "px", 1.0), "m/s": (VELOCITY, "mm", 1e3), "mm/s": (VELOCITY, "mm", 1.0),
     "m/s2": (ACCELERATION, "mm", 1e3), "mm/s2": (ACCELERATION, "mm", 1.0), "g": (ACCELERATION, "mm", G),
-    "n": (FORCE, "N", 1.0), "v": (OTHER, "V", 1.0),
+    "cm": (DISPLACEMENT, "mm", 10.0), "pixel": (DISPLACEMENT, "px", 1.0), "pixels": (DISPLACEMENT, "px", 1.0),
+    "micron": (DISPLACEMENT, "mm", 1e-3), "microns": (DISPLACEMENT, "mm", 1e-3), "in": (DISPLACEMENT, "mm", 25.4),
+    "cm/s": (VELOCITY, "mm", 10.0), "um/s": (VELOCITY, "mm", 1e-3), "in/s": (VELOCITY, "mm", 25.4),
+    "px/s": (VELOCITY, "px", 1.0), "mg": (ACCELERATION, "mm", G / 1000), "n": (FORCE, "N", 1.0), "v": (OTHER, "V", 1.0),
 }  # fmt: skip
+_SECONDS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}  # of a column of times; else it is in seconds
+_LOG = logging.getLogger("tg4mm")
 _TIMES = {"t", "time", "times", "seconds"}
 _FEWEST = 16  # samples
-_MOST_BYTES = 1 << 30
 _AROUND = 51  # frequencies of a spectrum whose median is the noise at the middle one
 _CHANCE = 0.01  # that noise alone makes a line in a record
 _CYCLES, _MOST = 2, 8  # of a line in a record; lines
 _LEAST_POWER = 4e-4  # of the strongest line: what is weaker may be its side lobe
 _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
-
-
-class AnalyseError(Tg4mmError):
-    """A record that cannot be read or does not hold what is asked of it."""
 
 
 @dataclass(frozen=True)
@@ -175,41 +174,20 @@ def doubts_of(path: Path) -> list[str]:
     return [f"{name} at {hz:.4g} Hz: {why}; its levels are lower bounds" for name, hz, why in marked]
 
 
-def read_table(path: Path) -> tuple[list[str], np.ndarray]:
-    """Head and numbers [rows, columns] of a CSV file. Raises AnalyseError for anything else."""
-    if not path.is_file():
-        raise AnalyseError(f"{path} does not exist")
-    if path.stat().st_size > _MOST_BYTES:
-        raise AnalyseError(f"{path} is larger than {_MOST_BYTES >> 30} GiB")
-    try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise AnalyseError(f"{path} is no CSV file: {error}") from None
-    rows = [row for row in rows if row]
-    if len(rows) < 2:
-        raise AnalyseError(f"{path} holds no rows below a head")
-    head = rows[0]
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(head):
-            raise AnalyseError(f"{path}, row {number}: {len(row)} values, expected {len(head)}")
-    try:
-        table = np.array(rows[1:], float)
-    except ValueError as error:
-        raise AnalyseError(f"{path}: {error}") from None
-    if not np.isfinite(table).all():
-        raise AnalyseError(
-            f"{path}, row {2 + int(np.argwhere(~np.isfinite(table))[0, 0])}: not a finite number"
-        )
-    return head, table
-
-
 def _of_csv(path: Path) -> list[Channel]:
     names, table = read_table(path)
     head = [_column(text) for text in names]
     at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
     if not at:
         raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(names)}")
-    times, values = _even(table[:, at[0]] * (1e-3 if head[at[0]][1] == "ms" else 1.0), table, str(path))
+    own = table[:, at[0]] * _SECONDS.get(head[at[0]][1], 1.0)
+    times, values = _even(own, table, str(path))
+    if values is not table:
+        rate = (len(times) - 1) / float(np.ptp(times))
+        _LOG.warning(
+            f"{path}: its times are not even, their steps are {np.diff(own).min():.4g} to {np.diff(own).max():.4g} s: "
+            f"resampled at {rate:.6g} Hz by cubic splines, which are good up to {rate / 3:.4g} Hz"
+        )
     noise = {
         name.removesuffix(" deviation"): k for k, (name, _) in enumerate(head) if name.endswith(" deviation")
     }
@@ -246,6 +224,8 @@ def _even(times: np.ndarray, values: np.ndarray, what: str) -> tuple[np.ndarray,
     """Times and values [T, ...] with even steps; what lacks is interpolated."""
     if len(times) < _FEWEST:
         raise AnalyseError(f"{what}: {len(times)} samples, expected {_FEWEST} or more")
+    if (even := unrounded(times)) is not None:
+        return even, values
     steps = np.diff(times)
     if not (steps > 0).all():
         raise AnalyseError(f"{what}: times do not increase at {times[int(np.argmin(steps > 0))]:g} s")

@@ -13,9 +13,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import PchipInterpolator
 
-from tg4mm.show.analyse.channel import AnalyseError, Channel, read_table
+from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.quantities import Value
 from tg4mm.show.analyse.spectra import Averaging
+from tg4mm.show.analyse.tables import AnalyseError, read_table
 
 _HIGHEST = 0.45  # of the frame rate: orders beyond it are left out
 _TURNS = 3.0  # that a segment holds at least

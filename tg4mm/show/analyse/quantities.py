@@ -70,7 +70,7 @@ def converted(
 ) -> tuple[np.ndarray, float, slice]:
     """[T · times] the channel as `quantity` in the band, the deviation of its noise, and where its ends are left out.
 
-    Raises AnalyseError for a channel that is no motion, and for an integral from 0 Hz.
+    Raises AnalyseError for a channel that is no motion and another quantity, and for an integral from 0 Hz.
     """
     operator = _Operator(channel, quantity, band, times)
     return operator(channel.values, 0.0), channel.noise * operator.noise_gain, operator.inner
@@ -78,9 +78,10 @@ def converted(
 
 class _Operator:
     def __init__(self, channel: Channel, quantity: str, band: tuple[float, float] | None, times: int) -> None:
-        if channel.quantity not in ORDER or quantity not in ORDER:
+        is_same = quantity == channel.quantity
+        if not is_same and (channel.quantity not in ORDER or quantity not in ORDER):
             raise AnalyseError(f"{channel.name} is {channel.quantity}, which cannot be made {quantity}")
-        order = ORDER[quantity] - ORDER[channel.quantity]
+        order = 0 if is_same else ORDER[quantity] - ORDER[channel.quantity]
         lo, hi = band_of(channel, band)
         if order < 0 and lo <= 0:
             raise AnalyseError(f"{channel.name}: an integral needs a band that begins above 0 Hz")

@@ -14,10 +14,11 @@ def format_analysis(found: Analysis) -> str:
         _table(
             ("channel", "", "peak", "peak to peak", "rms", "crest factor", "Hz", ""),
             [
-                (v.channel, v.quantity, _both(v.peak), _both(v.peak_to_peak), f"{_both(v.rms)} {v.unit}",
+                (v.channel, v.quantity, _both(v.peak), _both(v.peak_to_peak),
+                 f"{_both(v.rms)} {v.unit}".removesuffix(" 1"),
                  _both(v.crest), f"{v.band_hz[0]:.3g} to {v.band_hz[1]:.4g}",
                  f"{_both(v.rms_g)} g rms" if v.rms_g is not None
-                 else "" if np.isnan(v.db.value) else f"{_both(v.db)} dB re {v.db_reference}")
+                 else "" if np.isnan(v.db.value) else f"{_both(v.db)} dB re {v.db_reference}".removesuffix(" 1"))
                 for v in found.levels
             ],
         ),

@@ -80,10 +80,11 @@ def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
             f"{path} holds no displacement, velocity or acceleration, whose modes could be found"
         )
     levels, lag = [], None if o.lag is None else Value(o.lag, 0.0)
-    with progress("analysis", len(moving), "channels", brief=True) as update:
-        for done, channel in enumerate(moving, 1):
-            for quantity in ORDER:
-                if ORDER[quantity] >= ORDER[channel.quantity] or o.band is not None:
+    with progress("analysis", len(channels), "channels", brief=True) as update:
+        for done, channel in enumerate(channels, 1):
+            order = ORDER.get(channel.quantity)
+            for quantity in [channel.quantity] if order is None else ORDER:
+                if order is None or ORDER[quantity] >= order or o.band is not None:
                     levels.append(levels_of(channel, quantity, o.band))
             update(done)
     phases = phases_of(channels, channels[0])
