@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.show.measure.filmed import BALL_SPHERE, PARTS, POST, modes, of_parts, run_of, sine
+from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
-from tg4mm.show.measure import measure, parse_sensor, prepare
+from tg4mm.show.measure import measure, parse_sensor, prepare, prepare_fit
 from tg4mm.show.result import result_of
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])  # a tenth of a pixel at the ball
@@ -81,6 +82,20 @@ def test_a_neighbour_that_moves_stays_out_by_the_runs_modes(tmp_path):
     result = measured(run, BALL_SPHERE)["ball"]
     assert np.abs(result.displacement - truth_of(result, ball)).max() < 0.15 * np.linalg.norm(AMPLITUDE)
     assert result.spectrum.peaks[0].frequency_hz == pytest.approx(4.0, abs=0.03)
+
+
+def test_a_clock_that_does_not_begin_at_zero_changes_nothing(tmp_path):
+    """The modes' time is the first picture's; 7.3 s are 43.8 periods of the neighbour's motion."""
+    ball, post = sine(4.0, AMPLITUDE), sine(6.0, [0, 0.03, 0])
+    phasors = np.zeros((sum(PARTS), 3), complex)
+    phasors[POST] = [0, 0.03, 0]
+    run = run_of(tmp_path, of_parts(ball=ball, post=post), modes({6.0: phasors}), n_timesteps=20)
+    capture, fit, sensor = load_capture(run.dataset, split="train"), run.load_fit(), parse_sensor(BALL_SPHERE)
+    later = replace(capture, times_s=capture.times_s + 7.3)
+    found, shifted = (
+        measure(prepare_fit(own, fit), [sensor])["ball"].displacement for own in (capture, later)
+    )
+    np.testing.assert_allclose(shifted, found, atol=1e-4 * np.abs(found).max())
 
 
 def test_the_phase_against_a_reference(tmp_path):

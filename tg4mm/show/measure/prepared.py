@@ -204,7 +204,7 @@ class _Fixed:
         nothing = Sides.of(np.zeros((HALVES, 0, 0, DOF), np.float32))
         if self.observations.clock == "synchronous":
             times = frames[0].times_s
-            series = _centred(self.modal.series(times))
+            series = _centred(self.modal.series(times - times[0]))  # the modes begin with the first picture
             return [SharedClock("", tuple(range(len(frames))), times, nothing, series)]
         out = []
         for v, own in enumerate(frames):
