@@ -27,7 +27,7 @@ from tg4mm.show.measure import Measurement, Sensor, measure, prepare
 from tg4mm.show.measure.locate import check_pixel, check_sensors
 from tg4mm.show.measure.plots import PLOTS
 from tg4mm.show.measure.sensors import OF_PICTURE, checked_names, drawn_sensors
-from tg4mm.show.measure.write import MARK, write_measurement
+from tg4mm.show.measure.write import MARK, REGIONS, write_measurement
 from tg4mm.show.measure.write import work_folder as measured_folder
 from tg4mm.show.process_words import estimate_line, result_lines
 from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
@@ -160,10 +160,14 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         Step("report", "The report", out / "report.html", reported, {**magnified, "sensors": sensors},
              ["scale", "run"]),
         Step("page", "The page to send", out / "page.html",
-             lambda: export_html(Run.open(run), out / "page.html", largest),
-             all_files, ["scale", "run"]),
+             lambda: export_html(Run.open(run), out / "page.html", largest, _if_there(out / "measured" / REGIONS)),
+             all_files, ["scale", "run", "measured"]),
     ]  # fmt: skip
     return steps if options.quick or options.only else [*steps, *pages]
+
+
+def _if_there(path: Path) -> Path | None:
+    return path if path.is_file() else None
 
 
 def _sensors(dataset: Path, options: ProcessOptions) -> list[Sensor]:

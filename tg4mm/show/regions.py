@@ -3,15 +3,15 @@
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from tg4mm.capture.look import Found
 from tg4mm.core.pages.charts import CEILING, MUTED, OURS
+from tg4mm.show.labels import write_labels
 
 _EDGE = 720  # pixels of the longer side, about
 _TINT = 0.45
 _LABEL = 0.12  # of the axis: the width of a label
-_LETTER = 1 / 26  # of the shorter side: the height of a letter
 _STRIPES = 6  # pixels apart
 COLOURS = ((217, 72, 15), (25, 113, 194), (47, 158, 68), (156, 54, 181), (230, 119, 0))
 
@@ -58,19 +58,13 @@ def region_picture(found: Found, picture: np.ndarray) -> np.ndarray:
     rows, columns = np.indices(moving.shape)
     shown[: moving.shape[0], : moving.shape[1]][moving & ((rows + columns) // _STRIPES % 2 == 0)] = 20
     out = Image.fromarray(shown.astype(np.uint8))
-    draw, font = ImageDraw.Draw(out), ImageFont.load_default(max(12, round(_LETTER * min(out.size))))
-    written: list[tuple[float, float]] = []
+    draw = ImageDraw.Draw(out)
     for k, line in enumerate(found.vibrations):
         x, y = (c * scale for c in line.centre_px)
         u, v = (0.05 * min(out.size) * d for d in line.direction)
         draw.line([(x - u, y - v), (x + u, y + v)], fill=COLOURS[k % len(COLOURS)], width=max(2, scale))
-        text = f"{line.hz:.4g} Hz"
-        left, upper, right, lower = draw.textbbox((0, 0), text, font=font)
-        at = (min(x + 6, out.width - right - 4), min(y + 4, out.height - lower - 4))
-        while any(abs(at[0] - x0) < right + 4 and abs(at[1] - y0) < lower for x0, y0 in written):
-            at = (at[0], at[1] - lower - 2)
-        written.append(at)
-        draw.text(at, text, font=font, fill=(255, 255, 255), stroke_width=2, stroke_fill=(0, 0, 0))
+    centres = [(line.centre_px[0] * scale, line.centre_px[1] * scale) for line in found.vibrations]
+    write_labels(out, [(f"{v.hz:.4g} Hz", at) for v, at in zip(found.vibrations, centres, strict=True)])
     for mover in found.movers:
         left, upper, right, lower = (c * scale for c in mover.box)
         draw.rectangle(

@@ -287,3 +287,7 @@ def test_a_noisy_axis_is_left_out_unless_it_moves(tmp_path, amplitude, kept):
     content = {"printed_unit": "px", "unit_scale_m": None, "sensors": [sensor]}
     (tmp_path / "measure.json").write_text(json.dumps(content), encoding="utf-8")
     assert [c.name for c in read_channels(tmp_path)] == kept
+    without_scale = content | {"printed_unit": "units", "sensors": [sensor | {"px_per_unit": 50.0}]}
+    (tmp_path / "measure.json").write_text(json.dumps(without_scale), encoding="utf-8")
+    first = read_channels(tmp_path)[0]
+    assert (first.base, first.values.std()) == ("px", pytest.approx(50 * moved[:, 0].std()))

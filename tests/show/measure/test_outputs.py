@@ -9,6 +9,7 @@ import pytest
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
 from tg4mm.show.measure import measure, parse_sensor, sep005
+from tg4mm.show.measure.parts import parts_picture
 from tg4mm.show.measure.tables import _cell
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])
@@ -262,3 +263,13 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
         sure[name] = level["rms"]["deviation"] / level["rms"]["value"]
     assert sure["lossy"] == pytest.approx(np.hypot(sure["plain"], np.hypot(0.25, 0.05 / 0.64)), rel=0.02)
     assert "Hz: too much; its levels are lower bounds" in capsys.readouterr().out
+
+
+def test_a_picture_names_the_parts(run, out):
+    from tg4mm.core.pictures.frames import read_png
+
+    picture = read_png(out / "regions.png").astype(int)
+    coloured = np.ptp(picture, axis=2) > 60  # the ball, named; the whole scene is no part
+    assert 0.002 < coloured.mean() < 0.3
+    found = measure(run, [parse_sensor("all")])
+    assert parts_picture(found) is None

@@ -131,15 +131,15 @@ def _of_folder(path: Path, every: bool) -> list[Channel]:
     return out
 
 
-def factor_of(content: Any, sensor: Any) -> float:
-    """Printed units to a scene unit."""
-    factors = {"mm": 1000 * (content["unit_scale_m"] or 0), "px": sensor["px_per_unit"]}
-    return float(factors.get(str(content["printed_unit"]), 1.0))
+def length_of(content: Any, sensor: Any) -> tuple[str, float]:
+    """The unit of a sensor's lengths and how many make a scene unit: mm, or pixels of the view that sees it largest."""
+    if str(content["printed_unit"]) == "mm":
+        return "mm", 1000.0 * float(content["unit_scale_m"] or 0)
+    return "px", float(sensor["px_per_unit"])
 
 
 def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Channel]:
-    base = str(content["printed_unit"])
-    factor = factor_of(content, sensor)
+    base, factor = length_of(content, sensor)
     noise = np.array([np.inf if v is None else v for v in series["noise"]], float)
     values = np.array([[0 if v is None else v for v in row] for row in series["displacement"]], float)
     # of noise alone the mean power scatters by √(2/T)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import norm
 
 from tg4mm.core.untrusted import read_json
-from tg4mm.show.analyse.channel import AnalyseError, Channel, factor_of, read_channels, readable
+from tg4mm.show.analyse.channel import AnalyseError, Channel, length_of, read_channels, readable
 from tg4mm.show.analyse.quantities import Value
 
 CHANCE = 0.01  # that any of the differences is called a change where nothing changed
@@ -48,9 +48,8 @@ def lines_of(path: Path) -> list[Found]:
     read_channels(path)  # says what is wrong with it
     with readable(path):
         content = read_json(path / "measure.json")
-        base = str(content["printed_unit"])
         return [
-            _of_peak(sensor, peak, base, factor_of(content, sensor))
+            _of_peak(sensor, peak, *length_of(content, sensor))
             for sensor in content["sensors"]
             for peak in sensor["peaks"]
             if peak["main_is_above"]

@@ -9,6 +9,7 @@ import numpy as np
 from tg4mm.capture.codec import before_compression
 from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_json
+from tg4mm.core.pictures.frames import write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.animate import write_animations
@@ -17,6 +18,7 @@ from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import main_is_above
+from tg4mm.show.measure.parts import parts_picture
 from tg4mm.show.measure.plots import PLOTS, write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.table import format_table
@@ -25,6 +27,7 @@ from tg4mm.show.measure.uff import write_uff
 from tg4mm.show.measure.units import unit_of
 
 MARK = "measure.json"
+REGIONS = "regions.png"  # which part is which sensor
 FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # file of OUT, what writes it
     "csv": ("", write_csv_files),
     "uff": ("measure.uff", write_uff),
@@ -70,6 +73,11 @@ def write_measurement(
                     (out / old).unlink(missing_ok=True)
             update(done)
     write_plots(found, out, plots)
+    parts = parts_picture(found)
+    if parts is None:
+        (out / REGIONS).unlink(missing_ok=True)
+    else:
+        write_png(out / REGIONS, parts)
     lines = [format_table(found)]
     if animate:
         lines += [

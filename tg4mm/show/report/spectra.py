@@ -8,12 +8,13 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
-from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing
+from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, picture
 from tg4mm.core.scale import Scale
 from tg4mm.run import Run
 from tg4mm.show.analyse.channel import DISPLACEMENT, Channel
 from tg4mm.show.analyse.spectra import Averaging, waterfall_of
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
+from tg4mm.show.measure.parts import parts_picture
 from tg4mm.show.measure.plots import spectrum, waveform
 from tg4mm.show.measure.table import table_of
 from tg4mm.show.measure.units import unit_of as unit_of_sensor
@@ -73,6 +74,10 @@ def sensors_section(m: Material) -> list[Section]:
         "stands still, and the whole scene."
     )
     blocks: list[Block] = [Text(words), _peaks(found)]
+    parts = parts_picture(found)
+    if parts is not None:
+        caption = "Which part is which sensor: coloured and named, in the camera that sees most of them."
+        blocks.insert(1, Figure([picture(parts, alt="which part is which sensor", photo=True)], caption))
     blocks += [_figure(found, result) for result in found.sensors]
     return [Section("The sensors", blocks)]
 

@@ -42,27 +42,30 @@ class Page:
 
     scene: dict[str, Any]
     block: bytes
+    regions: bytes = b""  # PNG: which part is which sensor
 
 
-def export_html(run: Run, out: Path, most_bytes: int | None = None) -> Path:
+def export_html(run: Run, out: Path, most_bytes: int | None = None, regions: Path | None = None) -> Path:
     """Write the run as one page that plays in a browser, from the file alone (docs/web.md).
 
     most_bytes: of the file, where the whole scene would be larger (`fit.py` says what is left out); None: any size.
-    A run without motion gives a page of the still scene. Raises Tg4mmError for an `out` that is a folder, or a file
-    that is no page; RunError for a run without a space stage or whose dataset is gone; CaptureError for a bad one.
+    regions: a PNG that shows which part is which sensor, for the panel. A run without motion gives a page of the still
+    scene. Raises Tg4mmError for an `out` that is a folder, or a file that is no page; RunError for a run without a
+    space stage or whose dataset is gone; CaptureError for a bad one.
     """
     if out.is_dir():
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'scene.html'}")
     if out.suffix.lower() not in _SUFFIXES:
         raise Tg4mmError(f"--out {out}: expected a name that ends in .html, as browsers need it")
-    text = render(make_page(run, most_bytes))
+    text = render(make_page(run, most_bytes, regions))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return out
 
 
-def make_page(run: Run, most_bytes: int | None = None) -> Page:
+def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = None) -> Page:
     """The scene and its numbers, of the whole page's size at most. Raises what `export_html` does of the run."""
+    shown = b"" if regions is None else regions.read_bytes()
     with progress("page", 4, unit="steps") as update:
         gaussians, motion = run.load_space(), run.load_motion()
         update(1)
@@ -72,13 +75,13 @@ def make_page(run: Run, most_bytes: int | None = None) -> Page:
         if most_bytes is None:
             packed = pack(gaussians, fields, light)
         else:
-            most = int(0.75 * (most_bytes - _own_bytes()))  # base64 takes four bytes for three
+            most = int(0.75 * (most_bytes - _own_bytes()) - len(shown))  # base64 takes four bytes for three
             weights = blending_weights(gaussians, load_capture(run.dataset))
             packed = packed_within(gaussians, fields, light, weights, most)
         update(3)
         scene = scene_json(run, gaussians, motion, fields, packed)
         update(4)
-    return Page(scene, packed.block)
+    return Page(scene, packed.block, shown)
 
 
 def _own_bytes() -> int:
@@ -110,6 +113,7 @@ def render(page: Page) -> str:
         # Inside a script element only "<" could end it; \u003c is the same text to JSON.
         scene=Markup(json.dumps(page.scene, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")),
         block=Markup(base64.b64encode(page.block).decode("ascii")),
+        regions=Markup(base64.b64encode(page.regions).decode("ascii")),
     )
 
 
