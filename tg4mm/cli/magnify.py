@@ -98,7 +98,7 @@ def parse_bands(texts: Sequence[str] | None) -> list[tuple[float, float] | None]
 
 
 def known_bands(run: Run, bands: Sequence[tuple[float, float] | None]) -> list[tuple[float, float]]:
-    """The bands, `auto` as what it stands for, which is said. Raises Tg4mmError where the run has no vibration."""
+    """Resolve the bands; the band chosen for `auto` is reported. Raises Tg4mmError if the run has no vibration."""
     if None not in bands:
         return [band for band in bands if band is not None]
     from tg4mm.show.result.requested import auto_band

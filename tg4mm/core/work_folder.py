@@ -28,7 +28,7 @@ class WorkFolder:
     path: Path
     record: str
     error: type[Tg4mmError] = RunError
-    # a folder without a record that holds any of these (a glob pattern) is somebody else's
+    # a folder with matching files (glob patterns) but no record is not ours and is refused
     strangers: str = "*"
     # of values that are too long to be shown, or say nothing: what is said where they differ, by their first name
     others: Mapping[str, str] = field(default_factory=dict)

@@ -254,7 +254,7 @@ def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
 
 def nothing(values: np.ndarray) -> Lines:
-    """Of a record that can hold no line."""
+    """Return an empty result for a record too short to resolve any line."""
     y = np.asarray(values, np.float64).reshape(len(values), -1)
     return Lines((), y - y.mean(0), np.zeros(1), np.zeros((1, y.shape[1])))
 

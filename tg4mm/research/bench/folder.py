@@ -70,7 +70,7 @@ def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
 
 
 def filmed_digest(root: Path) -> str:
-    """Of what a method may train on: all cameras, the training pictures and points3d.ply. A copy has the same."""
+    """Return a content digest of the training data (cameras, pictures, points3d.ply), independent of location."""
     files = {*root.glob("[0-9]*/transforms_*.json"), *load_capture(root, split="train").paths}
     files |= {file for file in (root / "points3d.ply",) if file.is_file()}
     state = files_state(sorted(files), root)

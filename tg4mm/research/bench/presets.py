@@ -84,7 +84,7 @@ class Choices:
         methods_of((), {}, parse_external(list(self.external)))
 
     def options(self, *names: str) -> list[str]:
-        """Those of these names that are given, as arguments; without names all."""
+        """Return command-line arguments for the given options (default: all)."""
         found = []
         for name in names or [f.name for f in fields(self)]:
             value = getattr(self, name)

@@ -129,7 +129,7 @@ def _frequencies(sensors: Sequence[Sequence[Series]], known: KnownPhases) -> tup
 
 
 def _mean_frequency(peaks: Sequence[tuple[float, float, float, int, int]]) -> tuple[float, float]:
-    """Mean and deviation over clips, of the sensor that tells it best; no surer than its clips agree."""
+    """Return mean and standard deviation over clips of the best sensor; the latter is at least the clips' scatter."""
     best = 0.0, np.inf
     for sensor in {p[3] for p in peaks}:
         hz, deviation = np.array([p[1:3] for p in peaks if p[3] == sensor]).T

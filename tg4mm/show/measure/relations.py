@@ -45,7 +45,7 @@ class Relation:
 
 
 def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
-    """Of clips there is no coherence."""
+    """Return no coherence: it is undefined for clips."""
     phases = []
     at_peaks = _at(result, reference)
     for k, peak in enumerate(reference.spectrum.peaks):
