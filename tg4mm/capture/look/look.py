@@ -169,8 +169,17 @@ class _Told:
 
 def _told(search: Search, line: Line) -> _Told:
     """Frequency and change by `tg4mm.core.lines`, from the shape's series; the search's own where a decay that it saw
-    is too short for that."""
+    is too short for that. Where the codec may have made the change, the line is told as a steady one."""
     series, seen = search.series_of(line)
+    told = _with_change(search, line, series, seen)
+    decay = 2 * np.pi * told.hz * (told.damping or 0.0)
+    if 0 < decay * search.scene.duration < search.scene.coded_change:
+        steady = fit_lines(series[seen], search.times[seen], [line.vibration.hz]).lines[0]
+        return _Told(steady.hz, steady.hz_deviation, "untold")
+    return told
+
+
+def _with_change(search: Search, line: Line, series: np.ndarray, seen: np.ndarray) -> _Told:
     own, duration = line.vibration, search.scene.duration
     if own.decay:
         half = max(1 / duration, own.decay / np.pi)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from tg4mm.capture.look.cells import Grid
-from tg4mm.capture.look.reading import BETWEEN, INTRA, CellSeries, usual_in, whole_shift
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, usual_in, whole_shift
 from tg4mm.capture.look.spectra import step, tone, tones_of
 from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
@@ -16,6 +16,7 @@ from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the usual misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
+_MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
@@ -122,6 +123,17 @@ class Scene:
         period = _period(~self.between) if self.between.any() else 0
         turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
         return turns | {line.hz: "the light's" for line in self.light if line.is_banded}
+
+    @property
+    def coded_change(self) -> float:
+        """By how much, of its logarithm, a codec may let a small motion grow or fade over the record.
+
+        What it lets through varies as it refines pictures; it lacks at most the share of detail that others have.
+        """
+        kinds = self.series.kinds
+        alone, forward = kinds == INTRA, kinds == FORWARD
+        predicted = lacks(self.series, forward, alone) if alone.any() and forward.any() else 0.0
+        return float(-np.log(1 - min(max(self.lost, predicted), _MOST_LOST)))
 
     @property
     def treats_apart(self) -> bool:
