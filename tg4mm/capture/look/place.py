@@ -26,6 +26,7 @@ SYSTEMATIC, RIM = (
     0.015,
     0.08,
 )  # shares of an amplitude: kernel and series in u; cells that hold what is behind too
+_INEXACT = 0.5  # of the root of the share of changes that a shift leaves
 _FALSE = 0.01  # share of the cells said to move that noise may make
 _FREEDOM = 50  # degrees of freedom of a cell's floor
 _SEED, _SEED_BEST, _SEED_LEAST = 0.3, 0.1, 30.0  # statistic of a seed: of its size's best, of all, at least
@@ -254,7 +255,10 @@ class _Placing:
             variance *= 2
             if vibration.start_s is not None:
                 variance += (amplitude * vibration.decay * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
-        relative = np.hypot(RIM if is_rim else SYSTEMATIC, _PREDICTED * self._predicted_lack())
+        inexact = _INEXACT * float(self._inexact()[region].mean())
+        relative = np.linalg.norm(
+            [RIM if is_rim else SYSTEMATIC, inexact, _PREDICTED * self._predicted_lack()]
+        )
         return amplitude, float(np.hypot(variance**0.5, relative * amplitude)), direction, phase
 
     def _predicted_lack(self) -> float:

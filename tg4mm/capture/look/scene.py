@@ -100,7 +100,8 @@ class Scene:
         series = self.series
         usual = usual_in(series)
         left, change = (np.maximum(a.mean(0) - usual.noise, 0) for a in (series.misfit, series.change))
-        stands_out = usual.excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread)
+        above = np.log(usual.typical / usual.noise)
+        stands_out = above > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread)
         return np.where(stands_out, np.minimum(left / np.maximum(change, 1e-12), 1), 0)
 
     @property
