@@ -10,8 +10,8 @@ from tg4mm.core.choices import Kind
 from tg4mm.core.pictures.decode import decode
 from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
 
-# Processor seconds by measured runs: for each megapixel of all pictures (the model; then numbers, video and report), for
-# each of one picture, and in any case. Model and memory: docs/results.md, "Large videos"; the rest: 301 pictures of
+# Processor seconds by measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
+# for each of one picture, and in any case. Model and memory: docs/results.md, "Large videos"; the rest: 301 pictures of
 # 960×544 took 348 s in all, 120 of 240×160 106 s. The third dimension costs more.
 _FLAT_S = 0.16 + 1.34, 25.0, 90.0
 _DEEP_S = 2.0 + 1.34, 0.0, 120.0
