@@ -11,12 +11,14 @@ from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import (
     CANDIDATES,
     DEFAULT,
+    LEAST,
     chosen_weight,
     few_iterations,
     noise_components,
     pixel_weights,
     select_noise,
     select_smoothness,
+    smoothest,
 )
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews
@@ -115,7 +117,32 @@ class TestSmoothness:
         images = shown(problem, each_by_itself(), 0.0)
         given = replace(problem, config=replace(problem.config, smoothness_weight=77.0))
         assert select_smoothness(images, given, FOLDS) == 77.0
-        assert select_smoothness(images, problem, FOLDS) == CANDIDATES[0]
+        assert select_smoothness(images, problem, FOLDS) == pytest.approx(LEAST)
+
+    @pytest.mark.parametrize("best", [150.0, 1_234.0, 40_000.0])
+    def test_the_best_weight_may_lie_between_candidates(self, best):
+        """A predictive error that is smooth in the logarithm of the weight, of which noise is nearly all."""
+        weights = np.array(CANDIDATES)
+        errors = 100 - 0.5 / (1 + np.log(weights / best) ** 2 / 8)
+        found = smoothest(weights, errors, 100.0)
+        assert best < found < 3 * best  # the largest that explains nearly as much
+
+    def test_what_noise_adds_to_the_error_does_not_widen_the_choice(self):
+        """With ten times the noise, weights differ by as much in what they explain, and so the choice is the same."""
+        weights = np.array(CANDIDATES)
+        explained = 0.5 / (1 + np.log(weights / 1_000.0) ** 2 / 8)
+        little, much = (smoothest(weights, noise - explained, noise) for noise in (100.0, 1_000.0))
+        assert much == pytest.approx(little)
+
+    def test_of_weights_that_are_alike_it_is_the_largest(self):
+        """All explain the same, but for a part in a hundred."""
+        explained = 10 + 0.1 * np.cos(1 + np.arange(len(CANDIDATES)))
+        assert smoothest(np.array(CANDIDATES), 100 - explained, 100.0) == pytest.approx(CANDIDATES[-1])
+
+    @pytest.mark.parametrize("noise", [1.0, 3.0])
+    def test_motion_of_all_as_one_in_noise_is_held_as_firmly(self, anywhere, noise):
+        """The least error lies at the end of the first candidates, or beyond."""
+        assert weight_for(anywhere, shown(anywhere, as_one(), noise)) >= 0.9 * CANDIDATES[-1]
 
 
 class TestNoise:

@@ -171,6 +171,29 @@ def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(moving):
     assert "pose" in seen.figures["nuisance"]
 
 
+def with_noise(observations, size, seed):
+    """Noise of so much rms (0..1) on the object, alike in its three channels, as a renderer of few samples has it."""
+    data = observations.pictures.data.astype(float)
+    noise = 65535 * size * np.random.default_rng(seed).normal(size=(*data.shape[:3], 1))
+    data[..., :3] += noise * (data[..., 3:] > 0)
+    return replace(observations, pictures=ImageStack(data.clip(0, 65535).round().astype(np.uint16)))
+
+
+@pytest.mark.parametrize("shake_px", [0.0, SHAKE_PX])
+def test_noise_of_a_cut_out_object_is_no_shake_and_hides_none(moving, shake_px):
+    """The object fills a part of the pictures; the noise on it changes them more than its motion does."""
+    gaussians, motion = moving
+    clean = filmed(lambda t: _at(gaussians, motion, t, 0), 6, shake_px, True)
+    for seed in range(5):
+        noisy = with_noise(clean, 0.1, seed)
+        seen, found_px = _looked_at(noisy, rest_views(gaussians, noisy), gaussians, MotionConfig())
+        if shake_px:
+            assert found_px == pytest.approx(shake_px, rel=0.3)
+        else:
+            assert found_px == 0
+            assert seen.figures["shake_own_share"] < 0.25
+
+
 @pytest.mark.parametrize("is_cut_out", [False, True])
 def test_a_scene_that_moves_as_a_whole_is_not_stabilised(moving, is_cut_out):
     """It shifts by half a pixel and turns; four still cameras see the same motion."""

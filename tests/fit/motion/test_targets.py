@@ -12,53 +12,6 @@ from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.nuisance.first_look import first_look
 from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.temporal.independent import sinusoid_targets
-from tg4mm.fit.motion.temporal.synchronous import kept_components
-
-
-def zero_mean_basis(n, n_timesteps, seed=0):
-    a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
-    q, _ = np.linalg.qr(a - a.mean(0))
-    return q.T
-
-
-class TestKeptComponents:
-    def test_without_noise_all_of_the_rank_and_no_rounding_is_kept(self):
-        signal = zero_mean_basis(3, 30).T @ np.random.default_rng(0).normal(size=(3, 5000))
-        assert kept_components(spectrum(signal.astype(np.float32).astype(float))) == 3
-
-    @pytest.mark.parametrize(
-        ("energy", "kept"),
-        [
-            ([10.0, 9, 8, 7, 6, 5, 0, 0], 6),  # most of a short capture is signal
-            ([100.0] * 20 + [1.0] * 9 + [0.0], 20),  # broadband motion above noise
-            ([10.0, 9, 0.001, 0], 3),  # T = 4: too few to tell noise
-            ([1.0] * 29 + [0.0], 1),  # nothing but noise
-        ],
-    )
-    def test_the_weakest_tell_the_noise(self, energy, kept):
-        assert kept_components(np.array(energy)) == kept
-
-    @pytest.mark.parametrize("rank", [14, 28])
-    def test_where_pictures_repeat_those_that_are_not_empty_tell(self, rank):
-        energy = np.array([100.0, 50] + [1.0] * (rank - 2) + [0.0] * (30 - rank))
-        assert kept_components(energy, rank) == 2
-        assert kept_components(energy) == (rank if rank == 14 else 2)  # the empty ones would tell of no noise
-
-    @pytest.mark.parametrize("seed", range(5))
-    @pytest.mark.parametrize(("n_timesteps", "pixels"), [(30, 20_000), (100, 20_000), (9, 2_000)])
-    def test_spread_over_many_pixels_a_weaker_signal_is_kept(self, n_timesteps, pixels, seed):
-        """Noise alone stays noise; what adds seven tenths to a component's noise stands out where pixels are many."""
-        rng = np.random.default_rng(seed)
-        noise = rng.normal(size=(n_timesteps, pixels))
-        assert kept_components(spectrum(noise), pixels=pixels) == 1
-        two = zero_mean_basis(2, n_timesteps).T @ rng.normal(size=(2, pixels)) * np.array(0.7**0.5)
-        assert kept_components(spectrum(noise + two), pixels=pixels) == 2
-        assert kept_components(spectrum(noise + two)) == 1  # less than twice the noise
-
-
-def spectrum(video):
-    """Energies of [T, P] less its mean over time, falling."""
-    return np.linalg.svd(video - video.mean(0), compute_uv=False) ** 2
 
 
 def changes(images, frames):

@@ -6,21 +6,24 @@ count by the inverse of their variance, to which the mean over all is added, so 
 average one.
 
 Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
-of magnitude. So the strongest component is fitted to one fold with every candidate weight of the prior, for a few
-iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). Errors of
-the model (edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest
-weight that is within 0.8 % of the best.
+of magnitude. So the strongest component is fitted to one fold with weights of the prior a factor of 5.6 apart, for a
+few iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). The
+range is extended where its end is best, and the error is interpolated in between. Errors of the model (edges,
+shading) are alike in both folds and draw towards weights that are too small; hence the largest weight that explains
+nearly as much.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.config import more_iterations
+from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.operator import Fold, Operator
 from tg4mm.fit.motion.solver.pcg import pcg
@@ -28,9 +31,15 @@ from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import reliability
 from tg4mm.fit.motion.targets import TargetImages
 
-CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
+LEAST = 10.0  # smoothness weight: with less, what fits both folds are errors of the model that they share
+_FACTOR = 10**0.75  # from one candidate to the next
+CANDIDATES = tuple(LEAST * _FACTOR**k for k in range(7))  # to 3·10⁵
+_MORE = 2  # candidates beyond, if the last is best; with more than 10⁷ all motion is affine
 DEFAULT = 300.0  # where the data are not split, or nothing changes
-_WITHIN = 1.008  # of the least error
+_STEP = 0.02  # of the logarithm of the weight
+# what a larger weight may predict worse: a part of the least error, and of what the best weight explains, which in
+# noise is much smaller
+_WITHIN, _OF_EXPLAINED = 0.008, 0.05
 _FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six tell the same
@@ -98,12 +107,37 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
     some, others = folds
     if not (images[some.views].any() and images[others.views].any()):
         return DEFAULT
-    judge = problem.operator(others, CANDIDATES[0])
-    operators = [problem.operator(some, value) for value in CANDIDATES]
-    fields = few_iterations(operators, [images[v] for v in some.views], iterations)
-    errors = [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
-    best = int(np.flatnonzero(np.array(errors) <= _WITHIN * min(errors))[-1])
-    return CANDIDATES[best]
+    judge = problem.operator(others, DEFAULT)
+
+    def errors_of(weights: Sequence[float]) -> list[float]:
+        operators = [problem.operator(some, value) for value in weights]
+        fields = few_iterations(operators, [images[v] for v in some.views], iterations)
+        return [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
+
+    nothing = np.zeros((images.shape[1], problem.n_gaussians, DOF), np.float32)
+    still = judge.misfit(nothing, (images[v] for v in others.views))
+    weights, errors = list(CANDIDATES), errors_of(CANDIDATES)
+    if errors[-1] == min(errors):
+        more = [weights[-1] * _FACTOR**k for k in range(1, _MORE + 1)]
+        weights, errors = weights + more, errors + errors_of(more)
+    return smoothest(np.array(weights), np.array(errors), still)
+
+
+def smoothest(weights: np.ndarray, errors: np.ndarray, still: float) -> float:
+    """Return the largest weight around the best one that explains nearly as much; the least where that is the best.
+
+    weights [K], ascending, and their predictive errors [K], interpolated over the logarithm of the weight; still: the
+    error without motion.
+    """
+    if not errors.argmin():
+        return float(weights[0])
+    logs = np.log(weights)
+    fine = np.linspace(logs[0], logs[-1], round((logs[-1] - logs[0]) / _STEP) + 1)
+    curve = Akima1DInterpolator(logs, errors)(fine)
+    best = int(curve.argmin())
+    margin = min(_WITHIN * curve[best], _OF_EXPLAINED * max(still - curve[best], 0))
+    beyond = np.flatnonzero(curve[best:] > curve[best] + margin)
+    return float(np.exp(fine[best + beyond[0] - 1 if len(beyond) else -1]))
 
 
 def few_iterations(

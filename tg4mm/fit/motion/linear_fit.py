@@ -15,7 +15,7 @@ import numpy as np
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
 from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.hyperparameters import CANDIDATES, Hyperparameters
+from tg4mm.fit.motion.hyperparameters import LEAST, Hyperparameters
 from tg4mm.fit.motion.prior.graph import Graph, edge_residual, reweight_edges
 from tg4mm.fit.motion.solver.operator import Array, Fold, Operator
 from tg4mm.fit.motion.solver.pcg import Solution, fetched, pcg, sent
@@ -148,8 +148,8 @@ class LinearFit:
         return {"fields": fields}
 
     def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
-        """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
-        if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
+        """The graph with edges reweighted; None where there is one fold, or the smoothness weight is the least."""
+        if len(first) < 2 or self.hyper.smoothness_weight <= LEAST:
             return None
         graph = self.problem.graph
         return reweight_edges(graph, edge_residual(graph, first[0]["x"], first[1]["x"]))

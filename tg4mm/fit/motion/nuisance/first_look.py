@@ -28,10 +28,11 @@ from tg4mm.fit.motion.nuisance.projection import (
     nuisances_of,
 )
 from tg4mm.fit.motion.nuisance.registration import stabilised
-from tg4mm.fit.motion.nuisance.shake import LEAST_PX, BlockShifts, own_rotations
+from tg4mm.fit.motion.nuisance.shake import LEAST_PX, BlockShifts, PoseSums, own_rotations
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, watched
 from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.split_half import chessboard
 
 CACHE_BYTES = 128 << 20  # of differences, kept from this look for the next; what is more is composited again
 # Of what moves pictures of several cameras as wholes. Still cameras: .05 to .20 in three scenes, since a motion that
@@ -48,7 +49,8 @@ class FirstLook:
     total: np.ndarray  # [V, H, W] energy of the changes, mean over channels
     mean: np.ndarray  # [V, H, W, 3]
     columns: list[np.ndarray]  # V of [12, F]: products of the nuisance columns with the changes
-    column_grams: list[np.ndarray]  # V of [12, 12]: products of the nuisance columns, 0 for inactive ones
+    sums: PoseSums | None  # of the columns, where each camera's own shake is looked for
+    half: PoseSums | None  # the same over half of the pixels
     cache: dict[int, list[tuple[slice, np.ndarray]]]  # of some views the changes, by strips
     shake: tuple[float, bool]  # of the cameras: pixels (rms), and whether it is one
 
@@ -124,7 +126,8 @@ def _looked_at(
     possible[EXPOSURE] = config.nuisance != "none"
     possible[POSE] = looks or config.nuisance == "all"
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), possible)
-    look = first_look(observations, nuisances, looks and observations.is_opaque)
+    board = chessboard(observations.size) if looks and several else None
+    look = first_look(observations, nuisances, looks and observations.is_opaque, board)
     gain, offset, share = exposure(nuisances, list(look.mean), look.columns, look.grams)
     figures: dict[str, Any] = {
         "exposure_gain_percent": round(gain, 4),
@@ -132,8 +135,8 @@ def _looked_at(
         "exposure_share": round(share, 6),
     }
     pixels, is_shaking = look.shake
-    if looks and several:
-        pixels, own = _own_shake(observations, look)
+    if look.sums is not None and look.half is not None:
+        pixels, own = own_rotations(observations.frames, look.sums, look.half)
         is_shaking = pixels > LEAST_PX and own > _OWN_SHARE and (is_shaking or not observations.is_opaque)
         figures["shake_own_share"] = round(own, 4)
     active = possible.copy()
@@ -152,13 +155,20 @@ def _looked_at(
 
 
 def first_look(
-    observations: Observations, nuisances: Sequence[Nuisance], looks_for_shake: bool = False
+    observations: Observations,
+    nuisances: Sequence[Nuisance],
+    looks_for_shake: bool = False,
+    board: np.ndarray | None = None,
 ) -> FirstLook:
-    """One pass through the pictures. Of the nuisances' pose columns only active ones have products, else 0."""
+    """One pass through the pictures. Of the nuisances' pose columns only active ones have products, else 0.
+
+    board [H, W] of 0 and 1: which pixels are one half of them; None: no sums over halves.
+    """
     width, height = observations.size
     n = len(observations.frames)
     total, mean = np.empty((n, height, width), np.float32), np.empty((n, height, width, 3), np.float32)
-    grams, columns, column_grams = [], [], []
+    grams, columns = [], []
+    column_grams, half = [], PoseSums([], [])
     cache: dict[int, list[tuple[slice, np.ndarray]]] = {}
     free = CACHE_BYTES
     shakes = []
@@ -167,6 +177,7 @@ def first_look(
         free -= len(frames.rows) * height * width * 12
         n_frames, kept = len(frames.rows), []
         gram, products = np.zeros((n_frames, n_frames)), np.zeros((COLUMNS, n_frames))
+        of_half = np.zeros_like(products)
         for rows, strip in pictures:
             mean[v, rows] = strip.mean(0, dtype=np.float64)
             strip -= mean[v, rows]
@@ -175,12 +186,18 @@ def first_look(
             flat = strip.reshape(len(strip), -1)
             gram += flat @ flat.T
             products += inner_products(nuisances[v], mean[v], rows, flat)
+            if board is not None:
+                masked = (strip * board[rows, :, None]).reshape(len(strip), -1)
+                of_half += inner_products(nuisances[v], mean[v], rows, masked)
             total[v, rows] = np.einsum("fhwc,fhwc->hw", strip, strip) / 3
             if free >= 0:
                 kept.append((rows, strip))
         grams.append(gram)
         columns.append(products)
-        column_grams.append(_column_gram(nuisances[v], mean[v]))
+        if board is not None:
+            column_grams.append(_column_gram(nuisances[v], mean[v]))
+            half.grams.append(_column_gram(nuisances[v], mean[v], board))
+            half.products.append(of_half)
         nuisances[v].release()
         if kept:
             cache[v] = kept
@@ -188,19 +205,14 @@ def first_look(
             shakes.append(blocks.shake())
     pixels = float(np.sqrt(np.mean([p**2 for p, _ in shakes]))) if shakes else 0.0
     shake = pixels, bool(shakes and np.mean([s for _, s in shakes]) > 0.5)
-    return FirstLook(grams, total, mean, columns, column_grams, cache, shake)
+    sums = None if board is None else PoseSums(column_grams, columns)
+    return FirstLook(grams, total, mean, columns, sums, None if board is None else half, cache, shake)
 
 
-def _column_gram(nuisance: Nuisance, mean: np.ndarray) -> np.ndarray:
+def _column_gram(nuisance: Nuisance, mean: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
     out = np.zeros((COLUMNS, COLUMNS))
-    out[np.ix_(nuisance.active, nuisance.active)] = nuisance.gram(mean)
+    out[np.ix_(nuisance.active, nuisance.active)] = nuisance.gram(mean, mask=mask)
     return out
-
-
-def _own_shake(observations: Observations, look: FirstLook) -> tuple[float, float]:
-    width, height = observations.size
-    energy = float(sum(np.trace(g) for g in look.grams))
-    return own_rotations(observations.frames, look.column_grams, look.columns, energy, width * height)
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:

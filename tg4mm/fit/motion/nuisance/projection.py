@@ -67,9 +67,14 @@ class Nuisance:
                 out[k] = self.pose[column - 6]
         return out
 
-    def gram(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
-        """[k, k] float64: products of the columns."""
-        flat = self.columns(mean, active).reshape(-1, mean.size)
+    def gram(
+        self, mean: np.ndarray, active: np.ndarray | None = None, mask: np.ndarray | None = None
+    ) -> np.ndarray:
+        """[k, k] float64: products of the columns, over the pixels of a `mask` [H, W] of 0 and 1 (None: all)."""
+        columns = self.columns(mean, active)
+        if mask is not None:
+            columns *= mask[..., None]
+        flat = columns.reshape(-1, mean.size)
         return (flat @ flat.T).astype(np.float64)
 
     def explained_gram(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:

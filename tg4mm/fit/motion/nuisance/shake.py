@@ -105,44 +105,60 @@ def _one_pose(places: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> np
     return fitted
 
 
-def own_rotations(
-    cameras: Sequence[PosedView],
-    grams: Sequence[np.ndarray],
-    products: Sequence[np.ndarray],
-    energy: float,
-    n_pixels: int,
-) -> tuple[float, float]:
-    """What synchronous cameras' pictures shift by beyond one rigid motion of the scene: pixels (rms), and its share.
+@dataclass(frozen=True)
+class PoseSums:
+    """Inner products of the nuisance columns of V cameras, summed over all pixels or over half of them."""
 
-    grams V of [12, 12]: products of the nuisance columns; products V of [12, F]: theirs with the changes of F frames;
-    energy: of all changes; n_pixels: of a picture. The share is the part of the energy that a common rigid motion and
-    rotations of each camera by itself explain together and the common motion alone does not, noise taken off; exposure
-    is fitted first. It is near 0 for a scene that moves as a whole, near 1 for many cameras that shake.
+    grams: list[np.ndarray]  # V of [12, 12]: of the columns with each other, 0 for inactive ones
+    products: list[np.ndarray]  # V of [12, F]: of the columns with the changes of F frames
+
+    def without(self, other: "PoseSums") -> "PoseSums":
+        """The sums over the pixels that `other` leaves out."""
+        grams = [a - b for a, b in zip(self.grams, other.grams, strict=True)]
+        return PoseSums(grams, [a - b for a, b in zip(self.products, other.products, strict=True)])
+
+
+def own_rotations(cameras: Sequence[PosedView], sums: PoseSums, half: PoseSums) -> tuple[float, float]:
+    """Return the shift of synchronous cameras' pictures beyond one rigid scene motion: pixels (rms), and its share.
+
+    sums: over all pixels; half: over half of them, one colour of a chessboard. The share is the part of the energy that
+    a common rigid motion and rotations of each camera by itself explain together and the common motion alone does not;
+    exposure is fitted first. It is near 0 for a scene that moves as a whole, near 1 for many cameras that shake.
+
+    What noise adds is left out: the coefficients of one half of the pixels count by what they explain of the other
+    half, with which they share no noise, however that is spread over pixels and channels.
     """
-    gram, side = _normal_equations(cameras, grams, products)
+    gram, side = _normal_equations(cameras, sums)
     n_cameras, n_frames = len(cameras), side.shape[1]
     own = np.tile(np.arange(9), n_cameras)
     kind = np.concatenate([np.where(own < 6, 0, 1), np.full(6, 2)])  # exposure, own rotations, common motion
-    exposure, common, everything = (_solved(gram, side, k) for k in (kind == 0, kind != 1, kind >= 0))
+    subsets = kind == 0, kind != 1, kind >= 0
+    exposure, common, everything = (_solved(gram, side, k) for k in subsets)
     at_first, by_common, by_all = (float((side * n).sum()) for n in (exposure, common, everything))
-    noise = max(energy - by_all, 0) / (3 * n_pixels * n_cameras * n_frames)  # of one value
-    excess = max(by_all - by_common - 3 * n_cameras * n_frames * noise, 0)
+    halves = [_normal_equations(cameras, part) for part in (half, sums.without(half))]
+    common_shared, all_shared = (_shared_energy(halves, k) for k in subsets[1:])
+    excess = max(all_shared - common_shared, 0)
     residual = side - gram @ np.where((kind == 2)[:, None], common, 0)
     rotations = _solved(gram, residual, kind < 2)[kind == 1].reshape(n_cameras, 3, n_frames)
     pixels = np.stack([np.diag(c.K)[:2, None] * r[1::-1] for c, r in zip(cameras, rotations, strict=True)])
     share = excess / max(by_all - at_first, 1e-30)
-    kept = excess / max(by_all - by_common, 1e-30)
+    kept = min(excess / max(by_all - by_common, 1e-30), 1.0)
     return float(np.sqrt(kept * (pixels**2).sum(1).mean())), share
 
 
-def _normal_equations(
-    cameras: Sequence[PosedView], grams: Sequence[np.ndarray], products: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
+def _shared_energy(halves: Sequence[tuple[np.ndarray, np.ndarray]], active: np.ndarray) -> float:
+    """Return the energy that two halves of the pixels agree on: each one's solution by the other's right-hand side."""
+    (gram_a, side_a), (gram_b, side_b) = halves
+    a, b = _solved(gram_a, side_a, active), _solved(gram_b, side_b, active)
+    return float((a * side_b).sum() + (b * side_a).sum())
+
+
+def _normal_equations(cameras: Sequence[PosedView], sums: PoseSums) -> tuple[np.ndarray, np.ndarray]:
     """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and rotation, the scene's common rigid motion."""
     own = np.r_[EXPOSURE, ROTATION]
     n = len(own) * len(cameras)
-    gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, products[0].shape[1]))
-    for v, (camera, g, p) in enumerate(zip(cameras, grams, products, strict=True)):
+    gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, sums.products[0].shape[1]))
+    for v, (camera, g, p) in enumerate(zip(cameras, sums.grams, sums.products, strict=True)):
         here, seen_as = slice(len(own) * v, len(own) * (v + 1)), _as_pose(camera.viewmat)
         gram[here, here] = g[np.ix_(own, own)]
         gram[here, n:] = g[own, POSE] @ seen_as

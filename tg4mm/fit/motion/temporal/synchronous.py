@@ -1,7 +1,7 @@
-"""Fixed cameras on one clock: time separates from space, one field for each principal component over time.
+"""Fixed cameras on one clock: time separates from space, one field for each function of time.
 
-The components are those of all changes of all cameras together. C_v is the identity, so that the fields can be solved
-for one by one.
+The functions are sinusoids and principal components of all changes of all cameras together (`time_courses.py`). C_v is
+the identity, so that the fields can be solved for one by one.
 """
 
 import warnings
@@ -26,14 +26,15 @@ from tg4mm.fit.motion.spectrum import apply_series, modes_of
 from tg4mm.fit.motion.split_half import folds_of
 from tg4mm.fit.motion.targets import TargetImages, projected
 from tg4mm.fit.motion.temporal import TemporalModel
+from tg4mm.fit.motion.temporal.time_courses import (
+    effective_pixels,
+    kept_components,
+    orthonormal,
+    rank_of,
+    sinusoidal_courses,
+)
 
-_RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
-_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
-_MARGIN = 1.1
-_RANK_FOR_NOISE = 7
 _LARGEST = 24  # timesteps whose motion is looked at
-_DISTINCT = 0.05  # of the largest singular value: courses that differ by less are one
-_ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
 
 
 @dataclass(frozen=True)
@@ -109,22 +110,27 @@ class Synchronous(TemporalModel):
 def principal_components(
     observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], most: int
 ) -> TargetImages:
-    """Known courses of vibrations, and besides them principal components of the changes of all synchronous cameras.
+    """Time courses of vibrations, and principal components of what the changes of all synchronous cameras hold besides.
 
-    A vibration of a small part of a large picture is no principal component: there the noise of all pixels is stronger.
-    Of the others there are at most `most`. What the active nuisance columns explain of a frame is taken out first.
+    The courses are known (`Observations.courses`) or sinusoids that stand out of the noise. A vibration of a small part
+    of a large picture is no principal component: there the noise of all pixels is stronger. Of the components there
+    are at most `most`. What the active nuisance columns explain of a frame is taken out first.
     """
     gram = np.zeros_like(look.grams[0])
     for v, nuisance in enumerate(nuisances):
         gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
-    known = _orthonormal(observations.courses, gram)
+    pixels = effective_pixels(look.total)
+    courses = observations.courses
+    if courses is None and not observations.is_flat:
+        courses = sinusoidal_courses(gram, pixels, observations.fps)
+    known = orthonormal(courses, gram)
     known_energy = np.einsum("kt,ts,ks->k", known, gram, known)
     gram -= known.T @ (known @ gram)
     gram -= (gram @ known.T) @ known
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
-    rank = int((energy[:-1] > _ROUNDING * energy[0]).sum())
-    count = kept_components(energy, rank, _effective_pixels(look.total))
+    rank = rank_of(energy)
+    count = kept_components(energy, rank, pixels, least=0 if len(known) else 1)
     if count > most:
         warnings.warn(
             f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
@@ -136,37 +142,3 @@ def principal_components(
     n_known = len(known)
     energy = np.concatenate([known_energy, energy[: len(energy) - n_known]])
     return TargetImages(basis, energy, images, residual, max(rank, 1) + n_known, look.mean, n_known)
-
-
-def _orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
-    """[K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
-    if courses is None or not len(courses):
-        return np.zeros((0, len(gram)))
-    own = courses - courses.mean(1, keepdims=True)
-    _, sizes, span = np.linalg.svd(own / np.linalg.norm(own, axis=1, keepdims=True), full_matrices=False)
-    span = span[sizes > _DISTINCT * sizes[0]]
-    _, turn = np.linalg.eigh(span @ gram @ span.T)
-    return np.asarray(turn[:, ::-1].T @ span)
-
-
-def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
-    """How many components stand out of rounding and noise: `energy` [T] falling. At least 1.
-
-    Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
-    where pictures repeat (`rank` are not). So the weakest quarter of the others tells its level. Fewer than seven are
-    no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by the
-    number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
-    """
-    used = len(energy) - 1 if rank is None else rank
-    floor = _RELATIVE_FLOOR * energy[0]
-    if used >= _RANK_FOR_NOISE:
-        root = np.sqrt(used / max(pixels, 2 * used))
-        factor = min(_MARGIN * ((1 + root) / (1 - root)) ** 2, _NOISE_FACTOR)
-        floor = max(floor, factor * float(energy[used - used // 4 : used].mean()))
-    return max(int((energy[:used] > floor).sum()), 1)
-
-
-def _effective_pixels(total: np.ndarray) -> float:
-    """Over how many pixels energy [V, H, W] is spread: all if alike in all, 1 if in one."""
-    squares = np.einsum("vhw,vhw->", total, total, dtype=np.float64)
-    return float(total.sum(dtype=np.float64) ** 2 / squares) if squares else 0.0
