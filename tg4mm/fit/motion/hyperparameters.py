@@ -8,9 +8,9 @@ average one.
 Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
 of magnitude. So the strongest component is fitted to one fold with weights of the prior a factor of 5.6 apart, for a
 few iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). The
-range is extended where its end is best, and the error is interpolated in between. Errors of the model (edges,
-shading) are alike in both folds and draw towards weights that are too small; hence the largest weight that explains
-nearly as much.
+range is extended where the error still falls at its end, and the error is interpolated in between. Errors of the model
+(edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest weight that
+explains nearly as much.
 """
 
 from collections.abc import Iterable, Sequence
@@ -117,7 +117,7 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
     nothing = np.zeros((images.shape[1], problem.n_gaussians, DOF), np.float32)
     still = judge.misfit(nothing, (images[v] for v in others.views))
     weights, errors = list(CANDIDATES), errors_of(CANDIDATES)
-    if errors[-1] == min(errors):
+    if errors[-2] - errors[-1] > _margin(errors[-1], still) and errors[-1] == min(errors):
         more = [weights[-1] * _FACTOR**k for k in range(1, _MORE + 1)]
         weights, errors = weights + more, errors + errors_of(more)
     return smoothest(np.array(weights), np.array(errors), still)
@@ -135,9 +135,13 @@ def smoothest(weights: np.ndarray, errors: np.ndarray, still: float) -> float:
     fine = np.linspace(logs[0], logs[-1], round((logs[-1] - logs[0]) / _STEP) + 1)
     curve = Akima1DInterpolator(logs, errors)(fine)
     best = int(curve.argmin())
-    margin = min(_WITHIN * curve[best], _OF_EXPLAINED * max(still - curve[best], 0))
-    beyond = np.flatnonzero(curve[best:] > curve[best] + margin)
+    beyond = np.flatnonzero(curve[best:] > curve[best] + _margin(float(curve[best]), still))
     return float(np.exp(fine[best + beyond[0] - 1 if len(beyond) else -1]))
+
+
+def _margin(least: float, still: float) -> float:
+    """Return by how much a weight may predict worse than the best one and still explain nearly as much."""
+    return min(_WITHIN * least, _OF_EXPLAINED * max(still - least, 0))
 
 
 def few_iterations(
