@@ -23,7 +23,6 @@ from scipy.ndimage import gaussian_filter
 from tg4mm.core.memory import release
 from tg4mm.core.progress import progress
 from tg4mm.fit.motion.config import more_iterations
-from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.operator import Fold, Operator
 from tg4mm.fit.motion.solver.pcg import pcg
@@ -109,17 +108,18 @@ def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], i
         return DEFAULT
     judge = problem.operator(others, DEFAULT)
 
-    def errors_of(weights: Sequence[float]) -> list[float]:
+    def fields_of(weights: Sequence[float]) -> list[np.ndarray]:
         operators = [problem.operator(some, value) for value in weights]
-        fields = few_iterations(operators, [images[v] for v in some.views], iterations)
-        return [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
+        return few_iterations(operators, [images[v] for v in some.views], iterations)
 
-    nothing = np.zeros((images.shape[1], problem.n_gaussians, DOF), np.float32)
-    still = judge.misfit(nothing, (images[v] for v in others.views))
-    weights, errors = list(CANDIDATES), errors_of(CANDIDATES)
+    def error(fields: np.ndarray) -> float:
+        return judge.misfit(fields, (images[v] for v in others.views))
+
+    weights, fields = list(CANDIDATES), fields_of(CANDIDATES)
+    still, errors = error(np.zeros_like(fields[0])), [error(f) for f in fields]
     if errors[-2] - errors[-1] > _margin(errors[-1], still) and errors[-1] == min(errors):
         more = [weights[-1] * _FACTOR**k for k in range(1, _MORE + 1)]
-        weights, errors = weights + more, errors + errors_of(more)
+        weights, errors = weights + more, errors + [error(f) for f in fields_of(more)]
     return smoothest(np.array(weights), np.array(errors), still)
 
 
