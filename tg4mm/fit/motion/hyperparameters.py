@@ -38,7 +38,7 @@ DEFAULT = 300.0  # where the data are not split, or nothing changes
 _STEP = 0.02  # of the logarithm of the weight
 # what a larger weight may predict worse: a part of the least error, and of what the best weight explains, which in
 # noise is much smaller
-_WITHIN, _OF_EXPLAINED = 0.008, 0.05
+_WITHIN, _OF_EXPLAINED = 0.002, 0.02
 _FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six tell the same
