@@ -30,8 +30,17 @@ def filmed(courses, strengths, seed, n_timesteps):
     return video @ video.T
 
 
-def swing(hz, n_timesteps, phase=0.0, decay=0.0):
-    t = np.arange(n_timesteps) / FPS
+def at(n_timesteps):
+    return np.arange(n_timesteps) / FPS
+
+
+def found_in(gram):
+    return sinusoidal_courses(gram, PIXELS, at(len(gram)))
+
+
+def swing(hz, times_s, phase=0.0, decay=0.0):
+    """At times [T], or as many even ones."""
+    t = at(times_s) if np.isscalar(times_s) else times_s
     return np.exp(-decay * t) * np.cos(2 * np.pi * hz * t + phase)
 
 
@@ -53,7 +62,7 @@ class TestSinusoids:
         """Both phases of a wave that travels; the weaker one lies below the noise, and no component holds it."""
         waves = [swing(hz, n_timesteps, p) for p in (0.4, 0.4 + np.pi / 2)]
         gram = filmed(waves, (0.6, 0.3), seed, n_timesteps)
-        found = sinusoidal_courses(gram, PIXELS, FPS)
+        found = found_in(gram)
         assert found.shape == (2, n_timesteps)
         assert min(explained(found, wave) for wave in waves) > 0.98
         assert explained(first_component(gram), waves[1]) < 0.5
@@ -61,28 +70,36 @@ class TestSinusoids:
     @pytest.mark.parametrize("seed", range(5))
     @pytest.mark.parametrize("n_timesteps", [12, 15, 30, 60])
     def test_noise_has_none(self, n_timesteps, seed):
-        assert sinusoidal_courses(filmed([], [], seed, n_timesteps), PIXELS, FPS) is None
+        assert found_in(filmed([], [], seed, n_timesteps)) is None
 
     @pytest.mark.parametrize("seed", range(5))
     def test_two_vibrations_are_two(self, seed):
         waves = [swing(3.0, 30), swing(7.3, 30, 1.0)]
-        found = sinusoidal_courses(filmed(waves, (2.0, 1.5), seed, 30), PIXELS, FPS)
+        found = found_in(filmed(waves, (2.0, 1.5), seed, 30))
         assert found.shape == (4, 30)
         assert min(explained(found, wave) for wave in waves) > 0.98
 
     @pytest.mark.parametrize("seed", range(5))
     def test_what_rings_down_keeps_its_envelope(self, seed):
         wave = swing(6.0, 60, decay=4.0)
-        found = sinusoidal_courses(filmed([wave], [20.0], seed, 60), PIXELS, FPS)
+        found = found_in(filmed([wave], [20.0], seed, 60))
         assert explained(found, wave) > 0.99
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_frames_that_lack_change_nothing(self, seed):
+        """Fourteen of forty."""
+        kept = np.sort(np.random.default_rng(seed).choice(40, 26, replace=False)) / FPS
+        waves = [swing(5.3, kept, p) for p in (0.4, 0.4 + np.pi / 2)]
+        found = sinusoidal_courses(filmed(waves, (0.8, 0.4), seed, len(kept)), PIXELS, kept)
+        assert min(explained(found, wave) for wave in waves) > 0.98
 
     def test_motion_without_a_frequency_is_left_to_the_components(self):
         """Steps to and fro, in two directions."""
         steps = np.sign(np.random.default_rng(5).normal(size=(2, 30)))
-        assert sinusoidal_courses(filmed(steps, (20.0, 10.0), 0, 30), PIXELS, FPS) is None
+        assert found_in(filmed(steps, (20.0, 10.0), 0, 30)) is None
 
     def test_too_few_timesteps_resolve_none(self):
-        assert sinusoidal_courses(filmed([swing(5.0, 11)], [5.0], 0, 11), PIXELS, FPS) is None
+        assert found_in(filmed([swing(5.0, 11)], [5.0], 0, 11)) is None
 
 
 class TestKeptComponents:

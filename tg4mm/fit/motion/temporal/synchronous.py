@@ -122,7 +122,7 @@ def principal_components(
     pixels = effective_pixels(look.total)
     courses = observations.courses
     if courses is None and not observations.is_flat:
-        courses = sinusoidal_courses(gram, pixels, observations.fps)
+        courses = sinusoidal_courses(gram, pixels, observations.frames[0].times_s)
     known = orthonormal(courses, gram)
     known_energy = np.einsum("kt,ts,ks->k", known, gram, known)
     gram -= known.T @ (known @ gram)

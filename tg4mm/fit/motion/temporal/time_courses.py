@@ -23,8 +23,10 @@ _LEADING = 3  # components that a frequency is refined by
 _APART, _OVERSAMPLED = 0.75, 8  # bins to half the frame rate; frequencies tried in each
 
 
-def sinusoidal_courses(gram: np.ndarray, pixels: float, fps: float) -> np.ndarray | None:
-    """[2K, T]: cosine and sine of the K vibrations that changes of products `gram` [T, T] consist of; None for none.
+def sinusoidal_courses(gram: np.ndarray, pixels: float, times_s: np.ndarray) -> np.ndarray | None:
+    """[2K, T]: cosine and sine of the K vibrations that changes of products `gram` [T, T] at times [T] consist of.
+
+    None where there are none.
 
     The strongest first; each must exceed what chance makes of noise that is spread over `pixels` in any two directions
     (Marchenko & Pastur 1967). Taken are the fewest that hold 70 % of the energy that stands out of the noise, if with
@@ -36,7 +38,7 @@ def sinusoidal_courses(gram: np.ndarray, pixels: float, fps: float) -> np.ndarra
         return None
     courses, rest, count = np.zeros((0, n_timesteps)), gram, 0
     for k in range(1, _MOST + 1):
-        found = _strongest(rest, fps)
+        found = _strongest(rest, times_s)
         own = orthonormal(found, rest)
         energy = falling_energy(rest)
         taken, rank = float(np.einsum("kt,ts,ks->", own, rest, own)), rank_of(energy)
@@ -53,18 +55,24 @@ def sinusoidal_courses(gram: np.ndarray, pixels: float, fps: float) -> np.ndarra
     return None
 
 
-def _strongest(gram: np.ndarray, fps: float) -> np.ndarray:
+def _strongest(gram: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     """[2, T]: cosine and sine of the strongest frequency, with the decay that its record shows."""
     energy, vectors = np.linalg.eigh(gram)
     series = vectors[:, ::-1] * np.sqrt(np.maximum(energy[::-1], 0))
-    n_timesteps = len(gram)
-    power = (np.abs(np.fft.rfft(series, _OVERSAMPLED * n_timesteps, axis=0)) ** 2).sum(1)
+    step = float(np.median(np.diff(times_s)))
+    at = np.round((times_s - times_s[0]) / step).astype(
+        int
+    )  # of an even clock, whose missing frames are empty
+    n = int(at[-1]) + 1
+    even = np.zeros((n, len(gram)))
+    even[at] = series
+    power = (np.abs(np.fft.rfft(even, _OVERSAMPLED * n, axis=0)) ** 2).sum(1)
     cycles = np.arange(len(power)) / _OVERSAMPLED
-    allowed = (cycles >= 1) & (cycles <= n_timesteps / 2 - _APART)
-    times, start = np.arange(n_timesteps) / fps, cycles[np.where(allowed, power, -1).argmax()]
-    line = fit_lines(series[:, :_LEADING], times, [start * fps / n_timesteps]).lines[0]
-    angles = 2 * np.pi * line.hz * times
-    return np.asarray(line.envelope(times) * np.stack([np.cos(angles), np.sin(angles)]))
+    allowed = (cycles >= 1) & (cycles <= n / 2 - _APART)
+    start = cycles[np.where(allowed, power, -1).argmax()] / (n * step)
+    line = fit_lines(series[:, :_LEADING], times_s, [start]).lines[0]
+    angles = 2 * np.pi * line.hz * times_s
+    return np.asarray(line.envelope(times_s) * np.stack([np.cos(angles), np.sin(angles)]))
 
 
 def _standing_out(gram: np.ndarray, pixels: float) -> tuple[int, float]:
