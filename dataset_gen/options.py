@@ -1,6 +1,7 @@
 """Conversion of parsed command-line options to settings."""
 
 import argparse
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,7 +101,10 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
                 "largest displacement of the first mode, scene units; modes of its frequency are scaled with it"
             ),
             "--amplitude-px": _real("the same in pixels of the first training camera"),
-            **_numbers({"timesteps": "number of timesteps", "fps": "timesteps per second, Hz"}),
+            **_numbers({
+                "timesteps": "number of timesteps; more by default where whole periods take more",
+                "fps": "timesteps per second, Hz",
+            }),
         },
         "cameras": {
             "--cameras": _choice("cameras", CAMERA_KINDS, (
@@ -290,6 +294,9 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
         raise GenerateError(f"--{source.kind} needs --motion FILE, a description of how it moves")
     motion = read_motion(motion_file(name, options.motion) if source.kind == "builtin" else options.motion)
     motion = motion.with_main(options.frequency, options.amplitude, options.amplitude_px)
+    timesteps = values["timesteps"]
+    if options.timesteps is None and values["fps"] > 0:  # else refused below
+        timesteps = whole_periods(timesteps, motion.main.law.frequency_hz, values["fps"])
     return Settings(
         scene=name,
         source=source,
@@ -298,7 +305,7 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
             kind=values["cameras"],
             views=values["views"],
             test_views=values["test_views"],
-            n_timesteps=values["timesteps"],
+            n_timesteps=timesteps,
             fps=values["fps"],
             seed=values["seed"],
             clock_offset_s=values["clock_offsets"],
@@ -320,6 +327,19 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
     )
 
 
+def whole_periods(least: int, hz: float, fps: float) -> int:
+    """Return the number of timesteps, `least` or more, that hold whole periods of a frequency.
+
+    Where more than twice as many would be needed: `least`, but one period, unless that is ten times as many.
+    """
+    for n in range(least, 2 * least + 1):
+        periods = n * hz / fps
+        if round(periods) and abs(periods - round(periods)) < _WHOLE:
+            return n
+    return max(least, math.ceil(fps / hz)) if fps / hz <= 10 * least else least
+
+
+_WHOLE = 1e-6  # periods
 _AS_THEY_ARE = ("size", "alphas", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 

@@ -201,3 +201,23 @@ def test_a_signal_handler_that_the_host_set_does_not_end_it(monkeypatch, capsys)
     monkeypatch.setattr("dataset_gen.__main__.signal.signal", set_handler)
     assert main(["violin", "--out", "x"]) == 2
     assert "scene 'violin'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["ficus", "--preset", "smoke"], 10),  # 3 Hz: six timesteps are six tenths of a period
+        (["mic", "--preset", "smoke"], 6),  # 5 Hz
+        (["mic", "--preset", "smoke", "--frequency", "4"], 8),  # 15 hold whole periods, 7.5 one
+        (["ficus"], 30),
+        (["mic", "--frequency", "4"], 30),
+        (["ficus", "--fps", "24"], 32),
+        (["ficus", "--preset", "smoke", "--timesteps", "6"], 6),  # as asked for
+    ],
+)
+def test_records_hold_whole_periods_unless_told_otherwise(arguments, expected):
+    assert settings(*arguments).timesteps == expected
+
+
+def test_a_slow_motion_has_a_period_at_any_rate():
+    assert settings("mic", "--preset", "smoke", "--frequency", "0.7").timesteps == 43

@@ -7,7 +7,7 @@ import pytest
 
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, frequency_figures
-from tg4mm.research.evaluate.subject import uncertainty_figures
+from tg4mm.research.evaluate.subject import uncertainty_figures, unresolved
 
 FPS, T, N = 30.0, 30, 40
 
@@ -160,3 +160,13 @@ def test_errors_are_rms_over_time_and_weighted(errors):
     )  # of a sinusoid: half its peak squared
     assert figures["error"] == pytest.approx(expected, rel=1e-4)
     assert figures["said"] == pytest.approx(2e-3, rel=1e-6)
+
+
+def test_a_record_of_less_than_a_period_is_marked(true):
+    """Six timesteps of 3 Hz are six tenths of a period; ten are one, and resolve it."""
+    (what, why), *others = unresolved(replace(true, n_timesteps=6)).items()
+    assert not others
+    assert what == "the motion at 3 Hz"
+    assert "6 timesteps at 30 Hz holds 0.6 of its period" in why
+    assert "10 timesteps or more" in why
+    assert not unresolved(replace(true, n_timesteps=10))

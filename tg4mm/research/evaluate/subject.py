@@ -1,5 +1,6 @@
 """The subject of an evaluation: a run's Gaussians with their estimated and exact motion."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -88,6 +89,19 @@ def _posing(run: Run, magnified: Magnification, device: str) -> Posing | None:
     return Posing(at, repr((method_of(run, magnified), magnified.times(1.0), model_hash(run.path))))
 
 
+def unresolved(exact: ModalMotion) -> dict[str, str]:
+    """Return what of the exact motion the record does not resolve, and why: less than one period of it."""
+    duration = exact.n_timesteps / exact.fps
+    return {
+        f"the motion at {hz:g} Hz": (
+            f"the record of {exact.n_timesteps} timesteps at {exact.fps:g} Hz holds {hz * duration:.2g} of its period, "
+            f"so that errors and closure do not judge a method; it takes {math.ceil(exact.fps / hz)} timesteps or more"
+        )
+        for hz in exact.freqs_hz.tolist()
+        if 0 < hz * duration < _ONE_PERIOD
+    }
+
+
 def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) -> dict[str, Any] | None:
     """`displacement_figures` of the run's motion, also of the part in the band, if both motions are there.
 
@@ -102,6 +116,7 @@ def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) 
         return None
     if subject.from_zero:
         estimated = estimated.selected(estimated.freqs_hz > 0)
+    absent |= unresolved(exact)
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
     if subject.uncertainty is not None:
         figures["uncertainty"] = uncertainty_figures(estimated, exact, weights, subject.uncertainty)
@@ -135,6 +150,7 @@ def _hertz(frequencies: np.ndarray) -> str:
 
 
 _TIMES = 2.0  # of the standard deviation that is said: beyond it an error was not foreseen
+_ONE_PERIOD = 0.99  # of a period in the record: with less a frequency is not resolved
 
 
 def uncertainty_figures(
