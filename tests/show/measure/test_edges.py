@@ -86,9 +86,10 @@ def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path):
     found, amplitude = measured(tmp_path, texture=0.0, wrong=0.015)
     series = found["edge"].series
     deviation = series.model_share * np.linalg.norm(amplitude[series.is_resolved])
-    assert amplitude[1] == pytest.approx(0.15, abs=0.03)
-    assert abs(amplitude[0]) < 0.08  # half of the truth at most …
-    assert 0.5 * abs(amplitude[0] - 0.15) < deviation[0]  # … which is within two deviations
-    assert deviation[1] < 0.2 * 0.15
-    assert np.sqrt(2 / T) * series.noise[0, 0] / PX < 0.4 * abs(amplitude[0] - 0.15)  # noise alone said less
+    noise = np.sqrt(2 / T) * series.noise[0] / PX
+    both, error = np.hypot(deviation, noise), np.abs(amplitude[:2] - 0.15)
+    assert error[1] < 2.5 * both[1] < 0.1
+    # six draws gave -0.14 to 0.15 for 0.15 along the edge, 1.6 of what is stated in the rms and 2.2 at most
+    assert error[0] < 4 * both[0]
+    assert deviation[0] > 1.2 * noise[0]  # noise alone says less
     assert any("edge: motion along right can hardly be told" in note for note in found.notes)
