@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from tests.fit.motion.filmed import error_of, scene, walk
 from tg4mm.fit.motion.config import MotionConfig
@@ -16,20 +15,19 @@ FREQUENCY = 3.4  # Hz
 
 
 def test_the_motion_of_the_scene_is_found_though_poses_are_off():
-    torch.manual_seed(0)
     gaussians, motion = scene(FREQUENCY)
     fit = fit_motion(gaussians, walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False))
     nearest = int(np.abs(fit.motion.freqs_hz - FREQUENCY).argmin())
     assert fit.motion.freqs_hz[nearest] == pytest.approx(FREQUENCY, abs=0.05)
     found, true = fit.motion.displacement[nearest], motion.displacement[0]
     opacities = gaussians.opacities.numpy()
-    # what looks like the camera's own motion is lost, much of it in a picture of 48 pixels; nothing found would be 1
+    # A third of what is seen moves, by 0.17 px, and each half of 45 pictures is fitted by itself. Motion that looks
+    # like the camera's own is found late: with exact poses, all pictures and the true support 0.62, 0.79 and 0.84 of
+    # it are there after 14, 28 and 56 iterations. Here it was 0.35 after 14 and is 0.45 after 28.
     assert error_of(found, true, opacities) < 0.75
     mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
     assert mac > 0.5
-    assert (
-        np.vdot(true, found).real > 0.35 * np.vdot(true, true).real
-    )  # weights by the residual leave .1 of it
+    assert np.vdot(true, found).real > 0.35 * np.vdot(true, true).real
     assert any("the camera moves" in note for note in fit.notes)
 
 
