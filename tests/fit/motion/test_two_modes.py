@@ -57,9 +57,10 @@ def errors(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_large_mode_is_found(errors):
+    """The iterations bring it, not what the linear fit is corrected by."""
     linear, after = (e[0] for e in errors)
-    assert linear > 0.4
     assert after < 0.15
+    assert after < 0.5 * linear
 
 
 @pytest.mark.slow

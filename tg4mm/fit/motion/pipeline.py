@@ -10,6 +10,7 @@ import numpy as np
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
+from tg4mm.fit.motion.attenuation import gain_of
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.few_view_posterior import coarser
@@ -71,6 +72,8 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if _moves_by_pixels(solution):
         solution, count = iterated(solution, _solved, checkpoint)
     model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
+    attenuation = gain_of(model, folds)
+    folds = folds * attenuation.places[:, None]
     fields, reliability = wiener_shrink(folds)
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
     figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
@@ -82,7 +85,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
-    estimate = _estimate(model, folds, fields, rows, targets)
+    estimate = replace(_estimate(model, folds, fields, rows, targets), attenuation=attenuation)
     uncertainty = _uncertainty(model, hyper, estimate, gradients)
     changes = None
     if not iterates and (appearance := _appearance_fit(model)) is not None:
@@ -92,6 +95,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if len(folds) == 2:
         if not model.observations.is_flat:
             figures["picture_gain"] = round(estimate.gain.ratio, 4)
+            figures["attenuation_gain"] = round(attenuation.ratio, 4)
         figures["reliability"] = [round(float(g), 4) for g in reliability]
     return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 

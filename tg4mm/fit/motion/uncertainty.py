@@ -17,6 +17,7 @@ import numpy as np
 
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.attenuation import Gain
 from tg4mm.fit.motion.few_view_posterior import ITERATIONS, unseen_motion
 from tg4mm.fit.motion.jacobian.pixels import along_and_across, depth_sensitivity
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
@@ -43,6 +44,7 @@ class MotionEstimate:
     cameras: Sequence[PosedView]
     residuals: Iterable[np.ndarray]  # [R, H, W, 3] of each of those views, of its target images
     gain: PictureGain = field(default_factory=PictureGain)  # of those views, once their residuals were read
+    attenuation: Gain = field(default_factory=Gain)  # what the fields were multiplied by
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def _model_error(estimate: MotionEstimate) -> np.ndarray:
     """[N] variance of the displacement, summed over functions of time."""
     variance = local_variance(estimate.fields[..., :3], estimate.knn)
     out = _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
-    return out + estimate.gain.squares(estimate.fields)
+    return out + estimate.gain.squares(estimate.fields) + estimate.attenuation.squares(estimate.fields)
 
 
 def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
