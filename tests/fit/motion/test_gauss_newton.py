@@ -67,10 +67,10 @@ def found(large, tmp_path_factory):
 
 @pytest.mark.slow
 def test_two_pixels_are_found(found):
-    """Error .18 after four iterations, .52 of the linear fit."""
+    """Error .18 after four iterations, .39 of the linear fit though its attenuation is made up for."""
     linear, after = (_error(run) for run in found)
-    assert linear > 0.4
     assert after < 0.2
+    assert after < 0.6 * linear
 
 
 @pytest.mark.slow
