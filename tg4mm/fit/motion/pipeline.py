@@ -10,7 +10,7 @@ import numpy as np
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
-from tg4mm.fit.motion.attenuation import gain_of
+from tg4mm.fit.motion.attenuation import Gain, gain_of
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
 from tg4mm.fit.motion.few_view_posterior import coarser
@@ -72,8 +72,6 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if _moves_by_pixels(solution):
         solution, count = iterated(solution, _solved, checkpoint)
     model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
-    attenuation = gain_of(model, folds)
-    folds = folds * attenuation.places[:, None]
     fields, reliability = wiener_shrink(folds)
     pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
     figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
@@ -81,10 +79,14 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     iterates = (
         model.iterates and pixels > linear_px(len(model.problem.views)) and model.config.gauss_newton > 0
     )
+    attenuation = Gain()
     if iterates:
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
-        fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
+    else:
+        attenuation = gain_of(model, folds)
+        folds = folds * attenuation.places[:, None]
+    fields, reliability = wiener_shrink(folds)
     estimate = replace(_estimate(model, folds, fields, rows, targets), attenuation=attenuation)
     uncertainty = _uncertainty(model, hyper, estimate, gradients)
     changes = None
