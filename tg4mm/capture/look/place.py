@@ -148,7 +148,7 @@ class _Placing:
 
     def _inexact(self) -> np.ndarray:
         """[P]: the share of a cell's amplitude by which it may be wrong: what a shift leaves of its changes tells."""
-        return np.sqrt(self.search.scene.left[cell_numbers(self.search)])
+        return np.asarray(_INEXACT * np.sqrt(self.search.scene.left[cell_numbers(self.search)]))
 
     def _common(self, cells: np.ndarray) -> np.ndarray:
         """[2, 2]: the weighted mean of some cells' coefficients."""
@@ -255,7 +255,7 @@ class _Placing:
             variance *= 2
             if vibration.start_s is not None:
                 variance += (amplitude * vibration.decay * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
-        inexact = _INEXACT * float(self._inexact()[region].mean())
+        inexact = float(self._inexact()[region].mean())
         relative = np.linalg.norm(
             [RIM if is_rim else SYSTEMATIC, inexact, _PREDICTED * self._predicted_lack()]
         )
