@@ -17,6 +17,7 @@ from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.untrusted import read_json
 from tg4mm.show.analyse.tables import AnalyseError, read_table
+from tg4mm.show.analyse.universal import SUFFIXES, waveforms
 
 G = 9806.65  # mm/s²
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (
@@ -92,7 +93,9 @@ def unit_of(quantity: str, base: str) -> str:
 
 
 def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
-    """Those of a folder that `tg4mm measure` wrote, or of a CSV file with a column of times; `names`: these alone.
+    """Those of a folder that `tg4mm measure` wrote, of a CSV file with a column of times, or of a universal file.
+
+    names: these alone.
 
     A measurement's are called SENSOR/AXIS. An axis ten times as uncertain as the best one, of which no motion stands
     out, is left out unless named.
@@ -100,7 +103,8 @@ def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     """
     if not path.exists():
         raise AnalyseError(f"{path} does not exist")
-    found = _of_csv(path) if path.is_file() else _of_folder(path, bool(names))
+    read = _of_uff if path.suffix.lower() in SUFFIXES else _of_csv
+    found = read(path) if path.is_file() else _of_folder(path, bool(names))
     by_name = {c.name: c for c in found}
     for name in names:
         if name not in by_name:
@@ -203,6 +207,37 @@ def _of_csv(path: Path) -> list[Channel]:
     return out
 
 
+_KINDS = {8: DISPLACEMENT, 9: FORCE, 11: VELOCITY, 12: ACCELERATION}  # specific data types of dataset 58
+
+
+def _of_uff(path: Path) -> list[Channel]:
+    found = waveforms(path)
+    deviations = {one.name: one.values for one in found if one.is_deviation}
+    out: list[Channel] = []
+    for one in found:
+        if one.is_deviation or not np.ptp(one.values) > 0:
+            continue
+        kind = _KINDS.get(one.kind, OTHER)
+        told = _UNITS.get("m" if one.unit == "metres" else _plain_unit(one.unit))
+        if told is None and one.unit in ("", "NONE") and kind != OTHER:
+            told = (kind, "N", 1.0) if kind == FORCE else (kind, "mm", 1e3 * one.metres)
+        quantity, base, factor = told or (kind, "units" if kind in ORDER else one.unit or "1", 1.0)
+        times, values = _even(one.times_s, one.values, f"{path}: {one.name}")
+        sure = deviations.get(one.name)
+        noise = float("nan") if sure is None else float(np.sqrt((sure**2).mean())) * factor
+        count = sum(c.name.partition(" (")[0] == one.name for c in out)
+        name = f"{one.name} ({count + 1})" if count else one.name
+        out.append(Channel(name, quantity, base, times, values * factor, noise))
+    if not out:
+        raise AnalyseError(f"{path}: no waveform of it moves")
+    return out
+
+
+def _plain_unit(text: str) -> str:
+    text = text.strip().lower().replace("²", "2").replace("^", "")
+    return text.replace("µ", "u").replace("μ", "u")
+
+
 def _column(text: str) -> tuple[str, str]:
     """Name and unit of "acc [m/s²]", "acc (g)", "acc_m_per_s2" or "time_s"."""
     text = text.strip()
@@ -217,7 +252,7 @@ def _column(text: str) -> tuple[str, str]:
             name, unit = text, ""
     else:
         name, unit = text, ""
-    return name, unit.strip().lower().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
+    return name, _plain_unit(unit)
 
 
 def _even(times: np.ndarray, values: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
