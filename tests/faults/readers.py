@@ -48,6 +48,7 @@ from tg4mm.research.evaluate.lpips import _read
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
+from tg4mm.show.analyse import read_channels
 from tg4mm.show.measure.sensors import read_sensors
 from tg4mm.show.report.closing import _stage
 from tg4mm.show.report.summary import total_seconds
@@ -230,6 +231,34 @@ def _sensors(root):
     return path
 
 
+def _table(root):
+    path = root / "a.csv"
+    path.write_text(
+        "# logger\ntime [s];acc [g]\n"
+        + "".join(f"{k / 20:.2f};{k % 3}\n" for k in range(40)).replace(".", ",")
+    )
+    return path
+
+
+def _universal(root):
+    """Datasets 164 and 58, by hand."""
+    head = [
+        "tip", "NONE", "NONE", "NONE", "NONE",
+        "    1         0    0         0       NONE         3   1       NONE         0   0",
+        "         4        40         1  0.00000e+00  9.76562e-04  0.00000e+00",
+        "        17    0    0    0 NONE                 s",
+        *(f"{kind:10d}    0    0    0 NONE                 NONE" for kind in (8, 0, 0)),
+    ]  # fmt: skip
+    values = ["".join(f"{(4 * k + j) % 7:20.11e}" for j in range(4)) for k in range(10)]
+    units = ["         1SI units                      1", f"{1000:25.17E}{1:25.17E}{1:25.17E}", f"{0:25.17E}"]
+    sets = [
+        "\n".join(["    -1", f"{number:6d}", *lines, "    -1\n"])
+        for number, lines in ((164, units), (58, head + values))
+    ]
+    (root / "a.uff").write_text("".join(sets))
+    return root / "a.uff"
+
+
 def _weights(suffix):
     def make(root):
         state = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
@@ -257,6 +286,8 @@ READERS: dict[str, Reader] = {
     "run checkpoint": Reader(run_of("checkpoint_space.safetensors"), _read_run, of_tensors),
     "run triplane": Reader(paper_run("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(paper_run("planes_0001.safetensors"), _read_paper, of_tensors),
+    "table": Reader(_table, reading("a.csv", read_channels), of_text),
+    "universal file": Reader(_universal, reading("a.uff", read_channels), of_text),
     "demo.json": Reader(
         record("demo.json", {"format": "tg4mm-demo", "version": 1, "size": 64, "done": {"train": 1.5}}),
         _read_demo,

@@ -14,7 +14,7 @@ def analyse(
         Path,
         typer.Argument(
             metavar="MEASURED",
-            help="A folder of tg4mm measure, or a CSV file with a column of times (time_s).",
+            help="A folder of tg4mm measure, a CSV file with a column of times (time_s), or a universal file.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for analysis.json, CSV files and plots.")],

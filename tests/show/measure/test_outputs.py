@@ -8,6 +8,7 @@ import pytest
 
 from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts, run_of, sine
 from tg4mm.cli.program import main
+from tg4mm.show.analyse import read_channels
 from tg4mm.show.measure import measure, parse_sensor, sep005
 from tg4mm.show.measure.parts import parts_picture
 from tg4mm.show.measure.tables import _cell
@@ -48,6 +49,17 @@ def test_json_and_tidy_csv_say_the_same_in_their_units(out):
     )
     peaks = list(csv.DictReader((out / "peaks.csv").open()))
     assert float(peaks[0]["amplitude_mm"]) == pytest.approx(0.8, rel=0.1)
+
+
+def test_analyse_reads_the_universal_file_as_it_reads_the_folder(out):
+    own, found = ({c.name: c for c in read_channels(path)} for path in (out, out / "measure.uff"))
+    common = own.keys() & found.keys()
+    assert "ball/x" in common
+    for name in common:
+        a, b = own[name], found[name]
+        assert (a.quantity, a.unit) == (b.quantity, b.unit)
+        np.testing.assert_allclose(b.values, a.values, atol=1e-6 * np.abs(a.values).max())
+        np.testing.assert_allclose(b.times_s, a.times_s, atol=1e-4)
 
 
 def test_another_program_reads_geometry_shapes_and_waveforms(out):
