@@ -69,7 +69,7 @@ def test_files_that_move_are_no_frames(extension, tmp_path):
 
 
 def test_an_import_tells_which_numbers_are_missing(extension, frames):
-    missing = extension.io.loading.missing_beside
+    missing = extension.io.import_splat.missing_beside
     assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
     frames[0].with_name("beat_0013.ply").unlink()
     assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -252,6 +251,6 @@ def test_a_test_split_is_held_out(dataset, photographs, tmp_path):
 
 def test_two_processes_do_not_make_one_dataset(photographs, tmp_path):
     sources = find_sources(photographs)
-    work = open_request(tmp_path / "out", sources, asdict(SfmConfig()))
+    work = open_request(tmp_path / "out", sources, SfmConfig().settings())
     with work.owned.held("busy"), pytest.raises(RunError, match="in use: another process makes this"):
         reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)
