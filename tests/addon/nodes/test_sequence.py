@@ -75,5 +75,7 @@ def test_an_import_tells_which_numbers_are_missing(extension, frames):
     assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []
     frames[1].unlink()
     assert missing(frames[3]) == [9]
-    loaded = extension.io.loading.load([frames[2]], bpy.context.collection, True, 1000, lambda part: None)
+    loaded = extension.io.import_splat.load(
+        [frames[2]], bpy.context.collection, True, 1000, lambda part: None
+    )
     assert loaded.message == "2 frames of up to 9 Gaussians; there is no file number 9"
