@@ -17,6 +17,9 @@ _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
+# the most that light can seem to move a place by, a unit of its change: brightness over its slope, I / |∇I|, of weak
+# texture; 12 px were seen in films whose highlights are clipped
+_LIGHT_MOST_PX = 15.0
 _SHOWS, _SURE = 3, 3.0  # cells in which a line shows, and deviations of it, that are no accident of one cell
 
 
@@ -39,13 +42,18 @@ def marked(
 
 
 def _beside_light(line: LookLine, light: Sequence[Light], duration_s: float) -> LookLine:
-    """The line with what light of its frequency makes it seem to move: in its ±, or as a mark where that is all."""
+    """Return the line, its ± with the apparent motion by light of its frequency, marked if light may be all of it."""
     for lamp in light:
         if abs(lamp.hz - line.hz) < 1 / duration_s:
             seems = _LIGHT_PX * lamp.amplitude
             why = f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
             deviation = float(np.hypot(line.amplitude_deviation_px, seems))
-            mark = why if line.amplitude_px < seems else line.mark
+            if line.amplitude_px < seems:
+                mark = why
+            elif line.amplitude_px < _LIGHT_MOST_PX * lamp.amplitude:
+                mark = line.mark or f"may be light, which flickers at {lamp.hz:.4g} Hz"
+            else:
+                mark = line.mark
             return replace(line, amplitude_deviation_px=deviation, mark=mark)
     return line
 
