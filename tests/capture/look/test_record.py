@@ -49,8 +49,15 @@ def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
 
 def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_frequency_is_not():
     line = replace(found().lines[0], hz=7.4)
-    for size, mark in ((0.005, "no more than light makes"), (0.05, "may be light"), (0.6, "")):
-        own = marked([replace(line, amplitude_px=size)], 30.0, 6.0, light=[Light(7.5, 0.01, 0.03, False)])
+    clear, clipped = np.zeros_like(line.region), np.ones_like(line.region)
+    for size, cells, mark in (
+        (0.005, clear, "no more than light makes"),
+        (0.05, clear, ""),
+        (0.05, clipped, "may be light"),
+        (0.6, clipped, ""),
+    ):
+        lamp = Light(7.5, 0.01, 0.03, False)
+        own = marked([replace(line, amplitude_px=size)], 30.0, 6.0, light=[lamp], clipped=cells)
         assert own[0].mark.startswith(mark)
         assert bool(own[0].mark) == bool(mark)
 

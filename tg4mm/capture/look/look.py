@@ -33,6 +33,7 @@ _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
 _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
+_CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels
 
 
 def look(
@@ -90,13 +91,21 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
     lines = [_line(search, line) for line in search.lines]
-    lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light)
+    lines = marked(
+        lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light, _clipped(series)
+    )
     swings = tuple(swings_of(scene))
     lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
     found = _result(
         scene, search, swings, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px))
     )
     return replace(found, regions=region_looks(scene, regions))
+
+
+def _clipped(series: CellSeries) -> np.ndarray:
+    """Return the mask [rows, columns] of cells with clipped highlights in the first picture."""
+    share = (series.grid.cut(series.first[None])[:, 0] >= _CLIPPED).mean(1)
+    return series.grid.picture(share > _CLIPPED_SHARE)
 
 
 def _edges(search: Search) -> np.ndarray:

@@ -17,8 +17,8 @@ _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
-# the most that light can seem to move a place by, a unit of its change: brightness over its slope, I / |∇I|, of weak
-# texture; 12 px were seen in films whose highlights are clipped
+# the most that light, which is no gain in clipped highlights, can seem to move a place by, a unit of its change:
+# brightness over its slope, I / |∇I|, of weak texture
 _LIGHT_MOST_PX = 15.0
 _SHOWS, _SURE = 3, 3.0  # cells in which a line shows, and deviations of it, that are no accident of one cell
 
@@ -30,19 +30,24 @@ def marked(
     patterns: tuple[int, ...] = PATTERNS,
     taken_off: Mapping[float, str] = MappingProxyType({}),
     light: Sequence[Light] = (),
+    clipped: np.ndarray | None = None,
 ) -> list[LookLine]:
     """The same lines, each with why it may be none of its own.
 
     patterns: of the codec's kinds of pictures; none: it makes no line of another. taken_off: frequencies in Hz of what
     is taken off the shifts, with all that the record does not tell apart from it, and whose they are. light: its lines.
+    clipped [rows, columns] bool: cells with clipped highlights.
     """
     marks = [_mark(line, lines, rate, duration_s, patterns, taken_off) for line in lines]
     own = [replace(line, mark=mark) for line, mark in zip(lines, marks, strict=True)]
-    return [_beside_light(line, light, duration_s) for line in own]
+    return [_beside_light(line, light, duration_s, clipped) for line in own]
 
 
-def _beside_light(line: LookLine, light: Sequence[Light], duration_s: float) -> LookLine:
+def _beside_light(
+    line: LookLine, light: Sequence[Light], duration_s: float, clipped: np.ndarray | None
+) -> LookLine:
     """Return the line, its ± with the apparent motion by light of its frequency, marked if light may be all of it."""
+    is_clipped = clipped is not None and bool((line.region & clipped).any())
     for lamp in light:
         if abs(lamp.hz - line.hz) < 1 / duration_s:
             seems = _LIGHT_PX * lamp.amplitude
@@ -50,7 +55,7 @@ def _beside_light(line: LookLine, light: Sequence[Light], duration_s: float) -> 
             deviation = float(np.hypot(line.amplitude_deviation_px, seems))
             if line.amplitude_px < seems:
                 mark = why
-            elif line.amplitude_px < _LIGHT_MOST_PX * lamp.amplitude:
+            elif is_clipped and line.amplitude_px < _LIGHT_MOST_PX * lamp.amplitude:
                 mark = line.mark or f"may be light, which flickers at {lamp.hz:.4g} Hz"
             else:
                 mark = line.mark

@@ -113,10 +113,9 @@ class _Placing:
         return _Everywhere(pool, pool.in_picture(fit), variance.reshape(-1, 2), statistic)
 
     def _seed(self) -> tuple[list[int], int]:
-        """Cells of the place with the largest amplitude less two deviations, near the surest place; cells a side."""
+        """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side."""
         best_of = [float(e.statistic.max()) for e in self.all]
         surest = self.all[int(np.argmax(best_of))]
-        middle = surest.pool.centre[int(surest.statistic.argmax())]
         some = self.all[1:3] if surest.pool.size > 1 and len(self.all) > 1 else self.all[:2]
         inverse = np.linalg.inv(self.products)
         inexact = self._inexact()
@@ -124,9 +123,6 @@ class _Placing:
         for each in some:
             least = max(_SEED * float(each.statistic.max()), _SEED_BEST * max(best_of), _SEED_LEAST)
             for k in np.flatnonzero(each.statistic > least):
-                reach = self.search.scene.grid.size * (each.pool.size + surest.pool.size + 2) / 2
-                if np.linalg.norm(each.pool.centre[k] - middle) > reach:
-                    continue
                 axes = each.pool.axes[k]
                 covariance = np.einsum("xa,a,ya->xy", axes, each.variance[k], axes)
                 amplitude, variance, _, _ = _along(each.fit[:, k], covariance, inverse)

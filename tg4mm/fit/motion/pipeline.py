@@ -83,7 +83,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if iterates:
         model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         figures |= of_iterations
-    else:
+    if not figures["gauss_newton"]:  # iterations that were taken have corrected the attenuation themselves
         attenuation = gain_of(model, folds)
         folds = folds * attenuation.places[:, None]
     fields, reliability = wiener_shrink(folds)
