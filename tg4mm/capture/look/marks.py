@@ -15,6 +15,7 @@ from tg4mm.capture.look.usual import BLOCK
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of
 _MULTIPLES = (2, 3, 4)
+_INEXACT = 0.015  # of a line's amplitude: the error of its shift (kernel and series), of which other lines may be made
 _EXACT_PX = 0.6  # up to here the series of a cell's shift is exact
 _LIGHT_PX = 0.3  # that light seems to move a place by, a unit of its change: what gain and offset leave of it
 # the most that light, which is no gain in clipped highlights, can seem to move a place by, a unit of its change:
@@ -97,6 +98,9 @@ def _mark(
                 near(image, other) for image in images(other.hz, rate, patterns)
             ):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
+    for other in lines:
+        if line.amplitude_px < _INEXACT * other.amplitude_px and _is_there(line, other):
+            return f"under {100 * _INEXACT:.2g} % of {other.hz:.3f} Hz: the error of its shift may make it"
     for other in lines if patterns else ():
         if other.statistic > _WEAK * line.statistic and _is_there(line, other):
             return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
