@@ -90,7 +90,7 @@ def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity():
 
 def test_noise_alone_is_no_vibration():
     scores = [levels_of(channel(0 * T, RATE, 0.1, seed), "velocity", BAND).rms for seed in range(50)]
-    assert np.mean([v.value > 2 * v.deviation for v in scores]) < 0.1
+    assert np.mean([v.value > 2 * v.deviation for v in scores]) < 0.08  # 2.3 % by the normal distribution
 
 
 def test_a_density_lies_in_its_interval_in_95_records_of_100():

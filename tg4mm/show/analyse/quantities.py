@@ -160,9 +160,14 @@ def levels_of(
         noisy = [told + noise * rng.normal(size=operator.length) for _ in range(DRAWS)]
         squares = np.array([_figures(operator(one, noise)[operator.inner]) for one in noisy]) ** 2
         bias = squares.mean(0) - _figures(operator(told, 0.0)[operator.inner]) ** 2
-        sure = np.hypot(squares.std(0, ddof=1), bias / 2)  # û makes the bias uncertain
+        # The noise is estimated, which makes the bias uncertain; a peak's more so, since a record's noise has chosen
+        # which of many nearly equal peaks is the highest.
+        sure = np.hypot(squares.std(0, ddof=1), bias * [1, 1, 0.5, 0.5])
         found = np.sqrt(np.maximum(found**2 - bias, [0, 0, 0, 1]))
-        deviation = np.minimum(sure / (2 * np.maximum(found, 1e-300)), np.sqrt(sure))
+        # Twice the deviation reaches from the value to where its square is two deviations lower: a value above two of its
+        # deviations has a square above two of its own. To first order in strong vibrations it is sure / (2 found).
+        lower = np.sqrt(np.maximum(found**2 - 2 * sure, 0))
+        deviation = np.where(lower > 0, (found - lower) / 2, np.sqrt(sure / 2))
         deviation[:3] = np.hypot(deviation[:3], channel.share * found[:3])
     values = [Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)]
     peak, whole, rms, crest = values
