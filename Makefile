@@ -77,6 +77,8 @@ benchmark-avx2: install
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
+	$(BIN)/python docs/links.py
 	$(BIN)/mypy
 
 # dist/tg4mm-<version>.zip, for Blender's Edit > Preferences > Get Extensions > Install from Disk.

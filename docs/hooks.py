@@ -110,8 +110,10 @@ def members_of(cls: type) -> list[str]:
 
 
 def fields_of(cls: type) -> list[tuple[str, str, str]]:
-    """Name, type and meaning of a dataclass's fields, the meaning from the comment beside or above each, or from its
-    `setting`."""
+    """Name, type and meaning of a dataclass's fields.
+
+    The meaning comes from the comment beside or above each field, or from its `setting`.
+    """
     source = inspect.getsource(cls)
     (body,) = ast.parse(source).body
     assert isinstance(body, ast.ClassDef)

@@ -281,7 +281,7 @@ class _Program:
 
 
 def _read(descriptor: int, stream: Any, lines: queue.SimpleQueue[str | None]) -> None:
-    """Puts every line, by \\n or \\r, into the queue, and None at the end."""
+    r"""Put every line, ended by \n or \r, into the queue, and None at the end."""
     rest = b""
     with stream, contextlib.suppress(OSError):
         while block := os.read(descriptor, 65536):

@@ -170,8 +170,8 @@ def test_killed_runs_go_on(tmp_path):
     every = len(plan(settings, tmp_path).shots)
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     end = time.monotonic() + 300
-    # The timing is written after each finished picture. A count of files would not do: one picture may stand for several
-    # times, and its other files come after it.
+    # The timing is written after each finished picture. A count of files would not do: one picture may stand for
+    # several times, and its other files come after it.
     while not list(tmp_path.glob("*/report/timing.json")):
         assert time.monotonic() < end
         time.sleep(0.01)

@@ -91,7 +91,8 @@ def _stretches(shape: torch.Size) -> Tensor:
 
 def oblong(gaussians: Gaussians) -> Gaussians:
     """The same with axes of different lengths: the picture then tells of every turn, so gradients by quaternions are
-    more than rounding."""
+    more than rounding.
+    """
     return replace(gaussians, scales=gaussians.scales * _stretches(gaussians.scales.shape).exp())
 
 

@@ -52,8 +52,11 @@ _PUBLISHED = re.compile(r"mag_([0-9]{1,4})x_test")
 
 
 def _published(root: Path) -> dict[int, Path]:
-    """The folders of timesteps by α in [3DMM]'s layout of ground truth: mag_50x_test/SCENE/000 … in the dataset's
-    folder, beside it, or beside the folder that it lies in; SCENE is the dataset's name, or the part before `_`."""
+    """Find the folders of timesteps, by α, of ground truth in the layout of [3DMM].
+
+    That is mag_50x_test/SCENE/000 … in the dataset's folder, beside it, or beside its parent. SCENE is the dataset's
+    name, or the part of it before `_`.
+    """
     found: dict[int, Path] = {}
     top = root.resolve()
     for above in (top, top.parent, top.parent.parent):

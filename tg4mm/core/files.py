@@ -55,8 +55,11 @@ def json_digest(value: object) -> str:
 
 
 def give_back(lock: BaseFileLock) -> None:
-    """Release a lock and delete its file: while it is held, so that only its holder does; on Windows afterwards, where
-    the file of another holder cannot be deleted."""
+    """Release a lock and delete its file.
+
+    The file is deleted while the lock is held, so that only its holder does it; on Windows afterwards, where the file
+    of another holder cannot be deleted.
+    """
     file = Path(lock.lock_file)
     if not WINDOWS:
         file.unlink(missing_ok=True)

@@ -59,8 +59,10 @@ class BandGain:
 
 @dataclass(frozen=True)
 class Magnification:
-    """What is magnified, by how much, and by which method. The method `modal` needs no filter: a mode lies inside a
-    band or outside."""
+    """What is magnified, by how much, and by which method.
+
+    The method `modal` needs no filter: a mode lies inside a band or outside.
+    """
 
     bands: tuple[BandGain, ...] = ()  # frequencies in none of them keep their motion
     everywhere: float = 0.0  # α of all frequencies if there are no bands
@@ -107,8 +109,11 @@ class Magnification:
         return np.any([(b.low <= freqs) & (freqs <= b.high) for b in self.bands], axis=0)
 
     def checked(self, fps: float) -> "Magnification":
-        """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
-        CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
+        """Return itself if it is valid for the frame rate `fps` (Hz).
+
+        Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap; CaptureError for a band
+        that does not fit the frame rate.
+        """
         if self.method is not None and self.method not in METHODS:
             raise Tg4mmError(f"method is {self.method!r}, expected {', '.join(METHODS)}")
         if self.filter is not None:

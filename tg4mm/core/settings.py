@@ -16,8 +16,10 @@ def setting(default: Any, about: str, unit: str = "") -> Any:
 
 
 def of_file(kind: type, values: Any, where: str, error: type[Tg4mmError]) -> Any:
-    """A settings' dataclass with the values that a file holds. Raises `error` for a name that it lacks, as of another
-    version, and a value of another type."""
+    """Build a settings dataclass from the values that a file holds.
+
+    Raises `error` for an unknown name, as from another version, and for a value of the wrong type.
+    """
     require(where, values, dict, error)
     fields = {field.name: type(field.default) for field in dataclasses.fields(kind)}
     for name, value in values.items():

@@ -73,8 +73,11 @@ def is_temporary(path: Path, of: str | None = None) -> bool:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete temporary files in `folder` and below whose writer no longer lives: on this machine by its process, from
-    another one by an hour without a change."""
+    """Delete temporary files in `folder` and below whose writer no longer runs.
+
+    A writer on this machine is known by its process; one on another machine counts as gone after an hour without a
+    change.
+    """
     for path in folder.rglob(".*.tmp*"):
         _remove_if_left(path)
 

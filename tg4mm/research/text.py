@@ -54,8 +54,10 @@ def shown(value: float | None, form: str) -> str:
 def table(
     header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1, numbers_first: int = 0
 ) -> str:
-    """Markdown lines without a final newline: after `numbers_first` columns of numbers `text_columns` flush left, the
-    rest flush right."""
+    """Return Markdown lines of a table, without a final newline.
+
+    After `numbers_first` columns of numbers come `text_columns` flush left; the rest is flush right.
+    """
     cells = [[_cell(c) for c in row] for row in (header, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     sides = ["<" if 0 <= i - numbers_first < text_columns else ">" for i in range(len(header))]

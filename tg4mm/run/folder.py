@@ -195,8 +195,7 @@ class Run:
         return tensors, header
 
     def load_uncertainties(self) -> dict[str, np.ndarray]:
-        """What the run knows of its motion's errors, by name (`check_uncertainty`); {} if it does not say it. Raises
-        RunError."""
+        """Load the motion's uncertainties, by name (`check_uncertainty`); {} if there are none. Raises RunError."""
         if not self.has_part(UNCERTAINTY):
             return {}
         tensors = self.load_part(UNCERTAINTY)[0]
@@ -204,8 +203,10 @@ class Run:
         return {name: tensor.numpy() for name, tensor in tensors.items()}
 
     def load_uncertainty(self) -> np.ndarray | None:
-        """[N] float32: the standard deviation of each Gaussian's displacement, scene units; None if the run does not
-        say it. Raises RunError."""
+        """Load the standard deviation of each Gaussian's displacement: [N] float32, scene units.
+
+        None if the run has none. Raises RunError.
+        """
         return self.load_uncertainties().get("displacement")
 
     def load_fit(self) -> MotionFit:

@@ -54,9 +54,9 @@ def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def read_tensors(path: Path, kind: str, version: int) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """(tensors, header) of a file that `write_tensors` made. Raises RunError if it is torn, foreign, of another kind or
-    version, or not as it was written.
+    """Read (tensors, header) of a file that `write_tensors` made.
 
+    Raises RunError if it is incomplete, foreign, of another kind or version, or not as it was written.
     The header lacks DIGEST where the file is from before digests: whoever cannot do without one refuses that.
     """
     try:
@@ -126,8 +126,9 @@ _NOT_OF_THE_MODEL = ("config", "format", DIGEST)
 
 
 def model_hash(run_path: Path) -> str:
-    """SHA-256 over the tensors of a run's model files, with their names, types, shapes and headers; of a splat file
-    over its bytes.
+    """Return the SHA-256 of a run's model files: tensors with their names, types, shapes and headers.
+
+    Of a splat file it is the SHA-256 of its bytes.
 
     Not over the files' bytes: safetensors writes its header in no fixed order. Motion triplanes of `paper` are in it by
     the motion that they decode to. Raises RunError for a file that is torn.

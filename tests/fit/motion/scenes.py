@@ -58,7 +58,8 @@ def two_cameras():
 
 def problem(ridge=0.1, nuisance=None, mixed=False, supported=False):
     """Two cameras look at one cloud; `nuisance`: columns that are projected out; `mixed`: two target images of three
-    fields; `supported`: each of these moves some of the Gaussians alone."""
+    fields; `supported`: each of these moves some of the Gaussians alone.
+    """
     scene, cameras = two_cameras()
     gaussians, views = gaussians_of(scene), [view_of(scene, c) for c in (0, 1)]
     out = Problem.of(views, gaussians, MotionConfig(ridge=ridge), "cpu")

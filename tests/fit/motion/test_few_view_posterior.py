@@ -26,7 +26,8 @@ BALL = 252  # the last Gaussians
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A run of one camera, the true motion, and the camera. The post sways across its line of sight, the ball moves
-    mostly along it."""
+    mostly along it.
+    """
     root = tmp_path_factory.mktemp("one")
     run, motion = exact_run(root, n_views=1, n_timesteps=5, size=48, freqs=(6.0,), amplitude=0.01)
     capture = load_capture(run.dataset)
@@ -70,7 +71,8 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained):
 
 def test_motions_drawn_from_the_prior_lie_where_it_says(posed, trained):
     """Motion and fit are then all as they are taken to be, but for noise, of which the covariance has none: 95 %
-    within two deviations. Along the sight a draw has a few large coordinates alone, so there are several."""
+    within two deviations. Along the sight a draw has a few large coordinates alone, so there are several.
+    """
     means, rng, draws = trained[0].load_space().means.numpy(), np.random.default_rng(5), 16
     root, n = stiffness_root(posed.graph), posed.graph.stiffness.shape[0]
     prior = splu((posed.smoothness_weight * (root.T @ root) + posed.ridge * sparse.identity(n)).tocsc())

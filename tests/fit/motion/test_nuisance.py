@@ -42,7 +42,8 @@ def nuisance_of(scene, active):
 
 def seen(scene, turn, shift):
     """[H, W, 3] of the dense twin over white, from a camera before which points are turned by a rotation vector about
-    its axes and shifted along them."""
+    its axes and shifted along them.
+    """
     moved = torch.eye(4, dtype=torch.float64)
     moved[:3, :3] = torch.from_numpy(Rotation.from_rotvec(turn).as_matrix())
     moved[:3, 3] = torch.from_numpy(shift)

@@ -46,7 +46,8 @@ def test_one_step_has_torchs_gradients(degree, loss):
 @pytest.mark.parametrize("spacing", [2, 3])
 def test_the_grids_of_pixels_add_up_to_the_picture(kind, spacing):
     """Gradients and errors, of means over pixels each; shares are sums. The Gaussians are small: of one that reaches in
-    from far outside a picture, gsplat limits the slant, by the picture's edge, and a grid's lies elsewhere."""
+    from far outside a picture, gsplat limits the slant, by the picture's edge, and a grid's lies elsewhere.
+    """
     small = parameters()
     small["log_scales"] -= 2.5
 

@@ -46,7 +46,8 @@ def unbroken(views, points, data, tmp_path_factory):
 
 def test_it_fits_views_it_has_not_seen(views, points, data, new_run):
     """38 dB (37.7 to 38.5, three seeds). It starts at 24.5; with opacities or rotations frozen it comes to 36,
-    with gradients never cleared to 30, with learning rates ten times too small to 27."""
+    with gradients never cleared to 30, with learning rates ten times too small to 27.
+    """
     run = new_run()
     gaussians = train_space(run, views, points, SpaceConfig(iterations=500, max_gaussians=1500))
     assert psnr_of_test_views(gaussians, data) > 37.0
@@ -77,7 +78,8 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
     unbroken, monkeypatch
 ):  # fmt: skip
     """Before the first checkpoint, after density control, in the middle of a round of views, at the very end; and
-    with gains and two sizes of the pictures, the second from iteration 20 on."""
+    with gains and two sizes of the pictures, the second from iteration 20 on.
+    """
     expected, run = unbroken[config], new_run()
     dense_events(monkeypatch)
     with monkeypatch.context() as patch:

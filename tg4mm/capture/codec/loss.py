@@ -63,7 +63,9 @@ def codec_losses(
     quick: bool = False,
     without_between: bool = False,
 ) -> list[list[Loss]]:
-    """Of each region's tones; two encodings of the film for each set of regions that do not overlap.
+    """Measure what compression lets through of each region's tones.
+
+    The film is encoded twice for each set of regions that do not overlap.
 
     Args:
         video: the file that was measured.
@@ -72,6 +74,7 @@ def codec_losses(
         fps: pictures per second that frequencies refer to; None: the file's own.
         start_s: seconds of the file that come before.
         repeats: frames from there on that show the picture before them again.
+        seed: of the noise that is added to the tones.
         quick: in seconds: a region whose own pictures say that nothing is lost is not tested, the others are with a
             few frames; of larger pictures nothing but that is asked.
         without_between: the amplitudes were measured without B frames, and so are the test's.

@@ -177,8 +177,11 @@ class _Told:
 
 
 def _told(search: Search, line: Line) -> _Told:
-    """Frequency and change by `tg4mm.core.lines`, from the shape's series; the search's own where a decay that it saw
-    is too short for that. Where the codec may have made the change, the line is told as a steady one."""
+    """Estimate frequency and change of a line from its shape's series by `tg4mm.core.lines`.
+
+    The search's own values are kept where the decay that it found is too short for that. Where the codec may have
+    caused the change, the line is reported as steady.
+    """
     series, seen = search.series_of(line)
     told = _with_change(search, line, series, seen)
     decay = 2 * np.pi * told.hz * (told.damping or 0.0)

@@ -134,8 +134,10 @@ def _widest(picture: np.ndarray, inside: np.ndarray) -> tuple[slice, slice]:
 
 
 def _cell(pictures: np.ndarray, place: np.ndarray, size: int, start: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Of the cell at a place, from offsets [F, 2]: shifts [F, 2], gains [F], misfits [F], the covariance [2, 2], and
-    whether the rounds came to rest."""
+    """Estimate the motion of the cell at a place, starting from offsets [F, 2].
+
+    Returns shifts [F, 2], gains [F], misfits [F], the covariance [2, 2], and whether the iterations converged.
+    """
     around = _EDGE + _TAPS
     side = size + 2 * around
     windows = np.lib.stride_tricks.sliding_window_view(pictures, (1, side, side))[:, :, :, 0]

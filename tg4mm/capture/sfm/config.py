@@ -70,7 +70,6 @@ DEFAULTS = SfmConfig()
 
 def checked(config: SfmConfig) -> SfmConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
-
     seconds = Number(config.start_s, above=True)
     checks: dict[str, tuple[object, object]] = {
         "camera-model": (config.camera_model, Choice(*CAMERA_MODELS)),

@@ -34,8 +34,10 @@ def chosen_pairs(names: Sequence[str], frames: int, ordered: bool, matching: str
 
 
 def picture_pairs(names: Sequence[str], sequence: int = 0) -> list[Pair]:
-    """Pairs to match: all, but of the first `sequence` pictures, frames in order, each with the next OVERLAP and then
-    ever rarer ones; others with every EVERY-th of those.
+    """Return the pairs of pictures to match.
+
+    The first `sequence` pictures are frames in order: each is paired with the next OVERLAP ones and then with ever
+    sparser ones. The other pictures are paired with each other, and with every EVERY-th frame.
     """
     frames, others = list(names[:sequence]), list(names[sequence:])
     steps = [*range(1, OVERLAP + 1), *_doubled(2 * OVERLAP, len(frames))]

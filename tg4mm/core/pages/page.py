@@ -118,8 +118,10 @@ def data_uri(kind: str, data: bytes) -> str:
 
 
 def photo_uri(image: np.ndarray) -> str:
-    """A WebP of a picture [H, W, 3 | 4], uint8 or float in 0..1, with some loss; large ones are reduced, small ones
-    enlarged."""
+    """Encode a picture [H, W, 3 | 4], uint8 or float in 0..1, as lossy WebP.
+
+    Large pictures are reduced, small ones enlarged.
+    """
     one = Image.fromarray(image if image.dtype == np.uint8 else to_bytes(image))
     scale = _LEAST_EDGE // max(one.size)
     if scale > 1:  # what shows it would repeat its pixels

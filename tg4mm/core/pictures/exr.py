@@ -51,8 +51,9 @@ def decode(path: Path) -> np.ndarray:
 
 
 def linear(path: Path) -> np.ndarray:
-    """[H, W, 4] float32 as they are stored, colours multiplied by alpha; a grey channel Y is all three, without A it is
-    1.
+    """Read pixels [H, W, 4] float32 as they are stored, colours premultiplied by alpha.
+
+    A grey channel Y stands for all three colours; alpha is 1 where the file has no A.
 
     Raises CaptureError if the package OpenEXR is absent, the file damaged, a number in it NaN or infinite, or its
     channels are not R, G, B or Y with or without A.

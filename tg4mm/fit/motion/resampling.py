@@ -140,9 +140,9 @@ def _farthest(homographies: np.ndarray, size: tuple[int, int]) -> int:
 def _resample(
     coefficients: np.ndarray, homographies: np.ndarray, first: int, top: int, height: int, out: np.ndarray
 ) -> None:
-    """Colours of out [F, rows, W, 4], whose first row is row `top` of the picture, from spline coefficients
+    """Fill the colours of out [F, rows, W, 4] from spline coefficients [F, rows', W, 3].
 
-    [F, rows', W, 3] from row `first` on.
+    The first row of `out` is row `top` of the picture; the coefficients begin at row `first`.
     """
     width = coefficients.shape[2]
     for f in numba.prange(len(out)):

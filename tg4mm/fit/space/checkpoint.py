@@ -57,8 +57,10 @@ def pictures_digest(views: RestViews) -> str:
 def check_checkpoint(
     tensors: Mapping[str, Tensor], state: Mapping[str, Any], pictures: str, n_views: int, config: SpaceConfig
 ) -> None:
-    """Raise RunError, with the first thing wrong, unless the stage can go on from this with `config`, its zeros
-    filled in, on the n_views pictures of digest `pictures`."""
+    """Raise RunError, with the first thing wrong, unless the stage can continue from this checkpoint.
+
+    `config` has its zeros filled in; `pictures` is the digest of the n_views pictures.
+    """
     if state.get("pictures") != pictures:
         raise RunError("cameras or pictures of the dataset have changed since")
     _check_state(state, n_views, config)

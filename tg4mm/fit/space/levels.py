@@ -116,8 +116,10 @@ def turn_of(view: int, iteration: int, n_views: int, spacing: int) -> int:
 
 
 def sampled(K: Any, picture: Any, spacing: int, turn: int) -> tuple[Any, Any]:
-    """Every so manyth pixel of every so manyth row of picture [H, W, 3], beginning with the one that `turn` says, and
-    the intrinsics [3, 3] with which just these are rendered. Both arrays or both tensors."""
+    """Subsample picture [H, W, 3] by `spacing` along rows and columns, starting at the pixel that `turn` selects.
+
+    Also returns the intrinsics [3, 3] with which just these pixels are rendered. Both are arrays, or both tensors.
+    """
     if spacing == 1:
         return K, picture
     row, column = divmod(turn, spacing)

@@ -103,8 +103,10 @@ def _render_cuda(
     eps2d: float = EPS2D,
     near: float = NEAR,
 ) -> RenderedView:
-    """Colours are made here, not by gsplat's rasterization: the carrier must ride beside them, and gsplat would
-    invert viewmat with a wait for the device."""
+    """Evaluate the colours here instead of in gsplat's rasterization.
+
+    The carrier channel must be rendered with them, and gsplat would invert viewmat with a wait for the device.
+    """
     from gsplat import spherical_harmonics
 
     from tg4mm.fit.rasterize import rasterization

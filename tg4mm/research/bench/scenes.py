@@ -29,8 +29,10 @@ Printer = Callable[[str], None]
 
 @dataclass(frozen=True)
 class ScenesRequest:
-    """What to run. same_time: when a `paper` preset is trained once more, for as long as `modal` took: see
-    `same_time_trainings`."""
+    """What to run.
+
+    `same_time` says when a `paper` preset is trained once more, for as long as `modal` took (`same_time_trainings`).
+    """
 
     methods: tuple[str, ...] = DEFAULT
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`

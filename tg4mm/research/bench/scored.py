@@ -148,8 +148,11 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 
 
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
-    """Add to every row's scores of one set and α `closure`, SSIM between the rows `still` (0) and `ceiling` (1), and
-    `ssim_gap`, how far SSIM lies below that of `ceiling`."""
+    """Add `closure` and `ssim_gap` to every row's scores of one set and α.
+
+    `closure` is SSIM on a scale from the row `still` (0) to the row `ceiling` (1); `ssim_gap` is how far SSIM lies
+    below that of `ceiling`.
+    """
     rest, best = (rows.get(name, {}).get("ssim") for name in (still, ceiling))
     for scores in rows.values():
         ours = scores.get("ssim")
@@ -180,8 +183,7 @@ def picture_name(capture: Capture, image: int) -> Path:
 
 
 def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np.ndarray:
-    """[T, H, W, 3] float32 in 0..1 over white: the images `rows`, or a method's pictures of them under
-    `root`.
+    """Load the images `rows`, or a method's pictures of them under `root`: [T, H, W, 3] float32 in 0..1 over white.
 
     Raises BenchError for a file that is not there, leads out of `root` or has another size, CaptureError for a torn
     one.

@@ -66,8 +66,11 @@ class _Stage:
         return fit.parameters["values"].detach().cpu()
 
     def _compared(self, views: RestViews) -> RestViews:
-        """Return the targets of phase 2: the pictures or, for the difference loss, the model's rendering at rest plus
-        the pictures' change since timestep 0, so that |rendered − that| is |change rendered − change seen|."""
+        """Return the targets of phase 2: the pictures or, for the difference loss, a rendering plus a change.
+
+        That is the model's rendering at rest plus the pictures' change since timestep 0, so that |rendered − target| is
+        |rendered change − observed change|.
+        """
         if self.first is None:
             return views
         same = [self.first.row_of(views, v) for v in range(len(views.rgb))]

@@ -88,7 +88,7 @@ class Channel:
 
 
 def unit_of(quantity: str, base: str) -> str:
-    """mm, mm/s, mm/s² …"""
+    """Return the unit of a quantity: mm, mm/s, mm/s², and so on."""
     return base + ("", "/s", "/s²")[ORDER.get(quantity, 0)]
 
 

@@ -164,8 +164,8 @@ def levels_of(
         # which of many nearly equal peaks is the highest.
         sure = np.hypot(squares.std(0, ddof=1), bias * [1, 1, 0.5, 0.5])
         found = np.sqrt(np.maximum(found**2 - bias, [0, 0, 0, 1]))
-        # Two deviations reach from the value to where its square is lower by two of its own. For a strong vibration that
-        # is sure / (2 found) each.
+        # Two deviations below the value, its square is lower by two of its own deviations; for a strong vibration
+        # each is sure / (2 found).
         lower = np.sqrt(np.maximum(found**2 - 2 * sure, 0))
         deviation = np.where(lower > 0, (found - lower) / 2, np.sqrt(sure / 2))
         deviation[:3] = np.hypot(deviation[:3], channel.share * found[:3])

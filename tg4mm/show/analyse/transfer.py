@@ -1,5 +1,4 @@
-"""A second instrument beside the film: its clock's lag, transfer functions H1 and H2 with coherence, the
-two curves side by side, phases of regions.
+"""A second instrument beside the film: lag of its clock, transfer functions H1 and H2, coherence, phases.
 
 The lag is where the film and an accelerometer, made the same quantity, correlate most, if no other lag does nearly as
 well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is what the residual, with its own spectrum,

@@ -1,5 +1,4 @@
-"""Damping of a vibration: by the logarithmic decrement where it rings down, by the half-power bandwidth where noise
-drives it.
+"""Damping of a vibration, by the logarithmic decrement (ring-down) or the half-power bandwidth (driven by noise).
 
 Ringing down is a line with an exponential envelope (`core.lines`): Re[m exp((i2πf − λ) t)]; the logarithmic decrement
 is λ / f. All samples enter, so that no maxima need be found.

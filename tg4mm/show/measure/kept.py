@@ -67,8 +67,10 @@ class KeptPass:
         return arrays, sides
 
     def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
-        """Write them where that was asked for and they are no more than 1 GiB; a folder that cannot be written is no
-        error."""
+        """Write the arrays if that was requested and they take at most 1 GiB.
+
+        A folder that cannot be written is no error.
+        """
         if not self.may_save or sum(a.nbytes for a in arrays.values()) > _MOST:
             return
         tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}

@@ -104,8 +104,11 @@ def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weigh
 def _compared(
     mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each picture, where it counts: its motion [2], what it has beyond the mean picture moved by that [P], the
-    columns [P, 4] of more motion and of light, and what it has beyond the mean picture [P]."""
+    """Return, for each picture and over the P pixels that count, what the iteration needs.
+
+    The motion [2]; the residual [P] against the mean picture moved by it; the columns [P, 4] of further motion and of
+    light; and the difference [P] from the mean picture.
+    """
     box, own = box_of(weights)
     some = mean[box].astype(np.float64)
     for picture, motion in zip(pictures, moved, strict=True):

@@ -1,7 +1,8 @@
-"""A run's modal motion as a few fields and their functions of time: what the rest of the scene does while a region is
+"""A run's modal motion as a few fields and their functions of time: the rest of the scene while a region is measured.
 
-measured. A synchronous capture's motion has as many independent fields as temporal components, mostly one to five, in
-whatever number of frequencies it is stored."""
+A synchronous capture's motion has as many independent fields as temporal components, mostly one to five, in
+whatever number of frequencies it is stored.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -111,8 +111,10 @@ Pose = Callable[[float], Gaussians]
 
 @dataclass(frozen=True)
 class View:
-    """One camera's videos, uint8 [T, H, W, 3]; what a dataset lacks is None. Of a moving camera each picture has its
-    own pose."""
+    """One camera's videos, uint8 [T, H, W, 3]; None for what the dataset lacks.
+
+    For a moving camera each picture has its own pose.
+    """
 
     camera: Camera  # of a moving camera: where most motion is seen
     split: str  # the split that the camera is of

@@ -91,8 +91,10 @@ class Reading:
         return float(x / z), float(y / z)
 
     def pixels(self, phasors: np.ndarray, amplitude: Length) -> Length | None:
-        """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
-        line of sight hides."""
+        """Return the deviation in pixels: relative to the motion it is that in scene units.
+
+        What lies along the line of sight is left out.
+        """
         pixels = self.seen.pixels(phasors)
         if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
             return None if pixels is None else Length(pixels, is_bound=amplitude.is_bound)

@@ -163,8 +163,10 @@ def scene_json(
 def _first_camera(
     capture: Capture, gaussians: Gaussians, motion: ModalMotion | None
 ) -> tuple[Camera, np.ndarray]:
-    """Of those that took most pictures, the camera that sees the strongest mode move farthest; in its picture, every
-    mode's rms motion [K] in pixels."""
+    """Choose the camera that sees the strongest mode move farthest, among those with most pictures.
+
+    Also returns every mode's rms motion [K] in its picture, in pixels.
+    """
     counts = np.bincount(capture.camera_ids)[list(dict.fromkeys(capture.camera_ids.tolist()))]
     cameras = [c for c, n in zip(capture_cameras(capture), counts, strict=True) if n == counts.max()]
     if motion is None or not len(motion.freqs_hz):

@@ -111,9 +111,10 @@ def _rotations_of(observations: Observations, frames: PosedFrames) -> np.ndarray
 def _step(
     observations: Observations, mean: np.ndarray, weights: np.ndarray, exposures: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Exposure and rotation [F, 9] by which one camera's frames still differ from their mean, the mean [H, W, 3], and
+    """Estimate exposure and rotation [F, 9] by which one camera's frames still differ from their mean.
 
-    the energy [H, W] of what the exposures [F, 6] known so far leave of the changes, mean over channels.
+    Also returns the mean [H, W, 3] and the energy [H, W], averaged over channels, of the changes that the exposures
+    [F, 6] known so far leave unexplained.
     """
     frames = observations.frames[0]
     columns = np.concatenate([_exposure_columns(mean), _rotation_columns(mean, frames.K)])

@@ -170,9 +170,10 @@ def _normal_equations(cameras: Sequence[PosedView], sums: PoseSums) -> tuple[np.
 
 
 def _as_pose(viewmat: np.ndarray) -> np.ndarray:
-    """[6, 6]: from a rigid motion (rotation about the world's origin, translation) to the coefficients of the six pose
+    """Return the matrix [6, 6] from a rigid motion of the scene to the coefficients of a camera's six pose columns.
 
-    columns of a camera, which turn and shift the scene about its centre and along its axes.
+    The motion is a rotation about the world's origin and a translation. The columns turn and shift the scene about the
+    camera's centre and along its axes.
     """
     axes = viewmat[:3, :3].astype(np.float64)
     x, y, z = -axes.T @ viewmat[:3, 3]

@@ -46,10 +46,10 @@ class Graph:
 
     @cached_property
     def blocks(self) -> bsr_matrix:
-        """The prior's matrix [4N, 4N] float64, symmetric, positive semi-definite; mean diagonal of the u rows 1
-        unless edges were reweighted.
+        """Return the prior's matrix [4N, 4N] float64, symmetric and positive semi-definite.
 
-        The first block of a row is the one on the diagonal.
+        The mean diagonal of the u rows is 1 unless edges were reweighted. The first block of a row is the diagonal
+        one.
         """
         n, rows = self.n_gaussians, self.edge_rows.astype(np.float64)
         outer = rows[:, :, None] * rows[:, None, :]

@@ -1,5 +1,4 @@
-"""Fixed cameras with clocks of their own: clips that one camera filmed from place after place, or an unsynchronised
-rig.
+"""Fixed cameras with independent clocks: clips filmed one after another, or an unsynchronised rig.
 
 A steady vibration looks the same from every place but for its phase: θ_{c,k} of clip c at frequency k is unknown
 (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019). The frequencies come from all clips' region shifts.

@@ -153,7 +153,7 @@ def declare(builder, name, result, arguments):
 
 
 def of_lanes(builder, name, *args):
-    """LLVM's function `name` of vectors of one type: fmuladd, fabs, sqrt …"""
+    """LLVM's function `name` of vectors of one type: fmuladd, fabs, sqrt and others."""
     kind = args[0].type
     return builder.call(declare(builder, f"llvm.{name}.v{kind.count}f32", kind, [kind] * len(args)), args)
 

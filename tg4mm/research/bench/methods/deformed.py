@@ -35,8 +35,10 @@ from tg4mm.run.train import parse_settings
 
 @dataclass(frozen=True)
 class Moving:
-    """What a method has fitted: Gaussians at rest, and their displacement and rotation vectors [T, N, 6] from there
-    (scene units, radians)."""
+    """The result of a method: Gaussians at rest, and their displacement and rotation vectors [T, N, 6].
+
+    Displacements are in scene units, rotation vectors in radians.
+    """
 
     gaussians: Gaussians
     series: Tensor

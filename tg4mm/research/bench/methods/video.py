@@ -65,8 +65,10 @@ def band_response(data: BenchSet, alpha: float, plan: Plan) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Phase2D(VideoMethod):
-    """Phase-based video motion processing [PVM]: complex sub-bands of half an octave and eight orientations, phase
-    since frame 0, temporal band-pass, phase smoothed with the amplitude as weight ([PVM] §3.4), α.
+    """Phase-based video motion processing [PVM].
+
+    Complex sub-bands of half an octave and eight orientations; the phase since frame 0 is band-passed, smoothed with
+    the amplitude as weight ([PVM] §3.4), and multiplied by α.
 
     Its authors' program magnifies luma alone; here chroma is magnified too, by its own phase, since otherwise coloured
     edges stay where they are, and the baseline is to be the best that 2D can do.
@@ -116,8 +118,11 @@ def _padded(video: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Linear2D(VideoMethod):
-    """Linear Eulerian video magnification (Wu et al. 2012): a Laplacian pyramid, temporal band-pass, each level times
-    α, but at most what its wavelength λ allows, (1 + α) δ < λ/8 with δ such that λ_c just allows α."""
+    """Linear Eulerian video magnification (Wu et al. 2012).
+
+    A Laplacian pyramid is band-passed over time. Each level is multiplied by α, but at most by what its wavelength λ
+    allows: (1 + α) δ < λ/8, with δ such that λ_c just allows α.
+    """
 
     cutoff: float = 16.0  # λ_c, pixels
     chroma: float = 0.1  # of α, for chroma
