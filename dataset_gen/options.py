@@ -3,12 +3,12 @@
 import argparse
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from .cameras import KINDS as CAMERA_KINDS
-from .cameras import SINGLE, CameraSetup
+from .cameras import CameraSetup
 from .effects import CODECS, Effects
 from .errors import GenerateError
 from .pictures import BACKGROUNDS, IMAGES, PictureFormat, Sensor
@@ -20,27 +20,34 @@ from .vibration import read_motion
 ALL = "all"
 ALPHAS = (5, 10, 20, 50, 100)
 CLIPS = 7  # places that one camera films from, where --views does not say it
+# Options and what they set: a part of the settings, and its field where that has another name.
+_PARTS: dict[type[Any], dict[str, str]] = {
+    CameraSetup: {
+        "cameras": "kind", "views": "", "test_views": "", "timesteps": "n_timesteps", "fps": "",
+        "clock_offsets": "clock_offset_s",
+    },
+    Effects: {
+        "shake": "shake_px", "exposure_drift": "", "flicker": "", "flicker_hz": "", "codec": "", "crf": "",
+        "readout": "readout_ms", "shutter": "shutter_ms",
+    },
+    PictureFormat: {"images": "", "background": ""},
+    Settings: dict.fromkeys(
+        ("size", "samples", "seed", "noise", "points", "alphas", "truth", "engine", "device"), ""
+    ),
+}  # fmt: skip
 # What an option is where neither the command line nor the preset says it.
 DEFAULTS: dict[str, Any] = {
-    "size": 128, "timesteps": 30, "fps": 30.0, "cameras": "orbit", "views": 30, "test_views": 5,
-    "clock_offsets": 0.0, "shake": 0.0, "exposure_drift": 0.0, "flicker": 0.0, "flicker_hz": 100.0,
-    "codec": "none", "crf": 20, "readout": 0.0, "shutter": 0.0,
-    "samples": 96, "seed": 0, "noise": "state", "points": 20000, "alphas": ALPHAS, "truth": "test",
-    "engine": "cycles", "device": "cpu", "images": "png8", "background": "transparent",
-}  # fmt: skip
+    option: next(f.default for f in fields(part) if f.name == (name or option))
+    for part, names in _PARTS.items()
+    for option, name in names.items()
+}
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
-        "size": 96,
-        "timesteps": 6,
-        "views": 4,
-        "test_views": 2,
-        "alphas": (5, 50),
-        "samples": 8,
-        "points": 2000,
+        "size": 96, "timesteps": 6, "views": 4, "test_views": 2, "alphas": (5, 50), "samples": 8, "points": 2000,
     },
     "demo": {},
     "paper": {"size": 512, "test_views": 10, "samples": 128, "points": 50000},
-}
+}  # fmt: skip
 
 
 class _Parser(argparse.ArgumentParser):
@@ -76,6 +83,7 @@ _EXCLUSIVE = ("--amplitude", "--amplitude-px", "--prepare", "--part", "--finish"
 
 def _groups() -> dict[str, dict[str, dict[str, Any]]]:
     """Keywords of `add_argument` by flag, by title of the group."""
+    cameras = "; ".join(f"{name}: {kind.about}" for name, kind in CAMERA_KINDS.items())
     return {
         "your own scene, instead of SCENE": {
             "--blend": _file("a .blend file; its scene at its current frame"),
@@ -107,11 +115,7 @@ def _groups() -> dict[str, dict[str, dict[str, Any]]]:
             }),
         },
         "cameras": {
-            "--cameras": _choice("cameras", CAMERA_KINDS, (
-                "orbit: NeRF-synthetic's spiral; rig: fixed, around the scene; sweep: one fixed, after a handheld "
-                "round; handheld: one, all along; clips: one, from place after place; flat: one fixed; given: those "
-                "of the .blend file"
-            )),
+            "--cameras": _choice("cameras", tuple(CAMERA_KINDS), cameras),
             **_numbers({
                 "views": f"number of training cameras (orbit, rig), photographs (sweep) or clips ({CLIPS} by default)",
                 "test_views": "number of test cameras; the published data have 10, flat has one",
@@ -294,37 +298,24 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
         raise GenerateError(f"--{source.kind} needs --motion FILE, a description of how it moves")
     motion = read_motion(motion_file(name, options.motion) if source.kind == "builtin" else options.motion)
     motion = motion.with_main(options.frequency, options.amplitude, options.amplitude_px)
-    timesteps = values["timesteps"]
     if options.timesteps is None and values["fps"] > 0:  # else refused below
-        timesteps = whole_periods(timesteps, motion.main.law.frequency_hz, values["fps"])
+        hz = motion.main.law.frequency_hz
+        values = {**values, "timesteps": whole_periods(values["timesteps"], hz, values["fps"])}
     return Settings(
         scene=name,
         source=source,
         motion=motion,
-        cameras=CameraSetup(
-            kind=values["cameras"],
-            views=values["views"],
-            test_views=values["test_views"],
-            n_timesteps=timesteps,
-            fps=values["fps"],
-            seed=values["seed"],
-            clock_offset_s=values["clock_offsets"],
-        ),
-        pictures=PictureFormat(values["images"], values["background"]),
+        cameras=CameraSetup(**_of(CameraSetup, values), seed=values["seed"]),
+        pictures=PictureFormat(**_of(PictureFormat, values)),
         sensor=_sensor(options),
-        effects=Effects(
-            shake_px=values["shake"],
-            exposure_drift=values["exposure_drift"],
-            flicker=values["flicker"],
-            flicker_hz=values["flicker_hz"],
-            codec=values["codec"],
-            crf=values["crf"],
-            keep_video=options.keep_video,
-            readout_ms=values["readout"],
-            shutter_ms=values["shutter"],
-        ),
-        **{key: values[key] for key in _AS_THEY_ARE},
+        effects=Effects(**_of(Effects, values), keep_video=options.keep_video),
+        **_of(Settings, values),
     )
+
+
+def _of(part: type[Any], values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a part's fields."""
+    return {name or option: values[option] for option, name in _PARTS[part].items()}
 
 
 def whole_periods(least: int, hz: float, fps: float) -> int:
@@ -340,7 +331,6 @@ def whole_periods(least: int, hz: float, fps: float) -> int:
 
 
 _WHOLE = 1e-6  # periods
-_AS_THEY_ARE = ("size", "alphas", "samples", "seed", "noise", "truth", "points", "engine", "device")
 
 
 def _sensor(options: argparse.Namespace) -> Sensor | None:
@@ -413,7 +403,7 @@ def _source(options: argparse.Namespace) -> Iterator[str]:
 
 def _cameras(options: argparse.Namespace, values: Mapping[str, Any]) -> Iterator[str]:
     kind = values["cameras"]
-    if options.views is not None and kind in SINGLE:
+    if options.views is not None and CAMERA_KINDS[kind].single:
         there = "the file's cameras are taken, all of them" if kind == "given" else "there is one camera"
         yield f"--views {options.views}: with --cameras {kind} {there}"
     if kind == "flat" and (options.test_views or 0) > 1:

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.colour import to_display, to_linear
+from tg4mm.core.pictures import exr, png
 
-from . import exr, png
 from .errors import GenerateError, check_choice, check_whole, check_within
 
 
@@ -256,4 +256,4 @@ class PictureFormat:
         """Return whether a complete file of this kind and size exists; its pixels are not decoded."""
         if self.images == "exr":
             return exr.complete(path, width, height)
-        return png.complete(path, width, height, self.bits, self.channels)
+        return png.complete(path, width, height, (self.bits, self.channels))

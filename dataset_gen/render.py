@@ -21,6 +21,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from tg4mm.core.pictures import exr
+
 from . import compat
 from .build import DISPLACEMENT, Stage, trees
 from .compat import device_in_use, use_device
@@ -177,11 +179,8 @@ def read_float(path: Path) -> np.ndarray:
     """[H, W, 4] float32 of an EXR as Blender writes it, row 0 on top; by Blender itself where OpenEXR is absent."""
     if importlib.util.find_spec("OpenEXR") is None:
         return read_float_by_blender(path)
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        return np.stack([channels[name].pixels for name in "RGBA"], axis=-1).astype(np.float32, copy=False)
+    channels = exr.stored(path)
+    return np.stack([channels[name] for name in "RGBA"], axis=-1).astype(np.float32, copy=False)
 
 
 def read_float_by_blender(path: Path) -> np.ndarray:
@@ -200,10 +199,7 @@ def read_float_by_blender(path: Path) -> np.ndarray:
 
 def read_passes(path: Path) -> dict[str, np.ndarray]:
     """Passes of Blender's multilayer EXR: Depth [H, W]; Normal, Position, Displacement [H, W, 3] float32."""
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    channels = exr.stored(path)
     found: dict[str, np.ndarray] = {}
     for name, pixels in channels.items():
         if match := re.search(r"(?:^|\.)(Depth|Normal|Position|displacement)\.([A-Z])$", name):

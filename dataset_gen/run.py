@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm.core import events
+from tg4mm.core.pictures import png
 from tg4mm.core.progress import progress
 from tg4mm.core.records import read_formed
 from tg4mm.core.temporary import remove_leftovers
 
-from . import png, points, processes, tree
+from . import points, processes, tree
 from .effects import codec
 from .errors import GenerateError
 from .plan import RANGE, UNCODED, Shot, ranges

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.pictures import exr
 from tg4mm.core.temporary import replacing
 from tg4mm.core.work_folder import WorkFolder
 
-from . import exr
 from .cameras import Camera, cameras_at, clock_offsets, films, scene_time, transforms
 from .effects import Record
 from .errors import GenerateError

@@ -1,11 +1,13 @@
 """Exact ground truth: the complex mode of every vertex, and per pixel what its centre sees."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tg4mm.core.pictures import exr
 
 from . import tree
 from .vibration import Body, Motion
@@ -51,17 +53,8 @@ def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
     for name in _VECTORS:
         for axis, letter in enumerate("XYZ"):
             channels[f"{name}.{letter}"] = passes[name][..., axis]
-    write_channels(path, channels)
-
-
-def write_channels(path: Path, numbers: Mapping[str, np.ndarray]) -> None:
-    """Writes channels [H, W] by name as a single-part EXR, ZIP, float32."""
-    import OpenEXR
-
-    channels = {name: np.ascontiguousarray(values, np.float32) for name, values in numbers.items()}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with tree.whole(path) as temporary, OpenEXR.File(header, channels) as file:
-        file.write(str(temporary))
+    with tree.whole(path) as temporary:
+        exr.write(temporary, {name: np.asarray(values, np.float32) for name, values in channels.items()})
 
 
 def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, np.ndarray]:
@@ -69,8 +62,6 @@ def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, np.nd
 
     Raises CaptureError for a file that is damaged or of another kind.
     """
-    from tg4mm.core.pictures import exr
-
     found = exr.channels(
         path, ["Depth.V", *(f"{name}.{letter}" for name in _VECTORS for letter in "XYZ")], size
     )

@@ -50,7 +50,7 @@ FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each ma
 MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
 MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research", "cli")}
 MAY_IMPORT |= {"dataset_gen": {"core", "capture"}}
-_ADDON = ("compat", "names", "units", "reporting", "nodes", "preferences", "panels", "io", "probe")
+_ADDON = ("compat", "names", "units", "nodes", "preferences", "declare", "panels", "io", "probe")
 ADDON_MAY_IMPORT = {room: {*_ADDON[:floor], "core"} for floor, room in enumerate(_ADDON)}
 ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "dataset_gen"}}
 # `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender

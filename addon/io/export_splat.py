@@ -13,8 +13,8 @@ from tg4mm.core.splatfile import SplatFile, write_splat
 from tg4mm.core.splatfile.spz import write_spz
 
 from .. import names
+from ..declare import reports
 from ..nodes import scene
-from ..reporting import reports
 from . import splats
 
 MOST_FILES = 10_000  # of a sequence; a frame range of more is a mistake

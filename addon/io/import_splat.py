@@ -19,11 +19,11 @@ from tg4mm.core.splatfile.drawable import Options, parsed_frequencies
 from tg4mm.core.splatfile.read import ENDINGS
 
 from .. import compat, names, preferences
+from ..declare import reports
 from ..nodes import blending, clock, drawing, points, scene
 from ..nodes.blending import true_colours
 from ..nodes.shapes import DRAW_MODES, available
 from ..panels import framing
-from ..reporting import reports
 from . import splats
 
 STILL = 1e-6  # of the largest motion: float32 holds no less beside it

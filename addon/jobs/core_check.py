@@ -4,13 +4,11 @@ import json
 import subprocess
 from typing import Any
 
-import bpy
-
 from dataset_gen.errors import GenerateError
 from tg4mm import __version__ as own_version
 from tg4mm.core.extras import install
 
-from ..reporting import reports
+from ..declare import Declared
 from . import commands, generating
 
 LIMIT_S = 60.0
@@ -24,6 +22,8 @@ if there["tg4mm"]:
     version = tg4mm.__version__
 print(json.dumps({"python": sys.version.split()[0], "there": there, "version": version}))
 """
+_ui = Declared()
+register, unregister = _ui.register, _ui.unregister
 _INSTALL = f"run this Python with -m {install('core', 'generate')}"
 
 
@@ -61,19 +61,10 @@ def check(python: str, own_version: str) -> str:
     return f"tg4mm {version} on Python {number}, ready to generate and to train{other}"
 
 
-class TG4MM_OT_test_core(bpy.types.Operator):
+@_ui.operator("Test", undo=False)
+def test_core(operator: Any, context: Any) -> str:
     """Start the Python of the Core and check that everything needed to generate and train is installed"""
-
-    bl_idname = "tg4mm.test_core"
-    bl_label = "Test"
-
-    @reports()
-    def execute(self, context: Any) -> set[str]:
-        python = generating.core_python(context)
-        if not python:
-            raise GenerateError("Python of the Core is empty: choose bin/python of an environment with tg4mm")
-        self.report({"INFO"}, check(python, own_version))
-        return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory([TG4MM_OT_test_core])
+    python = generating.core_python(context)
+    if not python:
+        raise GenerateError("Python of the Core is empty: choose bin/python of an environment with tg4mm")
+    return check(python, own_version)

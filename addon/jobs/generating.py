@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from dataset_gen.cameras import SINGLE
+from dataset_gen.cameras import KINDS
 from dataset_gen.errors import GenerateError
 from tg4mm.core.files import write_json
 
@@ -49,18 +49,21 @@ def label(settings: Any) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(bpy.data.filepath).stem).strip("_") or "scene"
 
 
+def folder(what: str, text: str) -> Path:
+    """Return the absolute path of a folder setting called `what`. Raises GenerateError."""
+    if not text.strip():
+        raise GenerateError(f"{what} is empty: choose a folder")
+    if text.startswith("//") and not bpy.data.filepath:
+        raise GenerateError(f"{what} {text} lies beside the .blend file, which is not saved yet")
+    return Path(os.path.abspath(bpy.path.abspath(text)))
+
+
 def working_folder(settings: Any) -> Path:
     """Return the folder that holds the copy of the scene until the dataset is complete. Raises GenerateError."""
-    if not settings.out.strip():
-        raise GenerateError("Output is empty: choose the folder in which the dataset is created")
-    if settings.out.startswith("//") and not bpy.data.filepath:
-        raise GenerateError(f"Output {settings.out} lies beside the .blend file, which is not saved yet")
-    name = label(settings)
+    out, name = folder("Output", settings.out), label(settings)
     if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-        raise GenerateError(
-            f"Name {name!r}: use letters, digits, - and _ only, because it becomes a folder name"
-        )
-    return Path(os.path.abspath(bpy.path.abspath(settings.out))) / f"{name}.generating"
+        raise GenerateError(f"Name {name!r}: use letters, digits, - and _ only, because it names a folder")
+    return out / f"{name}.generating"
 
 
 def can_go_on(settings: Any) -> bool:
@@ -85,15 +88,15 @@ def generate(context: Any, go_on: bool) -> Job:
             f"Frequency {described.main.frequency_hz:g} Hz is not below half of the Frame Rate, "
             f"{settings.fps / 2:g} Hz"
         )
-    runs_in, folder = host(context), working_folder(settings)
-    folder.mkdir(parents=True, exist_ok=True)
-    motion = folder / _MOTION
+    runs_in, work = host(context), working_folder(settings)
+    work.mkdir(parents=True, exist_ok=True)
+    motion = work / _MOTION
     write_json(motion, described.to_json())
     if not go_on:
-        save_copy(folder / _BLEND, context.scene)
+        save_copy(work / _BLEND, context.scene)
     options = _options(settings, context.scene, runs_in)
-    steps = commands.generate_steps(runs_in, folder / _BLEND, motion, folder.parent, options)
-    return commands.start(commands.GENERATE, steps, lambda job: _ended(job, folder))
+    steps = commands.generate_steps(runs_in, work / _BLEND, motion, work.parent, options)
+    return commands.start(commands.GENERATE, steps, lambda job: _ended(job, work))
 
 
 def save_copy(path: Path, scene: Any) -> None:
@@ -121,25 +124,24 @@ def _splats_hidden(scene: Any) -> Iterator[None]:
 
 
 def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | float]:
-    options: dict[str, str | int | float] = {
-        "name": label(settings),
-        "scene": scene.name,
-        "timesteps": settings.timesteps,
-        "fps": settings.fps,
-        "cameras": settings.cameras,
-        "views": settings.views,
-        "test-views": settings.test_views,
-        "size": settings.size,
-        "samples": settings.samples,
-        "seed": settings.seed,
-        "device": settings.device,
-        "alphas": settings.alphas,
-        "processes": settings.processes,
-        # Blender's own Python lacks OpenEXR, which writes it.
-        "truth": settings.truth if runs_in.is_core else "none",
-    }
+    given = (
+        "timesteps",
+        "fps",
+        "cameras",
+        "views",
+        "test_views",
+        "size",
+        "samples",
+        "seed",
+        "device",
+        "alphas",
+    )
+    options: dict[str, str | int | float] = {"name": label(settings), "scene": scene.name}
+    options |= {name.replace("_", "-"): getattr(settings, name) for name in (*given, "processes")}
+    # Blender's own Python lacks OpenEXR, which writes it.
+    options["truth"] = settings.truth if runs_in.is_core else "none"
     # The generator refuses what would change nothing.
-    if settings.cameras in SINGLE:
+    if KINDS[settings.cameras].single:
         del options["views"]
     if settings.cameras == "flat":
         options["test-views"] = min(settings.test_views, 1)
@@ -150,13 +152,13 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
     return options
 
 
-def _ended(job: Job, folder: Path) -> None:
+def _ended(job: Job, work: Path) -> None:
     """Delete the scene copy of a finished dataset and select the dataset in the Train panel."""
     if job.state is not State.DONE or not job.results:
         return
     with contextlib.suppress(OSError):
         for name in (_BLEND, f"{_BLEND}1", _MOTION):
-            (folder / name).unlink(missing_ok=True)
-        folder.rmdir()
+            (work / name).unlink(missing_ok=True)
+        work.rmdir()
     job.message = f"Complete: {job.results[-1]}"
     bpy.context.scene.tg4mm_train.dataset = job.results[-1]

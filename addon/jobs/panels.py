@@ -4,9 +4,10 @@ from typing import Any
 
 import bpy
 
-from dataset_gen.cameras import SINGLE
+from dataset_gen.cameras import KINDS
 
 from .. import preferences
+from ..declare import Declared
 from . import commands, generating, kinds, objects, preview
 from .runner import Job, State
 
@@ -14,142 +15,120 @@ _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
 _BESIDE, _LETTER = 82.0, 6.4  # what stands beside a line of text; a letter, on average
 
 
-class _Tab:
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "TG4MM"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+_ui = Declared()
+_GENERATE = "VIEW3D_PT_tg4mm_generate"
 
 
-class VIEW3D_PT_tg4mm_generate(_Tab, bpy.types.Panel):
+@_ui.panel(_GENERATE, "Generate", closed=True, order=10)
+def draw_generate(layout: Any, context: Any) -> None:
     """A dataset of the open scene, vibrating"""
-
-    bl_label = "Generate"
-    bl_idname = "VIEW3D_PT_tg4mm_generate"
-    bl_order = 10
-
-    def draw(self, context: Any) -> None:
-        layout, settings = self.layout, context.scene.tg4mm_generate
-        _spread(layout)
-        layout.prop(settings, "out")
-        layout.prop(settings, "label", placeholder=generating.label(settings))
-        if preferences.get(context).core_python:
-            layout.column(heading="Render In").prop(settings, "in_blender")
-        layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
-        if _draw_job(layout, commands.GENERATE):
-            return
-        layout.operator("tg4mm.generate", icon="RENDER_ANIMATION")
-        if generating.can_go_on(settings):
-            layout.operator("tg4mm.generate", text="Go On", icon="FILE_REFRESH").go_on = True
+    settings = context.scene.tg4mm_generate
+    _spread(layout)
+    layout.prop(settings, "out")
+    layout.prop(settings, "label", placeholder=generating.label(settings))
+    if preferences.get(context).core_python:
+        layout.column(heading="Render In").prop(settings, "in_blender")
+    layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
+    if _draw_job(layout, commands.GENERATE):
+        return
+    layout.operator("tg4mm.generate", icon="RENDER_ANIMATION")
+    if generating.can_go_on(settings):
+        layout.operator("tg4mm.generate", text="Resume", icon="FILE_REFRESH").go_on = True
 
 
-class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_mode", "Vibration", parent=_GENERATE)
+def draw_vibration(layout: Any, context: Any) -> None:
     """What moves, and how"""
+    settings = context.scene.tg4mm_generate
+    _spread(layout)
+    layout.prop(settings, "source", expand=True)
+    if settings.source == "FILE":
+        layout.prop(settings, "motion_file")
+    else:
+        _draw_objects(layout, settings)
+        _draw_mode(layout, settings, context)
+    layout.prop(settings, "fps")
+    _draw_preview(layout, settings, context.scene)
 
-    bl_label = "Motion"
-    bl_idname = "VIEW3D_PT_tg4mm_mode"
-    bl_parent_id = VIEW3D_PT_tg4mm_generate.bl_idname
-    bl_options = set()  # noqa: RUF012
 
-    def draw(self, context: Any) -> None:
-        layout, settings = self.layout, context.scene.tg4mm_generate
-        _spread(layout)
-        layout.prop(settings, "source", expand=True)
-        if settings.source == "FILE":
-            layout.prop(settings, "motion_file")
-        else:
-            self._draw_objects(layout, settings)
-            self._draw_mode(layout, settings, context)
-        layout.prop(settings, "fps")
-        self._draw_preview(layout, settings, context.scene)
+def _draw_objects(layout: Any, settings: Any) -> None:
+    moving = [item.object.name for item in settings.moving if item.object is not None]
+    more = f" and {len(moving) - 3} more" if len(moving) > 3 else ""
+    layout.label(text=f"Moves: {', '.join(moving[:3]) + more or 'everything'}", icon="OBJECT_DATA")
+    row = layout.row(align=True)
+    row.operator("tg4mm.use_selection", text="Selected")
+    row.operator("tg4mm.move_everything", text="Everything")
 
-    def _draw_objects(self, layout: Any, settings: Any) -> None:
-        moving = [item.object.name for item in settings.moving if item.object is not None]
-        more = f" and {len(moving) - 3} more" if len(moving) > 3 else ""
-        layout.label(text=f"Moves: {', '.join(moving[:3]) + more or 'everything'}", icon="OBJECT_DATA")
+
+def _draw_mode(layout: Any, settings: Any, context: Any) -> None:
+    layout.prop(settings, "kind")
+    for entry in kinds.rows(settings):
         row = layout.row(align=True)
-        row.operator("tg4mm.use_selection", text="Selected")
-        row.operator("tg4mm.move_everything", text="Everything")
-
-    def _draw_mode(self, layout: Any, settings: Any, context: Any) -> None:
-        layout.prop(settings, "kind")
-        for entry in kinds.rows(settings):
-            row = layout.row(align=True)
-            if entry.setting == "group" and context.object is not None and context.object.type == "MESH":
-                row.prop_search(settings, "group", context.object, "vertex_groups", text=entry.text)
-                continue
-            row.prop(settings, entry.setting, text=entry.text)
-            if entry.setting in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS):
-                row.operator("tg4mm.mode_from_cursor", text="", icon="PIVOT_CURSOR").setting = entry.setting
-        if settings.kind not in ("translate", "group"):
-            layout.operator("tg4mm.fit_mode", icon="PIVOT_BOUNDBOX")
-        layout.prop(settings, "frequency")
-        row = layout.row(align=True)
-        pixels = settings.amplitude_in == "PIXELS"
-        row.prop(settings, "amplitude_px" if pixels else "amplitude")
-        row.prop(settings, "amplitude_in", text="")
-        layout.prop(settings, "phase")
-
-    def _draw_preview(self, layout: Any, settings: Any, scene: Any) -> None:
-        if not preview.active():
-            layout.operator("tg4mm.preview_start", icon="PLAY")
-            if preview.problem():
-                _draw_lines(layout, preview.problem(), "ERROR")
-            return
-        layout.prop(settings, "gain", slider=True)
-        layout.operator("tg4mm.preview_stop", icon="SNAP_FACE")
-        row = layout.row(align=True)
-        row.operator("screen.animation_play", text="Play or Pause")
-        row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
-        times = scene.render.fps / scene.render.fps_base / settings.fps
-        if abs(times - 1.0) > 1e-3:
-            _draw_lines(layout, f"The timeline plays {times:.3g} times faster than real time", "INFO")
+        if entry.setting == "group" and context.object is not None and context.object.type == "MESH":
+            row.prop_search(settings, "group", context.object, "vertex_groups", text=entry.text)
+            continue
+        row.prop(settings, entry.setting, text=entry.text)
+        if entry.setting in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS):
+            row.operator("tg4mm.mode_from_cursor", text="", icon="PIVOT_CURSOR").setting = entry.setting
+    if settings.kind not in ("translate", "group"):
+        layout.operator("tg4mm.fit_mode", icon="PIVOT_BOUNDBOX")
+    layout.prop(settings, "frequency")
+    row = layout.row(align=True)
+    pixels = settings.amplitude_in == "PIXELS"
+    row.prop(settings, "amplitude_px" if pixels else "amplitude")
+    row.prop(settings, "amplitude_in", text="")
+    layout.prop(settings, "phase")
 
 
-class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
+def _draw_preview(layout: Any, settings: Any, scene: Any) -> None:
+    if not preview.active():
+        layout.operator("tg4mm.preview_start", icon="PLAY")
+        if preview.problem():
+            _draw_lines(layout, preview.problem(), "ERROR")
+        return
+    layout.prop(settings, "gain", slider=True)
+    layout.operator("tg4mm.preview_stop", icon="SNAP_FACE")
+    row = layout.row(align=True)
+    row.operator("screen.animation_play", text="Play or Pause")
+    row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
+    times = scene.render.fps / scene.render.fps_base / settings.fps
+    if abs(times - 1.0) > 1e-3:
+        _draw_lines(layout, f"The timeline plays {times:.3g} times faster than real time", "INFO")
+
+
+@_ui.panel("VIEW3D_PT_tg4mm_views", "Cameras and Pictures", parent=_GENERATE, closed=True)
+def draw_views(layout: Any, context: Any) -> None:
     """Cameras, pictures and truth of the dataset"""
-
-    bl_label = "Cameras and Pictures"
-    bl_idname = "VIEW3D_PT_tg4mm_views"
-    bl_parent_id = VIEW3D_PT_tg4mm_generate.bl_idname
-
-    def draw(self, context: Any) -> None:
-        layout, settings = self.layout, context.scene.tg4mm_generate
-        _spread(layout)
-        layout.prop(settings, "timesteps")
-        layout.prop(settings, "cameras")
-        if settings.cameras not in SINGLE:
-            layout.prop(settings, "views")
-        layout.prop(settings, "test_views")
-        for name in ("size", "samples", "device", "seed", "processes"):
-            layout.prop(settings, name)
-        if settings.test_views:
-            layout.prop(settings, "alphas")
-        if preferences.get(context).core_python and not settings.in_blender:
-            layout.prop(settings, "truth")
-        else:
-            _draw_lines(layout, "Truth per pixel needs the core's Python", "INFO")
+    settings = context.scene.tg4mm_generate
+    _spread(layout)
+    layout.prop(settings, "timesteps")
+    layout.prop(settings, "cameras")
+    if not KINDS[settings.cameras].single:
+        layout.prop(settings, "views")
+    for name in ("test_views", "size", "samples", "device", "seed", "processes"):
+        layout.prop(settings, name)
+    if settings.test_views:
+        layout.prop(settings, "alphas")
+    if preferences.get(context).core_python and not settings.in_blender:
+        layout.prop(settings, "truth")
+    else:
+        _draw_lines(layout, "Truth per pixel needs the core's Python", "INFO")
 
 
-class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_train", "Train", closed=True, order=11)
+def draw_train(layout: Any, context: Any) -> None:
     """Splats of a dataset"""
-
-    bl_label = "Train"
-    bl_idname = "VIEW3D_PT_tg4mm_train"
-    bl_order = 11
-
-    def draw(self, context: Any) -> None:
-        layout, settings = self.layout, context.scene.tg4mm_train
-        _spread(layout)
-        if not preferences.get(context).core_python:
-            text = "Training needs tg4mm in a separate Python. Set that Python in the preferences."
-            _draw_lines(layout, text, "INFO")
-            layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
-            return
-        for name in ("dataset", "run", "device", "settings"):
-            layout.prop(settings, name)
-        if not _draw_job(layout, commands.TRAIN):
-            layout.operator("tg4mm.train", icon="OUTLINER_OB_POINTCLOUD")
+    settings = context.scene.tg4mm_train
+    _spread(layout)
+    if not preferences.get(context).core_python:
+        text = "Training needs tg4mm in a separate Python. Set that Python in the preferences."
+        _draw_lines(layout, text, "INFO")
+        layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
+        return
+    for name in ("dataset", "run", "device", "settings"):
+        layout.prop(settings, name)
+    if not _draw_job(layout, commands.TRAIN):
+        layout.operator("tg4mm.train", icon="OUTLINER_OB_POINTCLOUD")
 
 
 def _draw_job(layout: Any, kind: str) -> bool:
@@ -204,9 +183,4 @@ def wrapped(text: str, width: int) -> list[str]:
     return [line[i : i + width] for line in lines for i in range(0, max(len(line), 1), width)]
 
 
-_CLASSES = (
-    VIEW3D_PT_tg4mm_generate, VIEW3D_PT_tg4mm_mode, VIEW3D_PT_tg4mm_views, VIEW3D_PT_tg4mm_train,
-)  # fmt: skip
-
-
-register, unregister = bpy.utils.register_classes_factory(_CLASSES)
+register, unregister = _ui.register, _ui.unregister

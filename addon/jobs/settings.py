@@ -7,6 +7,8 @@ from typing import Any
 import bpy
 from bpy import props
 
+from dataset_gen.cameras import KINDS as CAMERAS
+
 from . import preview
 from .kinds import KINDS
 
@@ -130,13 +132,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
 
     cameras: props.EnumProperty(  # type: ignore[valid-type]
         name="Cameras", description="Camera positions of the training pictures", update=_changed,
-        items=[("orbit", "Orbit", "A spiral around the scene, as in NeRF's synthetic sets"),
-               ("rig", "Rig", "Fixed cameras on arcs around the scene"),
-               ("sweep", "Sweep", "One fixed camera, after a hand-held round at the first timestep"),
-               ("handheld", "Hand-Held", "One camera that moves"),
-               ("clips", "Clips", "One camera that films from one place after another"),
-               ("flat", "Flat", "One fixed camera"),
-               ("given", "The Scene's Own", "The perspective cameras of this scene")])
+        items=[(name, kind.label, kind.about.capitalize()) for name, kind in CAMERAS.items()])
     views: props.IntProperty(  # type: ignore[valid-type]
         name="Views", description="Training cameras", default=30, min=1, max=1000, update=_changed)
     test_views: props.IntProperty(  # type: ignore[valid-type]

@@ -34,7 +34,7 @@ def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
     fastest = max(inside, default=0.0)
     if fastest * abs(speed) * FEWEST_FRAMES > rate(scene):
         said.append(f"{rate(scene) / (fastest * abs(speed)):.1f} frames a period at {fastest:.4g} Hz")
-        said.append("Too few to show the motion: lower Speed")
+        said.append("Motion will strobe: lower Speed")
     return said
 
 

@@ -33,7 +33,7 @@ class Content:
 # name, default, least, most, description
 _MOTION = (
     # The limits are the slider's: any number can be typed.
-    (names.ALPHA, 0.0, -1.0, 100.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
+    (names.ALPHA, 0.0, -1.0, 100.0, "0: as recorded; 50: 51 times as large; −1: frozen"),
     (names.LOW, 0.0, 0.0, 1e6, "Lowest frequency that is magnified, Hz"),
     (names.HIGH, 1e6, 0.0, 1e6, "Highest frequency that is magnified, Hz"),
 )

@@ -262,6 +262,14 @@ def receiving(context: Any) -> Any:
     return context.scene.collection
 
 
+def choose_alone(context: Any, obj: Any) -> None:
+    """Make an object the active one and the only one that is selected."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    obj.select_set(True)
+    context.view_layer.objects.active = obj
+
+
 def _takes(layer: Any) -> bool:
     """Return whether objects linked to a layer collection are visible."""
     if layer.exclude or not layer.is_visible:

@@ -9,82 +9,46 @@ from bpy.props import BoolProperty, FloatProperty
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
+from ..declare import Declared, on_motion, on_splats
 from ..nodes import blending, clock, drawing, scene, shapes
-from ..reporting import reports
 from . import analysis
 
 _EXACT = {names.DRAW: shapes.AS_TRAINED, names.VIEW_COLOUR: True, names.BLEND: True}
 _BEFORE_EXACT = "tg4mm_before_exact"  # custom property of an object: what these were
 
 
-class _OnSplats(bpy.types.Operator):
-    """An operator on the active splat object"""
-
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.splat_object(context) is not None
+_ui = Declared()
+register, unregister = _ui.register, _ui.unregister
+_ON = {"on": BoolProperty(name="On", default=True, options={"SKIP_SAVE"})}
 
 
-class _OnMotion(_OnSplats):
-    """An operator on an object with modes of motion"""
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.moves(scene.splat_object(context))
-
-
-class _OnScene(_OnSplats):
-    """An operator that sets up a scene and reports what it changed"""
-
-    def execute(self, context: Any) -> set[str]:
-        self.report({"INFO"}, self.set_up(context) or "Nothing to change")
-        return {"FINISHED"}
-
-
-class TG4MM_OT_true_colours(_OnScene):
+@_ui.operator("Set Up True Colours", on_splats)
+def true_colours(operator: Any, context: Any) -> str:
     """Show the colours of the file: the view transform that they are made for, and the samples and transparent bounces
     that splats need"""
-
-    bl_idname = "tg4mm.true_colours"
-    bl_label = "Set Up True Colours"
-
-    def set_up(self, context: Any) -> str:
-        return blending.true_colours(context.scene)
+    return blending.true_colours(context.scene) or "Already set up"
 
 
-class TG4MM_OT_restore_picture(_OnScene):
+@_ui.operator("Restore Render Settings", on_splats)
+def restore_picture(operator: Any, context: Any) -> str:
     """Restore the view transform, samples and bounces that the scene had before its first splats"""
-
-    bl_idname = "tg4mm.restore_picture"
-    bl_label = "Undo Picture Settings"
-
-    def set_up(self, context: Any) -> str:
-        return blending.restore(context.scene)
+    return blending.restore(context.scene) or "Nothing to restore"
 
 
-class TG4MM_OT_exact_look(_OnScene):
+@_ui.operator("Exact Look", on_splats, **_ON)
+def exact_look(operator: Any, context: Any) -> str:
     """Draw the active splats as they were trained: as Splats, in the colours that the camera sees, blended as trained.
     Slow. Click again to go back"""
-
-    bl_idname = "tg4mm.exact_look"
-    bl_label = "Exact Look"
-
-    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
-
-    def set_up(self, context: Any) -> str:
-        obj = scene.splat_object(context)
-        modifier = scene.splat_modifier(obj)
-        shown = [name for name in _EXACT if compat.has_input(modifier, name)]
-        if self.on:
-            obj[_BEFORE_EXACT] = {name: compat.get_input(modifier, name) for name in shown}
-        wanted = _EXACT if self.on else dict(obj.pop(_BEFORE_EXACT, {names.DRAW: drawing.best(*_size(obj))}))
-        for name in shown:
-            compat.set_input(modifier, name, wanted.get(name, False))
-        return f"Draw As {wanted[names.DRAW]}; " + blending.true_colours(
-            context.scene, bool(wanted.get(names.BLEND, False))
-        )
+    obj = scene.splat_object(context)
+    modifier = scene.splat_modifier(obj)
+    shown = [name for name in _EXACT if compat.has_input(modifier, name)]
+    if operator.on:
+        obj[_BEFORE_EXACT] = {name: compat.get_input(modifier, name) for name in shown}
+    wanted = _EXACT if operator.on else dict(obj.pop(_BEFORE_EXACT, {names.DRAW: drawing.best(*_size(obj))}))
+    for name in shown:
+        compat.set_input(modifier, name, wanted.get(name, False))
+    changed = blending.true_colours(context.scene, bool(wanted.get(names.BLEND, False)))
+    return f"Draw As {wanted[names.DRAW]}; {changed}"
 
 
 def is_exact(obj: Any) -> bool:
@@ -110,116 +74,70 @@ def far_out(obj: Any) -> tuple[int, float]:
     return (0, 0.0) if in_edit_mode else _far_out(mesh.name, len(mesh.vertices))
 
 
-class TG4MM_OT_blend_as_trained(_OnSplats):
+@_ui.operator("Blend as Trained", on_splats, **_ON)
+def blend_as_trained(operator: Any, context: Any) -> None:
     """Mix the colours of splats as training and other viewers do: view transform Raw, and all splats of the scene drawn
     for it. For scenes of splats alone, as it shows other objects and lamps too dark. Click again to end it"""
-
-    bl_idname = "tg4mm.blend_as_trained"
-    bl_label = "Blend as Trained"
-
-    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
-
-    def execute(self, context: Any) -> set[str]:
-        blending.true_colours(context.scene, self.on)
-        return {"FINISHED"}
+    blending.true_colours(context.scene, operator.on)
 
 
-class TG4MM_OT_solid_colours(_OnSplats):
+@_ui.operator("Colours in Solid View", on_splats, **_ON)
+def solid_colours(operator: Any, context: Any) -> None:
     """Show the colours in Solid view too; slow with more than some ten thousand Gaussians. Click again to end it"""
-
-    bl_idname = "tg4mm.solid_colours"
-    bl_label = "Colours in Solid View"
-
-    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
-
-    def execute(self, context: Any) -> set[str]:
-        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, self.on)
-        shading = getattr(context.space_data, "shading", None)
-        if shading is not None:
-            shading.color_type, shading.light = ("VERTEX", "FLAT") if self.on else ("MATERIAL", "STUDIO")
-        return {"FINISHED"}
+    compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, operator.on)
+    shading = getattr(context.space_data, "shading", None)
+    if shading is not None:
+        shading.color_type, shading.light = ("VERTEX", "FLAT") if operator.on else ("MATERIAL", "STUDIO")
 
 
-class TG4MM_OT_one_mesh(_OnSplats):
+@_ui.operator("One Mesh", on_splats)
+def one_mesh(operator: Any, context: Any) -> None:
     """Draw one mesh in place of instances, so that Array and other modifiers after this one see it; for small sets"""
-
-    bl_idname = "tg4mm.one_mesh"
-    bl_label = "One Mesh"
-
-    def execute(self, context: Any) -> set[str]:
-        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
-        return {"FINISHED"}
+    compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
 
 
-class TG4MM_OT_file_units(_OnSplats):
+@_ui.operator("Match Scene Scale to File", on_splats)
+def file_units(operator: Any, context: Any) -> str:
     """Set the scene's Unit Scale so that Blender's lengths are those of the file"""
-
-    bl_idname = "tg4mm.file_units"
-    bl_label = "Take the File's Metres"
-
-    @reports()
-    def execute(self, context: Any) -> set[str]:
-        metres = analysis.metres_per_unit(scene.splat_object(context))
-        if metres is None:
-            raise Tg4mmError("The file does not state its scale")
-        context.scene.unit_settings.scale_length = metres
-        self.report({"INFO"}, f"Unit Scale of the scene set to {metres:.4g} m")
-        return {"FINISHED"}
+    metres = analysis.metres_per_unit(scene.splat_object(context))
+    if metres is None:
+        raise Tg4mmError("The file does not state its scale")
+    context.scene.unit_settings.scale_length = metres
+    return f"Unit Scale of the scene set to {metres:.4g} m"
 
 
-class TG4MM_OT_fit_colour_range(_OnMotion):
+@_ui.operator("Fit Colour Range", on_motion)
+def fit_colour_range(operator: Any, context: Any) -> str:
     """Set the last colour to the largest amplitude of the enabled modes in the band"""
-
-    bl_idname = "tg4mm.fit_colour_range"
-    bl_label = "Fit Colour Range"
-
-    @reports()
-    def execute(self, context: Any) -> set[str]:
-        obj = scene.splat_object(context)
-        largest = analysis.fit_colour_range(obj)
-        self.report({"INFO"}, f"0 to {preferences.unit_for(context, obj).text(largest)}")
-        return {"FINISHED"}
+    obj = scene.splat_object(context)
+    largest = analysis.fit_colour_range(obj)
+    return f"0 to {preferences.unit_for(context, obj).text(largest)}"
 
 
-class TG4MM_OT_band(_OnMotion):
+def _band(context: Any, settings: Any) -> tuple[float, float]:
+    return clock.band_around(settings.frequency, settings.width or preferences.get(context).band_width)
+
+
+def _about_band(context: Any, properties: Any) -> str:
+    if not properties.frequency:
+        return str(band.__doc__)
+    low, high = _band(context, properties)
+    return f"Magnify {low:g} to {high:g} Hz, the band around this peak (its width: see the preferences)"
+
+
+_MIDDLE = FloatProperty(
+    name="Middle", description="Middle of the band, Hz; 0: all frequencies", min=0.0, precision=3
+)
+_WIDTH = FloatProperty(
+    name="Width", description="Width of the band, Hz; 0: as in the preferences", min=0.0, precision=3
+)
+
+
+@_ui.operator("Set Band", on_motion, about=_about_band, frequency=_MIDDLE, width=_WIDTH)
+def band(operator: Any, context: Any) -> None:
     """Magnify every frequency of the file"""
-
-    bl_idname = "tg4mm.band"
-    bl_label = "Set Band"
-
-    frequency: FloatProperty(  # type: ignore[valid-type]
-        name="Middle", description="Middle of the band, Hz; 0 for the whole of it", min=0.0, precision=3
-    )
-    width: FloatProperty(  # type: ignore[valid-type]
-        name="Width",
-        description="Width of the band, Hz; 0 for the width in the preferences",
-        min=0.0,
-        precision=3,
-    )
-
-    @classmethod
-    def description(cls, context: Any, properties: Any) -> str:
-        if not properties.frequency:
-            return "Magnify every frequency of the file"
-        width = properties.width or preferences.get(context).band_width
-        low, high = clock.band_around(properties.frequency, width)
-        return f"Magnify {low:g} to {high:g} Hz, the band around this peak (its width: see the preferences)"
-
-    def execute(self, context: Any) -> set[str]:
-        obj = scene.splat_object(context)
-        if self.frequency:
-            width = self.width or preferences.get(context).band_width
-            low, high = clock.band_around(self.frequency, width)
-        else:
-            low, high = clock.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS]))
-        analysis.set_band(obj, low, high)
-        return {"FINISHED"}
-
-
-_CLASSES = (
-    TG4MM_OT_true_colours, TG4MM_OT_restore_picture, TG4MM_OT_exact_look, TG4MM_OT_blend_as_trained,
-    TG4MM_OT_solid_colours, TG4MM_OT_one_mesh, TG4MM_OT_file_units, TG4MM_OT_fit_colour_range, TG4MM_OT_band,
-)  # fmt: skip
-
-
-register, unregister = bpy.utils.register_classes_factory(_CLASSES)
+    obj = scene.splat_object(context)
+    if operator.frequency:
+        analysis.set_band(obj, *_band(context, operator))
+    else:
+        analysis.set_band(obj, *clock.whole_band(list(obj[names.FREQUENCIES]), float(obj[names.FPS])))

@@ -6,174 +6,124 @@ from typing import Any
 import bpy
 
 from .. import compat, names, preferences
+from ..declare import TAB, Declared, on_motion, on_splats
 from ..nodes import blending, clock, drawing, scene
 from ..nodes.shapes import DRAW_MODES
 from . import analysis, colour_range, cropping, look, overlay, pictures, plots
 
-
-class _Tab:
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "TG4MM"
+_ui = Declared()
 
 
-class _SplatTab(_Tab):
-    """A panel shown for an active splat object; sub-panels name their parent."""
-
-    bl_parent_id = "VIEW3D_PT_tg4mm"
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.splat_object(context) is not None
-
-
-class _MotionTab(_SplatTab):
-    """A panel shown for an active splat object with modes of motion."""
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.moves(scene.splat_object(context))
-
-
-class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
+@_ui.panel(TAB, "TG4MM")
+def draw_head(layout: Any, context: Any) -> None:
     """Moving splats"""
-
-    bl_label = "TG4MM"
-    bl_idname = "VIEW3D_PT_tg4mm"
-
-    def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        if untried := compat.untried():
-            layout.label(text=untried, icon="INFO")
-        if obj is None:
-            layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
-            layout.label(text="Select imported splats", icon="INFO")
-            return
-        for warning in getattr(scene.splat_modifier(obj), "node_warnings", ()):
-            box = layout.column(align=True)
-            box.alert = True
-            for line in textwrap.wrap(warning.message, 34):
-                box.label(text=line)
-        row = layout.row()
-        row.label(text=obj.name, icon="POINTCLOUD_DATA")
-        row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
-        if differ := analysis.units_differ(obj, context.scene):
-            layout.label(text=differ, icon="INFO")
-            layout.operator("tg4mm.file_units", icon="DRIVER_DISTANCE")
+    obj = scene.splat_object(context)
+    if untried := compat.untried():
+        layout.label(text=untried, icon="INFO")
+    if obj is None:
+        layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
+        layout.label(text="Select imported splats", icon="INFO")
+        return
+    for warning in getattr(scene.splat_modifier(obj), "node_warnings", ()):
+        box = layout.column(align=True)
+        box.alert = True
+        for line in textwrap.wrap(warning.message, 34):
+            box.label(text=line)
+    row = layout.row()
+    row.label(text=obj.name, icon="POINTCLOUD_DATA")
+    row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
+    if differ := analysis.units_differ(obj, context.scene):
+        layout.label(text=differ, icon="INFO")
+        layout.operator("tg4mm.file_units", icon="DRIVER_DISTANCE")
 
 
-class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_motion", "Motion", on_splats, TAB)
+def draw_motion(layout: Any, context: Any) -> None:
     """Magnification and time of the active splat object"""
-
-    bl_label = "Motion"
-    bl_idname = "VIEW3D_PT_tg4mm_motion"
-
-    def draw(self, context: Any) -> None:
-        layout, modifier = self.layout, scene.splat_modifier(scene.splat_object(context))
-        if not compat.has_input(modifier, names.FIRST):
-            layout.label(text="This file contains no motion", icon="INFO")
-            return
-        column = _fields(layout)
-        _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
-        _draw_all(layout, modifier, names.LOOP)
-        for line in clock.not_finite(modifier):
-            row = layout.row()
-            row.alert = True
-            row.label(text=line, icon="ERROR")
-        for line in clock.lines(context.scene, scene.splat_object(context), modifier):
-            layout.label(text=line)
+    obj = scene.splat_object(context)
+    modifier = scene.splat_modifier(obj)
+    if not compat.has_input(modifier, names.FIRST):
+        layout.label(text="This file contains no motion", icon="INFO")
+        return
+    _draw_all(_fields(layout), modifier, names.ALPHA, names.SPEED, names.FIRST)
+    _draw_all(layout, modifier, names.LOOP)
+    for line in clock.not_finite(modifier):
+        row = layout.row()
+        row.alert = True
+        row.label(text=line, icon="ERROR")
+    for line in clock.lines(context.scene, obj, modifier):
+        layout.label(text=line)
 
 
-class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_band", "Band", on_motion, TAB)
+def draw_band(layout: Any, context: Any) -> None:
     """The magnified frequency band, on the file's spectrum"""
-
-    bl_label = "Band"
-    bl_idname = "VIEW3D_PT_tg4mm_band"
-
-    def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        row = layout.split(factor=0.72)
-        width = 0.72 * pictures.fitting_width(context)
-        pictures.draw(row, width, *spectrum_picture(context, obj))
-        _draw_peaks(row.column(align=True), obj)
-        column, modifier = _fields(layout), scene.splat_modifier(obj)
-        compat.draw_input(column, modifier, names.LOW, text="Low (Hz)")
-        compat.draw_input(column, modifier, names.HIGH, text="High (Hz)")
+    obj, row = scene.splat_object(context), layout.split(factor=0.72)
+    pictures.draw(row, 0.72 * pictures.fitting_width(context), *spectrum_picture(context, obj))
+    peaks = row.column(align=True)
+    for frequency in analysis.peaks(obj):
+        peaks.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
+    peaks.operator("tg4mm.band", text="All").frequency = 0.0
+    column, modifier = _fields(layout), scene.splat_modifier(obj)
+    compat.draw_input(column, modifier, names.LOW, text="Low (Hz)")
+    compat.draw_input(column, modifier, names.HIGH, text="High (Hz)")
 
 
-class VIEW3D_PT_tg4mm_frequencies(_MotionTab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_frequencies", "Frequencies", on_motion, "VIEW3D_PT_tg4mm_band", closed=True)
+def draw_frequencies(layout: Any, context: Any) -> None:
     """The modes that are played, and the statistic that the spectrum shows"""
-
-    bl_label = "Frequencies"
-    bl_idname = "VIEW3D_PT_tg4mm_frequencies"
-    bl_parent_id = "VIEW3D_PT_tg4mm_band"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
-
-    def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        layout.label(text="Played")
-        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True)
-        _draw_all(grid, scene.splat_modifier(obj), *names.toggles(obj[names.FREQUENCIES]))
-        layout.label(text="Shown above")
-        layout.row().prop(overlay.of(context), "measure", expand=True)
+    obj = scene.splat_object(context)
+    layout.label(text="Played")
+    grid = layout.grid_flow(row_major=True, columns=2, even_columns=True)
+    _draw_all(grid, scene.splat_modifier(obj), *names.toggles(obj[names.FREQUENCIES]))
+    layout.label(text="Shown above")
+    layout.row().prop(overlay.of(context), "measure", expand=True)
 
 
-class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_look", "Look", on_splats, TAB)
+def draw_look(layout: Any, context: Any) -> None:
     """How the active splat object is drawn and coloured"""
-
-    bl_label = "Look"
-    bl_idname = "VIEW3D_PT_tg4mm_look"
-
-    def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        modifier = scene.splat_modifier(obj)
-        column = _fields(layout)
-        _draw_all(column, modifier, names.DRAW, names.COLOUR_BY)
-        _draw_colour_range(layout, context, obj)
-        drawn = DRAW_MODES[compat.get_input(modifier, names.DRAW)]
-        _draw_all(_fields(layout), modifier, *drawn.inputs)
-        on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
-        if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
-            layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
-        if blind := cropping.modifiers_after(obj):
-            layout.label(text=f"{', '.join(blind)}: works on meshes only", icon="INFO")
-            layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
-        if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
-            layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
-        on = look.is_exact(obj)
-        layout.operator("tg4mm.exact_look", icon="SHADING_RENDERED", depress=on).on = not on
-        on = blending.blends_as_trained(context.scene)
-        if on or drawn.soft:
-            layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
-        if not blending.is_set_up(context.scene):
-            layout.operator("tg4mm.true_colours", icon="COLOR")
-        if context.scene.get(blending.BEFORE):
-            layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
-        if drawn.native:
-            _draw_far_out(layout, obj)
+    obj = scene.splat_object(context)
+    modifier = scene.splat_modifier(obj)
+    _draw_all(_fields(layout), modifier, names.DRAW, names.COLOUR_BY)
+    _draw_colour_range(layout, context, obj)
+    drawn = DRAW_MODES[compat.get_input(modifier, names.DRAW)]
+    _draw_all(_fields(layout), modifier, *drawn.inputs)
+    on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
+    if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
+        layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
+    if blind := cropping.modifiers_after(obj):
+        layout.label(text=f"{', '.join(blind)}: works on meshes only", icon="INFO")
+        layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
+    if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
+        layout.label(text="No low-pass in file: thin parts may show gaps", icon="INFO")
+    on = look.is_exact(obj)
+    layout.operator("tg4mm.exact_look", icon="SHADING_RENDERED", depress=on).on = not on
+    on = blending.blends_as_trained(context.scene)
+    if on or drawn.soft:
+        layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
+    if not blending.is_set_up(context.scene):
+        layout.operator("tg4mm.true_colours", icon="COLOR")
+    if context.scene.get(blending.BEFORE):
+        layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
+    if drawn.native:
+        _draw_far_out(layout, obj)
 
 
-class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
+@_ui.panel("VIEW3D_PT_tg4mm_details", "Size and Opacity", on_splats, "VIEW3D_PT_tg4mm_look", closed=True)
+def draw_details(layout: Any, context: Any) -> None:
     """Sizes, opacity limits, and view-dependent colours"""
-
-    bl_label = "Size and Opacity"
-    bl_idname = "VIEW3D_PT_tg4mm_details"
-    bl_parent_id = "VIEW3D_PT_tg4mm_look"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
-
-    def draw(self, context: Any) -> None:
-        modifier = scene.splat_modifier(scene.splat_object(context))
-        column = _fields(self.layout)
-        name = compat.get_input(modifier, names.DRAW)
-        drawn = DRAW_MODES[name]
-        _draw_all(column, modifier, names.SIZE)
-        if drawn.sized:
-            compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
-        if not drawn.native:  # Blender draws all of its own, each in its colours for the view
-            compat.draw_input(column, modifier, drawing.least_opacity(name), text="Min Opacity")
-        painted = not drawn.native or compat.get_input(modifier, names.BLEND)
-        if painted and compat.has_input(modifier, names.VIEW_COLOUR):
-            compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
+    modifier, column = scene.splat_modifier(scene.splat_object(context)), _fields(layout)
+    name = compat.get_input(modifier, names.DRAW)
+    drawn = DRAW_MODES[name]
+    _draw_all(column, modifier, names.SIZE)
+    if drawn.sized:
+        compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
+    if not drawn.native:  # Blender draws all of its own, each in its colours for the view
+        compat.draw_input(column, modifier, drawing.least_opacity(name), text="Min Opacity")
+    painted = not drawn.native or compat.get_input(modifier, names.BLEND)
+    if painted and compat.has_input(modifier, names.VIEW_COLOUR):
+        compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
 
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
@@ -185,13 +135,6 @@ def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
     title = {"RMS": "Rms", "PEAK": "Largest"}[measure]
     unit = preferences.unit_for(context, obj)
     return plots.spectrum, freqs, strengths, analysis.band(obj), highest, title, unit
-
-
-def _draw_peaks(layout: Any, obj: Any) -> None:
-    """Draw a button for the band around each peak, and one for all frequencies."""
-    for frequency in analysis.peaks(obj):
-        layout.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
-    layout.operator("tg4mm.band", text="All").frequency = 0.0
 
 
 def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
@@ -213,7 +156,7 @@ def _draw_far_out(layout: Any, obj: Any) -> None:
         return
     column = layout.column(align=True)
     column.label(text=f"{far:,} far out: {span:.2g} × its size", icon="ERROR")
-    column.label(text="All positions are coarse")
+    column.label(text="Stray Gaussians reduce position precision")
     if hasattr(bpy.types, "TG4MM_OT_crop_outliers"):
         column.operator("tg4mm.crop_outliers")
 
@@ -229,16 +172,10 @@ def _shading(context: Any) -> str | None:
     return None if shading is None else str(shading.type)
 
 
-_CLASSES = (
-    VIEW3D_PT_tg4mm, VIEW3D_PT_tg4mm_motion, VIEW3D_PT_tg4mm_band, VIEW3D_PT_tg4mm_frequencies,
-    VIEW3D_PT_tg4mm_look, VIEW3D_PT_tg4mm_details,
-)  # fmt: skip
-
-
 def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:
     for name in inputs:
         if compat.has_input(modifier, name):
             compat.draw_input(layout, modifier, name, slider=name == names.ALPHA)
 
 
-register, unregister = bpy.utils.register_classes_factory(_CLASSES)
+register, unregister = _ui.register, _ui.unregister

@@ -11,9 +11,10 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
 
 from .. import preferences
+from ..declare import Declared, on_motion, reports
 from ..nodes import points, scene
-from ..reporting import reports
-from . import picking, probe
+from . import picking
+from .probe import Probe, phasor_csv, series_csv
 
 MOST_ROWS = 5_000_000  # of a series: some 300 MB
 _ABOUT = {
@@ -23,70 +24,36 @@ _ABOUT = {
 }
 
 
-class _OnMotion(bpy.types.Operator):
-    """An operator on a splat object that moves"""
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return scene.moves(scene.splat_object(context))
+_ui = Declared()
+_SOURCES = {"SELECTION": "Selected Points", "CURSOR": "At 3D Cursor", "SPHERE": "In Sphere"}
+_ITEMS = [(name, label, _ABOUT[name]) for name, label in _SOURCES.items()]
 
 
-class TG4MM_OT_probe(_OnMotion):
+@_ui.operator(
+    "Probe", on_motion, about=lambda context, properties: _ABOUT[properties.source],
+    source=EnumProperty(name="Where", items=_ITEMS),
+)  # fmt: skip
+def probe(operator: Any, context: Any) -> str:
     """Read amplitude, phase and direction of the motion that was measured (not magnified)"""
-
-    bl_idname = "tg4mm.probe"
-    bl_label = "Probe"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    source: EnumProperty(  # type: ignore[valid-type]
-        name="Where",
-        items=[
-            ("SELECTION", "Selected Points", _ABOUT["SELECTION"]),
-            ("CURSOR", "At 3D Cursor", _ABOUT["CURSOR"]),
-            ("SPHERE", "In Sphere", _ABOUT["SPHERE"]),
-        ],
-    )
-
-    @classmethod
-    def description(cls, context: Any, properties: Any) -> str:
-        return _ABOUT[properties.source]
-
-    @reports()
-    def execute(self, context: Any) -> set[str]:
-        obj = scene.splat_object(context)
-        if self.source == "SELECTION":
-            found = picking.probe_selection(obj)
-        elif self.source == "CURSOR":
-            found = picking.probe_cursor(obj, context.scene.cursor.location)
-        else:
-            found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
-        picking.store(obj, found)
-        self.report({"INFO"}, f"Probed: {found.label}")
-        return {"FINISHED"}
+    obj = scene.splat_object(context)
+    if operator.source == "SELECTION":
+        found = picking.probe_selection(obj)
+    elif operator.source == "CURSOR":
+        found = picking.probe_cursor(obj, context.scene.cursor.location)
+    else:
+        found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
+    picking.store(obj, found)
+    return f"Probed: {found.label}"
 
 
-class TG4MM_OT_add_probe_sphere(_OnMotion):
+@_ui.operator("Add Probe Sphere", lambda context: on_motion(context) and context.mode == "OBJECT")
+def add_probe_sphere(operator: Any, context: Any) -> None:
     """Add a sphere at the 3D cursor; move and scale it over the region that "In Sphere" is to read"""
-
-    bl_idname = "tg4mm.add_probe_sphere"
-    bl_label = "Add Probe Sphere"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return super().poll(context) and context.mode == "OBJECT"
-
-    def execute(self, context: Any) -> set[str]:
-        obj = scene.splat_object(context)
-        sphere = picking.add_sphere(obj, points.receiving(context), context.scene.cursor.location)
-        for other in context.selected_objects:
-            other.select_set(False)
-        sphere.select_set(True)
-        context.view_layer.objects.active = sphere
-        return {"FINISHED"}
+    obj, place = scene.splat_object(context), context.scene.cursor.location
+    points.choose_alone(context, picking.add_sphere(obj, points.receiving(context), place))
 
 
-class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
+class TG4MM_OT_export_probe(bpy.types.Operator, ExportHelper):
     """Write the probe's reading as a CSV file; its first lines name the units"""
 
     bl_idname = "tg4mm.export_probe"
@@ -118,6 +85,10 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
         max=1000,
     )
 
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return on_motion(context)
+
     def invoke(self, context: Any, event: Any) -> set[str]:
         if picking.stored(scene.splat_object(context)) is None:
             return self.execute(context)  # which says so
@@ -141,16 +112,16 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
             count = f"{found.n_timesteps:,} timesteps make {rows:,} rows, more than {MOST_ROWS:,}"
             raise Tg4mmError(f"{count}: write the phasor table")
         if self.content == "SERIES":
-            text = probe.series_csv(found, unit, obj.name, self.per_timestep)
+            text = series_csv(found, unit, obj.name, self.per_timestep)
         else:
-            text = probe.phasor_csv(found, unit, obj.name)
+            text = phasor_csv(found, unit, obj.name)
         path = Path(bpy.path.abspath(self.filepath))
         _write(path, text)
         self.report({"INFO"}, f"Wrote {path}")
         return {"FINISHED"}
 
 
-def _reading(obj: Any) -> probe.Probe:
+def _reading(obj: Any) -> Probe:
     found = picking.stored(obj)
     if found is None:
         raise Tg4mmError("Nothing probed yet: use one of the buttons in the panel Probe first")
@@ -172,7 +143,5 @@ def _file_name(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_ ." else "_" for c in name).strip(". ") or "probe"
 
 
-_CLASSES = (TG4MM_OT_probe, TG4MM_OT_add_probe_sphere, TG4MM_OT_export_probe)
-
-
-register, unregister = bpy.utils.register_classes_factory(_CLASSES)
+_ui.classes.append(TG4MM_OT_export_probe)
+register, unregister = _ui.register, _ui.unregister

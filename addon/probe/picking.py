@@ -12,10 +12,10 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
+from ..declare import TAB, Declared, on_motion
 from ..nodes import clock, drawing, scene
 from ..nodes.points import gaussians, values, world
 from ..panels import pictures, plots
-from ..panels.panel import _MotionTab
 from ..units import Unit
 from . import probe
 from .probe import Probe, mean_deviation, mean_phasor
@@ -167,38 +167,32 @@ PER_TIMESTEP = 8  # samples of the curve
 Phasors = tuple[complex, ...]  # hashable, x y z of each mode
 
 
-class VIEW3D_PT_tg4mm_probe(_MotionTab, bpy.types.Panel):
+_ui = Declared()
+
+
+@_ui.panel("VIEW3D_PT_tg4mm_probe", "Probe", on_motion, TAB, closed=True)
+def draw_probe(layout: Any, context: Any) -> None:
     """The measured motion at a point or in a region"""
-
-    bl_label = "Probe"
-    bl_idname = "VIEW3D_PT_tg4mm_probe"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
-
-    def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        column = layout.column(align=True)
-        for source, text, icon in (
-            ("SELECTION", "Selected Points", "VERTEXSEL"),
-            ("CURSOR", "At 3D Cursor", "PIVOT_CURSOR"),
-        ):
-            column.operator("tg4mm.probe", text=text, icon=icon).source = source
-        row = column.row(align=True)
-        row.operator("tg4mm.probe", text="In Sphere", icon="SPHERE").source = "SPHERE"
-        row.operator("tg4mm.add_probe_sphere", text="", icon="ADD")
-        found = stored(obj)
-        if found is None:
-            layout.label(text="Nothing probed yet", icon="INFO")
-            return
-        unit = preferences.unit_for(context, obj)
-        column = layout.column(align=True)
-        column.label(text=f"{found.label}: actual motion")
-        column.label(text="not magnified, α = 0")
-        picture = curve_picture(found, unit, time_part(context, obj, found))
-        pictures.draw(layout, pictures.fitting_width(context), *picture)
-        row = layout.row(align=True)
-        row.operator("tg4mm.export_probe", text="Series CSV", icon="EXPORT").content = "SERIES"
-        row.operator("tg4mm.export_probe", text="Table CSV", icon="EXPORT").content = "PHASORS"
-        _draw_rows(layout, found, unit)
+    obj, column = scene.splat_object(context), layout.column(align=True)
+    column.operator("tg4mm.probe", text="Selected Points", icon="VERTEXSEL").source = "SELECTION"
+    column.operator("tg4mm.probe", text="At 3D Cursor", icon="PIVOT_CURSOR").source = "CURSOR"
+    row = column.row(align=True)
+    row.operator("tg4mm.probe", text="In Sphere", icon="SPHERE").source = "SPHERE"
+    row.operator("tg4mm.add_probe_sphere", text="", icon="ADD")
+    found = stored(obj)
+    if found is None:
+        layout.label(text="Nothing probed yet", icon="INFO")
+        return
+    unit = preferences.unit_for(context, obj)
+    column = layout.column(align=True)
+    column.label(text=f"{found.label}: actual motion")
+    column.label(text="not magnified, α = 0")
+    picture = curve_picture(found, unit, time_part(context, obj, found))
+    pictures.draw(layout, pictures.fitting_width(context), *picture)
+    row = layout.row(align=True)
+    row.operator("tg4mm.export_probe", text="Export Curve (CSV)", icon="EXPORT").content = "SERIES"
+    row.operator("tg4mm.export_probe", text="Export Table (CSV)", icon="EXPORT").content = "PHASORS"
+    _draw_rows(layout, found, unit)
 
 
 def shown_ellipses(found: probe.Probe) -> tuple[list[probe.Ellipse], int]:
@@ -211,7 +205,7 @@ def shown_ellipses(found: probe.Probe) -> tuple[list[probe.Ellipse], int]:
 
 def row_texts(ellipse: probe.Ellipse, unit: Unit) -> tuple[str, str, str, str, str]:
     """Frequency, amplitude, phase; direction; second axis."""
-    second = "0: moves along a line"
+    second = "0: straight line"
     if ellipse.second > 0:
         second = f"{unit.number(ellipse.second)}, {_direction(ellipse.second_direction)}"
     return (
@@ -264,9 +258,9 @@ def _draw_rows(layout: Any, found: probe.Probe, unit: Unit) -> None:
         split.label(text=phase)
         column.label(text=amplitude)
         column.label(text=direction)
-        column.label(text=f"2nd {second}")
+        column.label(text=f"Minor axis {second}")
     if left_out:
-        layout.label(text=f"{left_out} more in the table CSV")
+        layout.label(text=f"{left_out} more in the exported table")
 
 
 def _direction(vector: tuple[float, float, float]) -> str:
@@ -274,4 +268,4 @@ def _direction(vector: tuple[float, float, float]) -> str:
     return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in vector))
 
 
-register, unregister = bpy.utils.register_classes_factory([VIEW3D_PT_tg4mm_probe])
+register, unregister = _ui.register, _ui.unregister

@@ -15,10 +15,10 @@ from .camera import (
     transforms,
 )
 from .paths import spiral, test_cameras, train_cameras
-from .setup import KINDS, SINGLE, CameraSetup, cameras_at, clock_offsets, films, scene_time
+from .setup import KINDS, CameraSetup, cameras_at, clock_offsets, films, scene_time
 
 __all__ = [
-    "CAMERA_ANGLE_X", "DISTANCE", "KINDS", "SINGLE", "Aim", "Camera", "CameraSetup", "cameras_at",
+    "CAMERA_ANGLE_X", "DISTANCE", "KINDS", "Aim", "Camera", "CameraSetup", "cameras_at",
     "clock_offsets", "films", "focal_length", "look_at", "look_at_origin", "scene_cameras", "scene_time",
     "spiral", "test_cameras", "train_cameras", "transforms",
 ]  # fmt: skip

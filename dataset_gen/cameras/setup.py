@@ -2,9 +2,9 @@
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,11 +12,6 @@ from ..errors import GenerateError, check_choice, check_whole, check_within
 from . import paths
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
 
-KINDS = ("orbit", "rig", "sweep", "handheld", "clips", "flat", "given")
-SINGLE = ("handheld", "flat", "given")  # kinds that take no number of views
-_TOGETHER = ("orbit", "rig", "given")  # cameras that film at the same time, each with a clock
-# What a capture of several timesteps is called in scene.json.
-_CAPTURE = {"orbit": "rig", "rig": "rig", "sweep": "tripod", "given": "rig"}
 _FARTHEST = 1e5  # scene units
 _FASTEST = 1e6  # Hz
 _MARGIN = 1.08  # of the distance at which a sphere around the scene just fits the picture
@@ -64,7 +59,7 @@ class CameraSetup:
         check_within("the cameras' distance", self.distance, 0, _FARTHEST, "scene units", above=True)
         check_within("the field of view", self.angle_x, 0.001, 2.9, "radians")
         check_within("--clock-offsets", self.clock_offset_s, 0, 1e4, "seconds")
-        if self.clock_offset_s and self.kind not in _TOGETHER:
+        if self.clock_offset_s and not KINDS[self.kind].together:
             raise GenerateError(
                 f"--clock-offsets {self.clock_offset_s:g}: with --cameras {self.kind} no two cameras film at once"
             )
@@ -143,9 +138,9 @@ class CameraSetup:
         """The kind of capture that scene.json names: photos, flat, tripod, handheld, rig or clips."""
         if self.n_timesteps == 1:
             return "photos"
-        if self.kind in _TOGETHER and self.n_train(0) == 1:
+        if KINDS[self.kind].together and self.n_train(0) == 1:
             return "flat"
-        return _CAPTURE.get(self.kind, self.kind)
+        return KINDS[self.kind].capture
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; `from_json` gives an equal setup."""
@@ -170,26 +165,53 @@ def cameras_at(setup: CameraSetup, timestep: int) -> dict[str, tuple[Camera, ...
         raise ValueError(f"timestep {timestep} is not in 0 … {setup.n_timesteps - 1}")
     if setup.kind == "given" and not setup.given:
         raise GenerateError("--cameras given needs a scene of your own (--blend FILE) that holds cameras")
-    moves = setup.kind == "handheld"
-    begins = setup.kind == "sweep" and timestep == 0
-    return {"train": _train(setup, timestep if moves else 0, begins), "test": _test(setup)}
+    # Of equal cameras one tuple is kept: all timesteps but the first are alike unless the camera moves.
+    shown = timestep if setup.kind == "handheld" else min(timestep, 1)
+    return {"train": _train(setup, shown), "test": _test(setup)}
+
+
+class CameraKind(NamedTuple):
+    """A way to film a scene."""
+
+    label: str
+    about: str  # a few words for the command line and the panel
+    capture: str  # the kind that scene.json names, of a capture of several timesteps
+    # Training cameras of a setup at a timestep.
+    train: Callable[[CameraSetup, int], Sequence[Camera]]
+    single: bool = False  # takes no number of views
+    together: bool = False  # cameras film at the same time, each with a clock
+
+
+def _sweep(setup: CameraSetup, timestep: int) -> Sequence[Camera]:
+    round_ = () if timestep else paths.sweep_cameras(setup.views, setup.stand, setup.seed)
+    return (paths.fixed_camera(setup.stand), *round_)
+
+
+KINDS = {
+    "orbit": CameraKind(
+        "Orbit", "NeRF-synthetic's spiral", "rig", lambda s, t: paths.train_cameras(s.views, s.aim), together=True
+    ),
+    "rig": CameraKind(
+        "Rig", "fixed, around the scene", "rig", lambda s, t: paths.rig_cameras(s.views, s.stand, s.seed), together=True
+    ),
+    "sweep": CameraKind("Sweep", "one fixed, after a handheld round", "tripod", _sweep),
+    "handheld": CameraKind(
+        "Hand-Held", "one, all along", "handheld",
+        lambda s, t: (paths.handheld_camera(t / s.fps, s.fps, s.stand, s.seed),), single=True,
+    ),
+    "clips": CameraKind(
+        "Clips", "one, from place after place", "clips", lambda s, t: paths.clip_cameras(s.views, s.stand, s.seed)
+    ),
+    "flat": CameraKind("Flat", "one fixed", "flat", lambda s, t: (paths.fixed_camera(s.stand),), single=True),
+    "given": CameraKind(
+        "The Scene's Own", "those of the .blend file", "rig", lambda s, t: s.given, single=True, together=True
+    ),
+}  # fmt: skip
 
 
 @functools.lru_cache(maxsize=1024)
-def _train(setup: CameraSetup, timestep: int, begins: bool) -> tuple[Camera, ...]:
-    if setup.kind == "orbit":
-        return tuple(paths.train_cameras(setup.views, setup.aim))
-    aim = setup.stand
-    if setup.kind == "rig":
-        return tuple(paths.rig_cameras(setup.views, aim, setup.seed))
-    if setup.kind == "clips":
-        return tuple(paths.clip_cameras(setup.views, aim, setup.seed))
-    if setup.kind in ("flat", "sweep"):
-        sweep = paths.sweep_cameras(setup.views, aim, setup.seed) if begins else ()
-        return (paths.fixed_camera(aim), *sweep)
-    if setup.kind == "handheld":
-        return (paths.handheld_camera(timestep / setup.fps, setup.fps, aim, setup.seed),)
-    return setup.given
+def _train(setup: CameraSetup, timestep: int) -> tuple[Camera, ...]:
+    return tuple(KINDS[setup.kind].train(setup, timestep))
 
 
 @functools.lru_cache(maxsize=32)

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.pictures import png
 from tg4mm.core.progress import progress
 
-from .. import png, tree
+from .. import tree
 from ..cameras import Camera, cameras_at, films
 from ..errors import GenerateError
 from ..pictures import to_integers

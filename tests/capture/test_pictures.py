@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dataset_gen.png import encode
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
 from tg4mm.capture import load_images
 from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.png import encode
 from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.observations import observe
 

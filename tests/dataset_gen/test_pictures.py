@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dataset_gen import png
 from dataset_gen.pictures import PictureFormat, straight, to_display
 from tg4mm.capture.pictures import ImageStack
+from tg4mm.core.pictures import png
 from tg4mm.core.pictures.decode import decode
 
 EVERY = [PictureFormat(i, b) for i in ("png8", "png16", "exr") for b in ("transparent", "white")]
@@ -36,7 +36,7 @@ def test_png_comes_back_as_it_was_written(tmp_path, dtype, channels, smooth):
     colours = 1 if channels == 1 else 3
     np.testing.assert_array_equal(got[..., :colours], pixels[..., :colours])
     np.testing.assert_array_equal(got[..., 3], pixels[..., 3] if channels == 4 else top)
-    assert png.complete(path, 21, 33, 8 * pixels.itemsize, channels)
+    assert png.complete(path, 21, 33, (8 * pixels.itemsize, channels))
 
 
 @pytest.mark.parametrize("form", EVERY, ids=lambda f: f"{f.images}-{f.background}")

@@ -7,7 +7,7 @@ bpy = pytest.importorskip("bpy")
 OpenEXR = pytest.importorskip("OpenEXR")
 
 
-from dataset_gen import build, compat, exr, render, truth  # noqa: E402
+from dataset_gen import build, compat, render, truth  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
 from dataset_gen.errors import GenerateError  # noqa: E402
 from dataset_gen.pictures import PictureFormat  # noqa: E402
@@ -17,6 +17,7 @@ from dataset_gen.scenes import SCENES  # noqa: E402
 from dataset_gen.settings import Quality, motion_file  # noqa: E402
 from dataset_gen.vibration import read_motion, solve  # noqa: E402
 from tests.dataset_gen.sources_blends import principled  # noqa: E402
+from tg4mm.core.pictures import exr  # noqa: E402
 
 SIZE = 48
 QUALITY = Quality(SIZE, SIZE, samples=4, seed=0, threads=1)

@@ -56,38 +56,35 @@ def _tensors_anew(data, rng):
         return path.read_bytes()
 
 
+_TYPES = (np.float16, np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_)
+_WHOLE, _REAL = (0, 1, -1, 2**31 - 1), (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30, 1e-30)
+_SHAPES = (  # other shapes of an array
+    lambda a: a[:0] if a.ndim else a,
+    lambda a: a[: max(len(a) - 1, 0)] if a.ndim else a[None],
+    lambda a: a.reshape(-1),
+    lambda a: a[None],
+    lambda a: a.reshape(-1)[:1].reshape(()) if a.size else a,
+)
+
+
 def _other_array(array, rng):
     """Another type, shape or value; None: none at all."""
-    flat, what = array.reshape(-1), rng.randrange(9)
-    if what == 0:
-        return None
-    if what == 1 and array.dtype.kind in "fiucb":
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # complex to real
-            return array.astype(
-                rng.choice((np.float16, np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_))
-            )
-    if what == 2:
-        return array[:0] if array.ndim else array
-    if what == 3:
-        return array[: max(len(array) - 1, 0)] if array.ndim else array[None]
-    if what == 4:
-        return flat
-    if what == 5:
-        return array[None]
-    if what == 6:
-        return flat[:1].reshape(()) if flat.size else array
-    if array.dtype.kind not in "fiuc" or not flat.size:
-        return np.zeros(rng.choice((0, 1, 3)), np.float32)
-    out = flat.copy()
-    numbers = (
-        (0, 1, -1, 2**31 - 1) if array.dtype.kind in "iu" else (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30, 1e-30)
-    )
+    what = rng.randrange(9)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore")  # complex to real
+        if what == 0:
+            return None
+        if what == 1 and array.dtype.kind in "fiucb":
+            return array.astype(rng.choice(_TYPES))
+        if 2 <= what < 2 + len(_SHAPES):
+            return _SHAPES[what - 2](array)
+        if array.dtype.kind not in "fiuc" or not array.size:
+            return np.zeros(rng.choice((0, 1, 3)), np.float32)
+        out = array.reshape(-1).copy()
         where = slice(None) if rng.random() < 0.3 else rng.randrange(out.size)
+        numbers = _WHOLE if array.dtype.kind in "iu" else _REAL
         out[where] = np.array(rng.choice(numbers)).astype(out.dtype)
-    return out.reshape(array.shape)
+        return out.reshape(array.shape)
 
 
 def of_sealed(data, rng):

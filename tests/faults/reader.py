@@ -34,28 +34,29 @@ def reading(pattern, read):
     return lambda root: read(next(root.glob(pattern)))
 
 
-def record(name, values, *folders):
+def sample(path, content):
+    """Writes one file: text, bytes, or what a function of its path writes."""
+
+    def make(root):
+        file = root / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if callable(content):
+            content(file)
+        else:
+            file.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return file
+
+    return make
+
+
+def record(path, values):
     """Writes a JSON file that is nothing but these values."""
-
-    def make(root):
-        file = root.joinpath(*folders, name)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(values))
-        return file
-
-    return make
+    return sample(path, json.dumps(values))
 
 
-def sealed(name, values, *folders):
+def sealed(path, values):
     """Writes a JSON file with a digest."""
-
-    def make(root):
-        file = root.joinpath(*folders, name)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_sealed(file, values)
-        return file
-
-    return make
+    return sample(path, lambda file: write_sealed(file, values))
 
 
 def gaussians():

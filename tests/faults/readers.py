@@ -5,9 +5,8 @@ and the like) are not among them: they are read in a process of their own, by co
 """
 
 import io
-import json
-import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import tifffile
@@ -24,7 +23,7 @@ from tests.capture.sfm.test_recording_files import tone, write_cine, write_photr
 from tests.capture.sfm.videos import still, write_video
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
-from tests.faults.reader import Reader, T, gaussians, motion, paper_run, reading, record, run_of
+from tests.faults.reader import Reader, T, gaussians, motion, paper_run, reading, record, run_of, sample
 from tests.faults.readers_captures import CAPTURES
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
@@ -98,24 +97,7 @@ def _read_demo(root):
 # The generator, and reconstruction.
 
 
-def _motion_file(suffix):
-    def make(root):
-        path = root / f"motion{suffix}"
-        source = Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml"
-        path.write_text(
-            source.read_text() if suffix == ".yaml" else json.dumps(yaml.safe_load(source.read_text()))
-        )
-        read_motion(path)
-        return path
-
-    return make
-
-
-def _bodies(root):
-    bodies_file.save(root / "found.npz", FOUND)
-    return root / "found.npz"
-
-
+MOTION = (Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml").read_text()
 CLAIM = {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}
 
 
@@ -124,16 +106,13 @@ def _claim(root):
 
 
 def _farm(root):
-    before, sys.stdin = (
-        sys.stdin,
-        io.StringIO((root / "config.json").read_text(encoding="utf-8", errors="replace")),
-    )
-    out, sys.stdout = sys.stdout, io.StringIO()
-    err, sys.stderr = sys.stderr, io.StringIO()
-    try:
+    text = (root / "config.json").read_text(encoding="utf-8", errors="replace")
+    with (
+        patch("sys.stdin", io.StringIO(text)),
+        patch("sys.stdout", io.StringIO()),
+        patch("sys.stderr", io.StringIO()),
+    ):
         assert sets.main() in (0, 2)
-    finally:
-        sys.stdin, sys.stdout, sys.stderr = before, out, err
 
 
 FARM = {
@@ -150,15 +129,6 @@ SURVEY = {
     "sharpness": [1.0, 2.0, 3.0], "together": [1.0, None, 0.5], "repeats": [], "share": "5/6", "kinds": "IBP",
     "created_s": 1.5,
 }  # fmt: skip
-
-
-def _length(suffix):
-    def make(root):
-        text = json.dumps(LENGTH) if suffix == ".json" else yaml.safe_dump(LENGTH)
-        (root / f"length{suffix}").write_text(text)
-        return root / f"length{suffix}"
-
-    return make
 
 
 def _read_survey(root):
@@ -178,12 +148,11 @@ def _read_request(root):
 
 def _finished(root):
     _request(root)
-    return record("scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}}, "out")(root)
+    return record("out/scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}})(root)
 
 
-def _video(root):
-    write_video(root / "a.mp4", still(4, size=(32, 24)))
-    return root / "a.mp4"
+def _video(file):
+    write_video(file, still(4, size=(32, 24)))
 
 
 def _read_video(root):
@@ -213,34 +182,19 @@ def _read_stack(root):
 
 
 def _photograph(suffix):
-    def make(root):
-        pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
+    def write(file):
         exif = Image.Exif()
         exif[0x0112] = 6  # a quarter turn
-        Image.fromarray(pixels).save(root / f"a{suffix}", exif=exif)
-        return root / f"a{suffix}"
+        Image.fromarray(np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)).save(file, exif=exif)
 
-    return make
-
-
-def _sensors(root):
-    path = root / "sensors.yaml"
-    path.write_text(
-        "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
-    )
-    return path
+    return sample(f"a{suffix}", write)
 
 
-def _table(root):
-    path = root / "a.csv"
-    path.write_text(
-        "# logger\ntime [s];acc [g]\n"
-        + "".join(f"{k / 20:.2f};{k % 3}\n" for k in range(40)).replace(".", ",")
-    )
-    return path
+SENSORS = "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
+_ROWS = "".join(f"{k / 20:.2f};{k % 3}\n" for k in range(40)).replace(".", ",")
 
 
-def _universal(root):
+def _universal():
     """Datasets 164 and 58, by hand."""
     head = [
         "tip", "NONE", "NONE", "NONE", "NONE",
@@ -251,24 +205,15 @@ def _universal(root):
     ]  # fmt: skip
     values = ["".join(f"{(4 * k + j) % 7:20.11e}" for j in range(4)) for k in range(10)]
     units = ["         1SI units                      1", f"{1000:25.17E}{1:25.17E}{1:25.17E}", f"{0:25.17E}"]
-    sets = [
-        "\n".join(["    -1", f"{number:6d}", *lines, "    -1\n"])
-        for number, lines in ((164, units), (58, head + values))
-    ]
-    (root / "a.uff").write_text("".join(sets))
-    return root / "a.uff"
+    kinds = ((164, units), (58, head + values))
+    return "".join("\n".join(["    -1", f"{n:6d}", *lines, "    -1\n"]) for n, lines in kinds)
 
 
-def _weights(suffix):
-    def make(root):
-        state = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
-        if suffix == ".pth":
-            torch.save(state, root / "w.pth")
-        else:
-            save_file(state, root / "w.safetensors", metadata={"kind": "1", "version": "1"})
-        return root / f"w{suffix}"
+STATE = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
 
-    return make
+
+def _save_weights(file):
+    save_file(STATE, file, metadata={"kind": "1", "version": "1"})
 
 
 _read_motion = reading("motion.*", lambda file: read_motion(file).to_json())
@@ -286,32 +231,44 @@ READERS: dict[str, Reader] = {
     "run checkpoint": Reader(run_of("checkpoint_space.safetensors"), _read_run, of_tensors),
     "run triplane": Reader(paper_run("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(paper_run("planes_0001.safetensors"), _read_paper, of_tensors),
-    "table": Reader(_table, reading("a.csv", read_channels), of_text),
-    "universal file": Reader(_universal, reading("a.uff", read_channels), of_text),
+    "table": Reader(
+        sample("a.csv", f"# logger\ntime [s];acc [g]\n{_ROWS}"), reading("a.csv", read_channels), of_text
+    ),
+    "universal file": Reader(sample("a.uff", _universal()), reading("a.uff", read_channels), of_text),
     "demo.json": Reader(
         record("demo.json", {"format": "tg4mm-demo", "version": 1, "size": 64, "done": {"train": 1.5}}),
         _read_demo,
         of_json,
     ),
-    "LPIPS weights, safetensors": Reader(_weights(".safetensors"), reading("w.*", _read), of_tensors),
-    "LPIPS weights, pth": Reader(_weights(".pth"), reading("w.*", _read), of_bytes),
-    "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),
-    "motion JSON": Reader(_motion_file(".json"), _read_motion, of_json),
-    "bodies npz": Reader(_bodies, reading("found.npz", bodies_file.load), of_npz),
-    "generate: scene.json": Reader(record("scene.json", CLAIM, "set"), _claim, of_json),
+    "LPIPS weights, safetensors": Reader(
+        sample("w.safetensors", _save_weights), reading("w.*", _read), of_tensors
+    ),
+    "LPIPS weights, pth": Reader(
+        sample("w.pth", lambda file: torch.save(STATE, file)), reading("w.*", _read), of_bytes
+    ),
+    "motion YAML": Reader(sample("motion.yaml", MOTION), _read_motion, of_text),
+    "motion JSON": Reader(record("motion.json", yaml.safe_load(MOTION)), _read_motion, of_json),
+    "bodies npz": Reader(
+        sample("found.npz", lambda file: bodies_file.save(file, FOUND)),
+        reading("found.npz", bodies_file.load),
+        of_npz,
+    ),
+    "generate: scene.json": Reader(record("set/scene.json", CLAIM), _claim, of_json),
     "farm configuration": Reader(record("config.json", FARM), _farm, of_json),
-    "sfm length.json": Reader(_length(".json"), _read_length, of_json),
-    "sfm length.yaml": Reader(_length(".yaml"), _read_length, of_text),
-    "sfm survey": Reader(record("a.json", SURVEY, "survey"), _read_survey, of_json),
+    "sfm length.json": Reader(record("length.json", LENGTH), _read_length, of_json),
+    "sfm length.yaml": Reader(sample("length.yaml", yaml.safe_dump(LENGTH)), _read_length, of_text),
+    "sfm survey": Reader(record("survey/a.json", SURVEY), _read_survey, of_json),
     "sfm request.json": Reader(_request, _read_request, of_json),
     "sfm scene.json": Reader(_finished, _read_request, of_json),
     "sfm photograph, PNG": Reader(_photograph(".png"), reading("a.*", exif_turns), of_png),
     "sfm photograph, JPEG with EXIF": Reader(_photograph(".jpg"), reading("a.*", exif_turns), of_bytes),
     "rendered picture": Reader(_photograph(".png"), reading("a.png", read_png), of_png),
-    "sensors YAML": Reader(_sensors, reading("sensors.yaml", read_sensors), of_text),
+    "sensors YAML": Reader(sample("sensors.yaml", SENSORS), reading("sensors.yaml", read_sensors), of_text),
     "sfm photograph, WebP": Reader(_photograph(".webp"), reading("a.*", decode), of_bytes),
     "sfm photograph, TIFF": Reader(_photograph(".tif"), reading("a.*", decode), of_bytes),
-    "sfm video": Reader(_video, _read_video, of_bytes),
+    "sfm video": Reader(
+        sample("a.mp4", lambda file: write_video(file, still(4, size=(32, 24)))), _read_video, of_bytes
+    ),
     "TIFF of pages": Reader(_stack("a.tif"), _read_stack, of_bytes),
     "Phantom cine": Reader(_stack("a.cine"), _read_stack, of_bytes),
     "Photron cih": Reader(_stack("a.cih"), _read_stack, of_text),

@@ -1,21 +1,21 @@
 """Readers of captures: the layouts of datasets, their pictures, points and ground truth."""
 
 import json
-import struct
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from dataset_gen import exr, png
 from dataset_gen.report.findings import find
 from tests.capture.conftest import write_folder, write_tree
 from tests.faults.containers import of_npz, of_png
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
 from tests.faults.reader import Reader, T
+from tests.faults.readers_datasets import colmap_model
 from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
+from tg4mm.core.pictures import exr, png
 from tg4mm.show.render.cameras import cameras_from_file
 
 
@@ -23,45 +23,29 @@ def _capture(root):
     load_images(load_capture(root))
 
 
-def _tree(root):
-    scene = {
-        "fps": 30,
-        "n_timesteps": T,
-        "unit_scale_m": 0.01,
-        "kind": "rig",
-        "alphas": [5],
-        "modes": [{"name": "a"}],
-    }
-    write_tree(root, T, scene | {"width": 12, "height": 8, "format_version": 1, "amplitude": 0.02})
-    return root / "scene.json"
+SCENE = {
+    "fps": 30, "n_timesteps": T, "unit_scale_m": 0.01, "kind": "rig", "alphas": [5], "modes": [{"name": "a"}],
+    "width": 12, "height": 8, "format_version": 1, "amplitude": 0.02,
+}  # fmt: skip
 
 
-def _transforms(root):
-    _tree(root)
-    return root / "001" / "transforms_train.json"
+def _tree(name, sized=False):
+    """A dataset's folder; `sized`: with the pictures' size beside each pose."""
 
+    def make(root):
+        write_tree(root, T, SCENE)
+        for file in root.rglob("transforms_*.json") if sized else ():
+            file.write_text(json.dumps(json.loads(file.read_text()) | {"w": 12, "h": 8}))
+        return root / name
 
-def _sized_transforms(root):
-    path = _transforms(root)
-    for file in root.rglob("transforms_*.json"):
-        file.write_text(json.dumps(json.loads(file.read_text()) | {"w": 12, "h": 8}))
-    return path
-
-
-def _sized(root):
-    _sized_transforms(root)
-    return root / "scene.json"
+    return make
 
 
 def _truth(root):
-    _sized_transforms(root)
+    _tree("", sized=True)(root)
     rng = np.random.default_rng(0)
-    arrays: dict[str, Any] = {
-        "objects": np.array(["a", "ü"]),
-        "frequencies_hz": np.array([0.0, 5.0]),
-        "gains": rng.normal(size=(2, T)) + 0j,
-        "magnified": np.array([True, False]),
-    }
+    arrays: dict[str, Any] = {"objects": np.array(["a", "ü"]), "frequencies_hz": np.array([0.0, 5.0])}
+    arrays |= {"gains": rng.normal(size=(2, T)) + 0j, "magnified": np.array([True, False])}
     for i in range(2):
         arrays[f"rest_{i}"] = rng.normal(size=(4, 3)).astype(np.float32)
         arrays[f"faces_{i}"] = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -69,10 +53,6 @@ def _truth(root):
     (root / "truth").mkdir()
     np.savez_compressed(root / "truth" / "motion.npz", **arrays)
     return root / "truth" / "motion.npz"
-
-
-def _find_in_dataset(root):
-    find(root)
 
 
 def _nerfstudio(root):
@@ -98,14 +78,12 @@ def _nerfstudio(root):
 def _ply(root, name="points3d.ply"):
     if name == "points3d.ply":
         write_folder(root)
-    head = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + "".join(
-        f"property {kind} {axis}\n"
-        for kind, axes in (("float", "xyz"), ("uchar", ("red", "green", "blue")))
-        for axis in axes
-    )
+    fields = {"float": "xyz", "uchar": ("red", "green", "blue")}
+    lines = [f"property {kind} {axis}" for kind, axes in fields.items() for axis in axes]
+    head = "\n".join(["ply", "format binary_little_endian 1.0", "element vertex 4", *lines, "end_header\n"])
     rows = np.zeros(4, [("x", "<f4", 3), ("c", "u1", 3)])
     rows["x"] = np.arange(12).reshape(4, 3)
-    (root / name).write_bytes(f"{head}end_header\n".encode() + rows.tobytes())
+    (root / name).write_bytes(head.encode() + rows.tobytes())
     return root / name
 
 
@@ -114,27 +92,14 @@ def _colmap(name):
         pictures(root)
         model = root / "sparse" / "0"
         model.mkdir(parents=True)
-        if name.endswith(".txt"):
-            for stem, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
+        if name.endswith(".bin"):
+            colmap_model().write(str(model))
+        for stem, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
+            if name.endswith(".txt"):
                 (model / f"{stem}.txt").write_text(text)
-        else:
-            _colmap_binary(model)
         return model / name
 
     return make
-
-
-def _colmap_binary(model):
-    (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
-    images = struct.pack("<Q", 2)
-    for i, name in enumerate(("a/r_2.png", "b.png")):
-        images += struct.pack("<i7di", i + 1, 1, 0, 0, 0, 0, 0, 4 + i, 1) + name.encode() + b"\0"
-        images += struct.pack("<Q2dq", 1, 3.5, 4.5, 7)
-    (model / "images.bin").write_bytes(images)
-    points = struct.pack("<Q", 2)
-    for i in range(2):
-        points += struct.pack("<Q3d3BdQ2i", i, 1.5, 2.5, i, 10, 20, 30, 0.25, 1, 1, 0)
-    (model / "points3D.bin").write_bytes(points)
 
 
 def _picture(suffix, deep=False):
@@ -157,16 +122,15 @@ def _picture(suffix, deep=False):
 
 
 CAPTURES: dict[str, Reader] = {
-    "scene.json": Reader(_tree, _capture, of_json),
-    "transforms": Reader(_transforms, _capture, of_json),
+    "scene.json": Reader(_tree("scene.json"), _capture, of_json),
+    "transforms": Reader(_tree("001/transforms_train.json"), _capture, of_json),
     "nerfstudio": Reader(_nerfstudio, _capture, of_json),
     "points3d.ply": Reader(_ply, _capture, of_header),
-    "colmap cameras.bin": Reader(_colmap("cameras.bin"), _capture, of_bytes),
-    "colmap images.bin": Reader(_colmap("images.bin"), _capture, of_bytes),
-    "colmap points3D.bin": Reader(_colmap("points3D.bin"), _capture, of_bytes),
-    "colmap cameras.txt": Reader(_colmap("cameras.txt"), _capture, of_text),
-    "colmap images.txt": Reader(_colmap("images.txt"), _capture, of_text),
-    "colmap points3D.txt": Reader(_colmap("points3D.txt"), _capture, of_text),
+    **{
+        f"colmap {name}.{ending}": Reader(_colmap(f"{name}.{ending}"), _capture, mutate)
+        for ending, mutate in (("bin", of_bytes), ("txt", of_text))
+        for name in ("cameras", "images", "points3D")
+    },
     "PNG, 8 bits": Reader(_picture(".png"), _capture, of_png),
     "PNG, 16 bits": Reader(_picture(".png", deep=True), _capture, of_png),
     "JPEG": Reader(_picture(".jpg"), _capture, of_bytes),
@@ -175,7 +139,7 @@ CAPTURES: dict[str, Reader] = {
         _nerfstudio, lambda root: cameras_from_file(root / "transforms.json", (12, 8)), of_json
     ),
     "truth motion.npz": Reader(_truth, lambda root: load_truth(root, 30.0, T), of_npz),
-    "dataset report: scene.json": Reader(_sized, _find_in_dataset, of_json),
-    "dataset report: transforms": Reader(_sized_transforms, _find_in_dataset, of_json),
-    "dataset report: motion.npz": Reader(_truth, _find_in_dataset, of_npz),
+    "dataset report: scene.json": Reader(_tree("scene.json", sized=True), find, of_json),
+    "dataset report: transforms": Reader(_tree("001/transforms_train.json", sized=True), find, of_json),
+    "dataset report: motion.npz": Reader(_truth, find, of_npz),
 }

@@ -10,7 +10,7 @@ import torch
 
 from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json, of_text
-from tests.faults.reader import Reader, T, paper_run, reading, record, run_of, sealed
+from tests.faults.reader import Reader, T, paper_run, reading, record, run_of, sample, sealed
 from tests.show.measure import filmed
 from tests.show.measure.filmed import modes, of_parts, sine
 from tg4mm.core.errors import RunError
@@ -119,9 +119,10 @@ def _read_rendered(root):
     np.median([found["frames_per_s"] or 0.0])
 
 
-def _rendered(root):
-    values = {"recipe": json_digest({"data": "a", "alpha": 20})[:20], "n_images": 6, "frames_per_s": 31.5}
-    return sealed("x020.json", values, "pictures", "ours")(root)
+RENDERED = {"recipe": json_digest({"data": "a", "alpha": 20})[:20], "n_images": 6, "frames_per_s": 31.5}
+
+
+BENCH = {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}
 
 
 def _read_bench(root):
@@ -207,14 +208,11 @@ _SENSOR = {"name": "tip", "px_per_unit": 50.0, "series": [_SERIES], "peaks": [_P
 _MEASURED = {"printed_unit": "mm", "unit_scale_m": 0.1, "sensors": [_SENSOR]}
 
 
-def _series_csv(root):
-    rows = "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
-    (root / "a.csv").write_text(f"time_s,tip_mm,tip_mm_deviation\n{rows}")
-    return root / "a.csv"
+_CSV = "time_s,tip_mm,tip_mm_deviation\n" + "".join(f"{k / 20},{math.sin(k)},0.1\n" for k in range(20))
 
 
 RESULTS: dict[str, Reader] = {
-    "analyse CSV": Reader(_series_csv, reading("a.csv", read_channels), of_text),
+    "analyse CSV": Reader(sample("a.csv", _CSV), reading("a.csv", read_channels), of_text),
     "analyse measure.json": Reader(record("measure.json", _MEASURED), lines_of, of_json),
     "metrics.json": Reader(sealed("metrics.json", METRICS), _read_metrics, of_sealed),
     "render.json": Reader(_render_record, _claim, of_json),
@@ -226,8 +224,6 @@ RESULTS: dict[str, Reader] = {
         sealed("scores.json", {"version": 1, "entries": {f"a {i}": {"asked": "x", "scores": ROW} for i in range(3)}}),
         _read_scores, of_sealed,
     ),
-    "bench x020.json": Reader(_rendered, _read_rendered, of_sealed),
-    "bench bench.json": Reader(
-        record("bench.json", {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}, "out"), _read_bench, of_json
-    ),
+    "bench x020.json": Reader(sealed("pictures/ours/x020.json", RENDERED), _read_rendered, of_sealed),
+    "bench bench.json": Reader(record("out/bench.json", BENCH), _read_bench, of_json),
 }  # fmt: skip

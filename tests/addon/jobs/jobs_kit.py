@@ -24,13 +24,9 @@ def wait(extension, kind, until=lambda job: False, limit_s=120.0):
 def drawn(extension, *panels):
     """What panels of the jobs show, in order; all of them without names."""
     layout = Layout()
-    for cls in extension.jobs.panels._CLASSES:
+    for cls in extension.jobs.panels._ui.classes:
         if not panels or cls.bl_label in panels:
-            panel = SimpleNamespace(layout=layout)
-            for name in ("_draw_objects", "_draw_mode", "_draw_preview"):
-                if hasattr(cls, name):
-                    setattr(panel, name, getattr(cls, name).__get__(panel))
-            cls.draw(panel, bpy.context)
+            cls.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.drawn
 
 

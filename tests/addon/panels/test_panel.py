@@ -23,7 +23,7 @@ def laid_out(extension, obj, shading="MATERIAL"):
         preferences=bpy.context.preferences,
         space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
     )
-    for cls in (*extension.panels.panel._CLASSES, extension.probe.picking.VIEW3D_PT_tg4mm_probe):
+    for cls in (*extension.panels.panel._ui.classes, *extension.probe.picking._ui.classes):
         if not hasattr(cls, "poll") or cls.poll(context):
             cls.draw(SimpleNamespace(layout=layout), context)
     return layout
@@ -84,7 +84,9 @@ def test_probe_shows_rows_a_curve_and_exports(extension, splat_path):
     layout = laid_out(extension, obj)
     found = extension.probe.picking.stored(obj)
     assert layout.pictures == 2
-    assert {f"{found.label}: actual motion", "not magnified, α = 0", "Series CSV"} <= set(layout.drawn)
+    assert {f"{found.label}: actual motion", "not magnified, α = 0", "Export Curve (CSV)"} <= set(
+        layout.drawn
+    )
     for ellipse in extension.probe.probe.ellipses(found):
         assert f"{ellipse.amplitude:.4g} scene units" in layout.drawn
     extension.probe.picking.forget(obj)
@@ -102,7 +104,7 @@ def test_what_makes_native_splats_coarse_is_told_and_goes(extension, splat_path,
     obj, names = import_splat(tmp_path / "far.ply"), extension.names
     assert "tg4mm.crop_outliers" not in drawn(extension, obj)
     setter(extension, obj)(names.DRAW, "Native")
-    assert {"tg4mm.crop_outliers", "All positions are coarse"} <= set(drawn(extension, obj))
+    assert {"tg4mm.crop_outliers", "Stray Gaussians reduce position precision"} <= set(drawn(extension, obj))
     assert not {"Min Opacity", "tg4mm.solid_colours", "View Colours"} & set(drawn(extension, obj))
     assert bpy.ops.tg4mm.crop_outliers() == {"FINISHED"}
     assert "tg4mm.crop_outliers" not in drawn(extension, obj)

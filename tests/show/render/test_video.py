@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.pictures.frames import is_complete_png, write_png
+from tg4mm.core.pictures import png
+from tg4mm.core.pictures.frames import write_png
 from tg4mm.show.render.video import write_mp4
 
 
@@ -51,11 +52,11 @@ def test_bad_requests_leave_no_file(tmp_path, frames, fps, message):
 def test_completeness_needs_the_size_and_the_end(tmp_path):
     path = tmp_path / "deep" / "a.png"
     write_png(path, np.zeros((5, 7, 3)))
-    assert is_complete_png(path, 7, 5)
-    assert not is_complete_png(path, 5, 7)
+    assert png.complete(path, 7, 5)
+    assert not png.complete(path, 5, 7)
     whole = path.read_bytes()
     for length in (0, 7, 30, len(whole) - 1):
         path.write_bytes(whole[:length])
-        assert not is_complete_png(path, 7, 5)
-    assert not is_complete_png(tmp_path / "none.png", 7, 5)
-    assert not is_complete_png(tmp_path, 7, 5)
+        assert not png.complete(path, 7, 5)
+    assert not png.complete(tmp_path / "none.png", 7, 5)
+    assert not png.complete(tmp_path, 7, 5)

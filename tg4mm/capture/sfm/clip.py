@@ -15,7 +15,7 @@ from tg4mm.capture.stacks import is_stack
 from tg4mm.capture.video import RECORDING_SUFFIXES, is_untimed, video_frames
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pictures import png16
+from tg4mm.core.pictures import png
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 
@@ -213,7 +213,7 @@ def check_numbers(pictures: Sequence[Path]) -> None:
 def save_png(path: Path, pixels: np.ndarray, level: int = 1) -> None:
     """Write pixels [H, W, 3 or 4] as a PNG of 8 or 16 bits, whole or not at all. level: of compression, 0 to 9."""
     if pixels.dtype == np.uint16:
-        data = png16.encode(pixels, level)
+        data = png.encode(png.fewest_channels(pixels), level, filtered=False)
         write_atomic(path, lambda temporary: temporary.write_bytes(data))
         return
     image = Image.fromarray(pixels)

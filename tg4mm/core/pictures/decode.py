@@ -11,7 +11,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import TiffImageFile
 
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.pictures import exr, png16, tiff
+from tg4mm.core.pictures import exr, png, tiff
 from tg4mm.core.untrusted import DEFLATE
 
 THREADS = min(8, os.cpu_count() or 1)
@@ -57,7 +57,7 @@ def _header(path: Path) -> ImageHeader:
         start = _start(path)
         if start.startswith(exr.SIGNATURE):
             return ImageHeader(*exr.size(path), 16)
-        header = png16.read_header(start)
+        header = png.read_header(start)
         if header is not None and header.bits == 16:
             return ImageHeader(header.width, header.height, 16)
         with Image.open(path, formats=FORMATS) as image:
@@ -91,7 +91,7 @@ def decode(path: Path) -> np.ndarray:
         if _start(path).startswith(tiff.STARTS):
             return tiff.decode(path)
         if bits == 16:  # Pillow would keep the high byte only
-            return png16.decode(path.read_bytes())
+            return png.decode(path.read_bytes())
         with Image.open(path, formats=FORMATS) as image:
             return np.asarray(image.convert("RGBA"))
     except CaptureError:
@@ -102,7 +102,7 @@ def decode(path: Path) -> np.ndarray:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.read(png16.HEADER_BYTES)
+        return file.read(png.HEADER_BYTES)
 
 
 def _is_webp(path: Path) -> bool:

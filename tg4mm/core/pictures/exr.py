@@ -1,19 +1,29 @@
-"""EXR images: linear light with premultiplied alpha → RGBA, straight alpha, display-referred sRGB, 16 bits."""
+"""EXR pictures: read, written, and checked for completeness.
 
+A picture's colours are linear light with premultiplied alpha. `decode` gives RGBA with straight alpha, display-referred
+sRGB, 16 bits.
+"""
+
+import struct
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from tg4mm.core.colour import to_display
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.extras import install
-from tg4mm.core.pictures.png16 import MAX_PIXELS
+from tg4mm.core.pictures.png import MAX_PIXELS
 
 SIGNATURE = b"\x76\x2f\x31\x01"
+_TILED_DEEP_OR_PARTS = 0x200 | 0x800 | 0x1000  # flags of the version field
+_ROWS = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}  # compression: rows per chunk
+_LARGEST = 65504.0  # a half's
+_HEADER_BYTES = 1 << 16
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -59,7 +69,7 @@ def linear(path: Path) -> np.ndarray:
     channels are not R, G, B or Y with or without A.
     """
     width, height = size(path)
-    pixels = _pixels(path)
+    pixels = stored(path)
     rgb, alpha = _channels(path, list(pixels))
     found = _stacked(path, pixels, (*rgb, *([alpha] if alpha else [])), (height, width))
     return found if alpha else np.concatenate([found, np.ones_like(found[..., :1])], axis=-1)
@@ -77,10 +87,11 @@ def channels(path: Path, names: Sequence[str], wanted: tuple[int, int] | None = 
         )
     if wanted is not None and (width, height) != wanted:
         raise CaptureError(f"{path}: has {width}×{height} pixels; expected {wanted[0]}×{wanted[1]}")
-    return _stacked(path, _pixels(path), names, (height, width))
+    return _stacked(path, stored(path), names, (height, width))
 
 
-def _pixels(path: Path) -> dict[str, np.ndarray]:
+def stored(path: Path) -> dict[str, np.ndarray]:
+    """Return the channels [H, W] of a picture by name, as they are. Raises CaptureError as `linear` does."""
     with _opened(path, header_only=False) as file, _damage_told(path):
         return {name: channel.pixels for name, channel in file.channels().items()}
 
@@ -128,3 +139,75 @@ def _package(path: Path) -> ModuleType:
     except ImportError as error:
         raise CaptureError(f"{path}: EXR images need the package OpenEXR: {install('core')}") from error
     return OpenEXR
+
+
+def encode(pixels: np.ndarray) -> bytes:
+    """An EXR of [H, W, 3] or [H, W, 4] float: linear Rec.709, premultiplied, 16-bit floats, ZIP; row 0 on top.
+
+    Needs the package OpenEXR. Values past a half's range are clipped to it.
+    """
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
+        raise ValueError(f"pixels have shape {pixels.shape}, expected (H, W, 3) or (H, W, 4)")
+    half = np.clip(pixels, -_LARGEST, _LARGEST).astype(np.float16)
+    with tempfile.TemporaryDirectory(prefix="tg4mm_") as scratch:
+        path = Path(scratch) / "a.exr"  # the package writes to names only
+        write(path, {"RGBA"[: pixels.shape[2]]: half})
+        return path.read_bytes()
+
+
+def write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+    """Write channels [H, W] by name as a single-part EXR, ZIP, each in its own type, float16 or float32."""
+    package = _package(path)
+    header = {"compression": package.ZIP_COMPRESSION, "type": package.scanlineimage}
+    with package.File(header, {name: np.ascontiguousarray(a) for name, a in channels.items()}) as file:
+        file.write(str(path))
+
+
+def complete(path: Path, width: int, height: int) -> bool:
+    """True for a single-part scan-line EXR of this size, all of whose chunks lie inside the file.
+
+    Reads the header and the table of chunks, not the pixels; needs no package.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(_HEADER_BYTES)
+            length = file.seek(0, 2)
+            found = _attributes(start)
+            if found is None:
+                return False
+            attributes, at = found
+            window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+            rows = _ROWS.get(attributes.get(b"compression", b"\xff")[0])
+            if attributes.get(b"dataWindow") != window or rows is None:
+                return False
+            file.seek(at)
+            table = file.read(8 * -(-height // rows))
+            if len(table) != 8 * -(-height // rows):
+                return False
+            return all(_inside(file, offset, length) for (offset,) in struct.iter_unpack("<Q", table))
+    except (OSError, struct.error, IndexError):
+        return False
+
+
+def _attributes(start: bytes) -> tuple[dict[bytes, bytes], int] | None:
+    """Attributes of the header by name, and where it ends; None if it is not a plain EXR's."""
+    if not start.startswith(SIGNATURE) or struct.unpack_from("<I", start, 4)[0] & _TILED_DEEP_OR_PARTS:
+        return None
+    attributes, at = {}, 8
+    while start[at] != 0:
+        name, _, rest = start[at : at + 600].partition(b"\0")
+        kind = rest.partition(b"\0")[0]
+        at += len(name) + len(kind) + 2
+        (size,) = struct.unpack_from("<I", start, at)
+        attributes[name] = start[at + 4 : at + 4 + size]
+        at += 4 + size
+    return attributes, at + 1
+
+
+def _inside(file: BinaryIO, offset: int, length: int) -> bool:
+    """Return whether the chunk at `offset` lies completely inside the file."""
+    if not 0 < offset <= length - 8:
+        return False
+    file.seek(offset + 4)
+    (size,) = struct.unpack("<I", file.read(4))
+    return bool(offset + 8 + size <= length)

@@ -1,8 +1,6 @@
-"""Picture files: written atomically, and checked for truncation without decoding."""
+"""Picture files, written atomically, and read as 8-bit colours."""
 
 import io
-import os
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +9,6 @@ from PIL import Image
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.decode import decode
-
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
@@ -34,21 +29,6 @@ def write_png(path: Path, image: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     data = png_bytes(image)
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
-
-
-def is_complete_png(path: Path, width: int, height: int) -> bool:
-    """Return whether `path` is a PNG of that size with an intact end (a killed copy lacks it)."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(24)
-            file.seek(0, os.SEEK_END)
-            if file.tell() < 24 + len(_END):
-                return False
-            file.seek(-len(_END), os.SEEK_END)
-            tail = file.read()
-    except OSError:
-        return False
-    return head[:8] == _SIGNATURE and struct.unpack(">II", head[16:24]) == (width, height) and tail == _END
 
 
 def read_png(path: Path) -> np.ndarray:

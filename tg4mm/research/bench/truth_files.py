@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dataset_gen.truth import write_channels
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.truth_file import Truth, load_truth
 from tg4mm.core.files import write_atomic, write_json
@@ -176,12 +175,16 @@ def _write_picture(place: Path, views: _Views, image: int, followed: Followed) -
     there, depth = views.projected(after, later)
     flow = np.zeros((*view.mask.shape, 2), np.float32)
     flow[view.mask] = there - here
-    write_channels(
-        place / "flow" / name.with_suffix(".exr"), {f"Flow.{a}": flow[..., i] for i, a in enumerate("XY")}
-    )
+    _write_flow(place / "flow" / name.with_suffix(".exr"), flow)
     occlusion = np.zeros(view.mask.shape, np.uint8)
     occlusion[view.mask] = views.state(after, there, depth)
     _write_png(place / "occlusion" / name.with_suffix(".png"), occlusion)
+
+
+def _write_flow(path: Path, flow: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    channels = {f"Flow.{axis}": flow[..., i] for i, axis in enumerate("XY")}
+    write_atomic(path, lambda temporary: exr.write(temporary, channels))
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:

@@ -13,7 +13,8 @@ import torch
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED, LARGEST_ALPHA, Magnification
-from tg4mm.core.pictures.frames import is_complete_png, write_png
+from tg4mm.core.pictures import png
+from tg4mm.core.pictures.frames import write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
@@ -152,7 +153,7 @@ def render_missing(
     label: str,
 ) -> int:
     """Render the (time, camera, file) jobs whose file is not complete; returns how many were rendered."""
-    todo = [job for job in jobs if not is_complete_png(job[2], job[1].width, job[1].height)]
+    todo = [job for job in jobs if not png.complete(job[2], job[1].width, job[1].height)]
     done = len(jobs) - len(todo)
     with progress(label, len(jobs), unit="pictures", start=done) as update:
         update(done)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tg4mm.core.pictures import png16
+from tg4mm.core.pictures import png
 from tg4mm.core.pictures.decode import decode
 
 TYPES = {0: 1, 4: 2, 2: 3, 6: 4}  # colour type → channels
@@ -45,7 +45,7 @@ def encode(pixels, colour_type, filters, extra=b"", interlace=0):
     header = struct.pack(">IIBBBBB", pixels.shape[1], pixels.shape[0], 16, colour_type, 0, 0, interlace)
     half = len(packed) // 2  # two IDAT chunks, as real files have many
     data = chunk(b"IDAT", packed[:half]) + chunk(b"IDAT", packed[half:])
-    return png16.SIGNATURE + chunk(b"IHDR", header) + extra + data + chunk(b"IEND", b"")
+    return png.SIGNATURE + chunk(b"IHDR", header) + extra + data + chunk(b"IEND", b"")
 
 
 def chunk(kind, body):
@@ -70,12 +70,12 @@ def test_every_colour_type_and_filter(colour_type, width, filters, data):
     seed = data.draw(st.integers(0, 2**32 - 1))
     shape = (len(filters), width, TYPES[colour_type])
     pixels = np.random.default_rng(seed).integers(0, 65536, shape).astype(np.uint16)
-    got = png16.decode(encode(pixels, colour_type, filters))
+    got = png.decode(encode(pixels, colour_type, filters))
     assert got.dtype == np.uint16
     np.testing.assert_array_equal(got, as_rgba(pixels))
 
 
-UNFILTERS = [png16._unfilter_by_diagonal, png16._unfilter_by_byte, png16._compile()]
+UNFILTERS = [png._unfilter_by_diagonal, png._unfilter_by_byte, png._compile()]
 
 
 @pytest.mark.parametrize("unfilter", [u for u in UNFILTERS if u is not None])
@@ -126,10 +126,10 @@ PIXELS = np.arange(24, dtype=np.uint16).reshape(2, 3, 4) * 999
 )
 def test_damage_is_reported(damage, message):
     good = encode(PIXELS, 6, [0, 0])
-    np.testing.assert_array_equal(png16.decode(good), PIXELS)
+    np.testing.assert_array_equal(png.decode(good), PIXELS)
     bad = damage(good)
     fixed = (
         bad[:29] + struct.pack(">I", zlib.crc32(bad[12:29])) + bad[33:]
     )  # so that only the damage is wrong
     with pytest.raises(ValueError, match=message):
-        png16.decode(fixed)
+        png.decode(fixed)
