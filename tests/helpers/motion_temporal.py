@@ -29,11 +29,11 @@ def components(observations: Observations, most: int = 6) -> TargetImages:
 
 
 def moving_pictures(
-    n_cameras: int, n_timesteps: int, seed: int = 0
+    n_cameras: int, n_timesteps: int, seed: int = 0, size: tuple[int, int] = (4, 5)
 ) -> tuple[np.ndarray, list[int], list[int]]:
     """Noise, opaque, timestep by timestep: data [C, H, W, 4], camera ids, timesteps."""
     rng = np.random.default_rng(seed)
-    data = rng.integers(0, 256, (n_cameras * n_timesteps, 4, 5, 4)).astype(np.uint8)
+    data = rng.integers(0, 256, (n_cameras * n_timesteps, *size, 4)).astype(np.uint8)
     data[..., 3] = 255
     ids = list(range(n_cameras)) * n_timesteps
     return data, ids, sorted(list(range(n_timesteps)) * n_cameras)

@@ -24,12 +24,12 @@ class TestComponents:
     @pytest.fixture
     def stack(self):
         """Two cameras, nine timesteps, two patterns that swing with two frequencies, some noise."""
-        data, ids, times = moving_pictures(2, 9)
+        data, ids, times = moving_pictures(2, 9, size=(12, 15))
         rng, t = np.random.default_rng(3), np.asarray(times)
-        patterns = rng.normal(size=(2, 2, 4, 5, 3))
+        patterns = rng.normal(size=(2, 2, 12, 15, 3))
         swing = np.stack([np.sin(2 * np.pi * t / 9), 0.5 * np.cos(4 * np.pi * t / 9)])
         pictures = 128 + 30 * np.einsum("kc,kchwx->chwx", swing, patterns[:, ids])
-        pictures += rng.normal(size=(18, 4, 5, 3))
+        pictures += rng.normal(size=(18, 12, 15, 3))
         data[..., :3] = pictures.clip(0, 255).round()
         capture, images = capture_of(ids, times, data)
         return images, observe(capture, images)
@@ -45,10 +45,10 @@ class TestComponents:
     def test_target_images_are_the_weighted_sums_of_the_pictures(self, stack):
         images, observations = stack
         found = components(observations)
-        assert found.images.shape == (2, 2, 4, 5, 3)
+        assert found.images.shape == (2, 2, 12, 15, 3)
         for v, frames in enumerate(observations.frames):
             for r, a in enumerate(found.basis):
-                brute = np.zeros((4, 5, 3))
+                brute = np.zeros((12, 15, 3))
                 for t in range(9):
                     brute += a[t] * (images.data[frames.rows[t], ..., :3] / 255.0)
                 np.testing.assert_allclose(found.images[v, r], brute, atol=1e-5)
@@ -63,7 +63,7 @@ class TestComponents:
         total = found.energy.sum() - found.energy[: len(found.basis)].sum()
         np.testing.assert_allclose(3 * found.residual_energy.sum(), total, rtol=1e-3)
 
-    @pytest.mark.parametrize("cached", [0, 9 * 4 * 5 * 12, 1 << 30])  # bytes: none, one camera, all
+    @pytest.mark.parametrize("cached", [0, 9 * 12 * 15 * 12, 1 << 30])  # bytes: none, one camera, all
     @pytest.mark.parametrize("strip", [1, 1 << 20])
     def test_neither_cache_nor_strips_change_anything(self, stack, cached, strip, monkeypatch):
         expected = components(stack[1])
@@ -83,7 +83,7 @@ class TestSinusoids:
     def stack(self):
         """Two cameras, each with its own times and a dropped frame; phasors [V, K, H, W, 3] of the pictures."""
         rng, kept = np.random.default_rng(8), [[*range(7), *range(8, 40)], [*range(20), *range(21, 40)]]
-        phasors = 0.05 * (rng.normal(size=(2, 2, 4, 5, 3)) + 1j * rng.normal(size=(2, 2, 4, 5, 3)))
+        phasors = 0.05 * (rng.normal(size=(2, 2, 12, 15, 3)) + 1j * rng.normal(size=(2, 2, 12, 15, 3)))
         ids = [c for c in (0, 1) for _ in kept[c]]
         steps = [t for c in (0, 1) for t in kept[c]]
         times = np.array(steps) / 30 + np.array([0.0, 0.011])[ids]
@@ -91,7 +91,7 @@ class TestSinusoids:
         pictures = (
             0.5 + np.einsum("ik,ikhwc->ihwc", turn, phasors[ids]).real + 0.05 * times[:, None, None, None]
         )
-        data = np.full((len(ids), 4, 5, 4), 65535, np.uint16)
+        data = np.full((len(ids), 12, 15, 4), 65535, np.uint16)
         data[..., :3] = (pictures * 65535).round()
         capture, images = capture_of(ids, steps, data)
         return observe(replace(capture, times_s=times), images), phasors
@@ -105,7 +105,7 @@ class TestSinusoids:
         )
         scale = np.sqrt(2 / 39)
         for v in range(2):
-            x = np.stack([phasors[v].real, phasors[v].imag], 1).reshape(4, 4, 5, 3) / scale
+            x = np.stack([phasors[v].real, phasors[v].imag], 1).reshape(4, *phasors[v].shape[1:]) / scale
             expected = np.tensordot(mixing[v], x, 1)
             np.testing.assert_allclose(found.images[v], expected, atol=0.01 * np.abs(expected).max())
         changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)

@@ -241,7 +241,7 @@ def test_an_instruments_curve_lies_on_the_films_and_the_ratio_tells_a_wrong_scal
         scores.append((found.ratio.value - 1.05) / found.ratio.deviation)
     assert inside(scores) > 0.5
     assert np.abs(scores).max() < 3.5
-    assert found.ratio.deviation < 0.02
+    assert found.ratio.deviation < 0.03
     assert (found.unit, found.correlation > 0.98) == ("mm/s²", True)
     assert np.std(found.values - 1.05 * found.instrument) == pytest.approx(found.deviation, rel=0.3)
 

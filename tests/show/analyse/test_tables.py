@@ -1,6 +1,7 @@
 """Tables of data loggers and of other programs: the same record, however it is written."""
 
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_jittered_times_are_resampled_and_it_is_said(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "tg4mm"):
         (channel,) = read_channels(path)
     assert "its times are not even" in caplog.text
-    assert "resampled at 1" in caplog.text
+    assert re.search(r"resampled at (98|99|100|101)\.?\d* Hz", caplog.text)
     np.testing.assert_allclose(channel.values, np.cos(2 * np.pi * 3 * channel.times_s), atol=5e-3)
     times[1000:] += 0.06
     path.write_text(
