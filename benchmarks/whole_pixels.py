@@ -17,8 +17,7 @@ from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.fit.motion.animate import displacement_at
 from tg4mm.run import Run
 from tg4mm.run.train import train
-from tg4mm.show.measure import Sensor, SensorResult, prepare
-from tg4mm.show.measure.linearity import iterated
+from tg4mm.show.measure import Sensor, SensorResult, prepare_video
 from tg4mm.show.measure.measurement import measure_one
 from tg4mm.show.result.reach import pixel_rows
 
@@ -91,13 +90,11 @@ def run(options: Any) -> None:
     lines = look(video).lines
     reconstruct(video, data)
     trained = train(data, options.out / "run")
-    scene = prepare(trained, is_once=True)
-    print("| true, px | look | train | measure, linear | iterated |\n|---:|---:|---:|---:|---:|")
+    scene = prepare_video(video)
+    print("| true, px | look | train | measure |\n|---:|---:|---:|---:|")
     for k, (x, y) in enumerate(_CENTRES):
         own = [n.amplitude_px / SIZES_PX[k] for n in lines if abs(n.hz - HZ[k]) < 0.5 * FPS / FRAMES]
-        linear = measure_one(scene, Sensor(f"{SIZES_PX[k]} px", "pixel", (x, y, _RADIUS), video.stem))
-        again = iterated(scene, linear)
+        found = measure_one(scene, Sensor(f"{SIZES_PX[k]} px", "pixel", (x, y, _RADIUS), video.stem))
         print(
-            f"| {SIZES_PX[k]} | {own[0] if own else np.nan:.2f} | {modes(trained, k)} | {figures(linear, k)}"
-            f" | {'as it is' if again is linear else figures(again, k)} |"
+            f"| {SIZES_PX[k]} | {own[0] if own else np.nan:.2f} | {modes(trained, k)} | {figures(found, k)} |"
         )

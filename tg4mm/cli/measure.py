@@ -8,10 +8,18 @@ import typer
 from tg4mm.cli.magnify import parse_bands
 from tg4mm.cli.regions import RegionsOption, read_drawn
 from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, Maybe, require
 
 
 def measure(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="A run folder made by tg4mm train, or the video of a fixed camera, which needs no training and is "
+            "measured in pixels.",
+        ),
+    ],
     out: Annotated[
         Path, typer.Option(help="Folder for measure.json, files of --formats, plots and animated pictures.")
     ],
@@ -58,6 +66,20 @@ def measure(
         bool,
         typer.Option("--animate/--no-animate", help="Write animated pictures of the shape at every peak."),
     ] = True,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Of a video: pictures a second at which it was filmed. [default: the file's own times]"
+        ),
+    ] = None,
+    readout: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MS",
+            help="Of a video: milliseconds from a picture's first row to its last (rolling shutter). [default: all "
+            "rows are taken to be read at once]",
+        ),
+    ] = None,
 ) -> None:
     """Measure displacement over time with virtual sensors.
 
@@ -69,19 +91,28 @@ def measure(
     from tg4mm.fit.motion.observations import frames_of
     from tg4mm.run import Run
     from tg4mm.show.measure import measure as measured
-    from tg4mm.show.measure import parse_sensor, prepare, read_sensors
+    from tg4mm.show.measure import parse_sensor, prepare, prepare_video, read_sensors
     from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.measure.sensors import checked_names, drawn_sensors
+    from tg4mm.show.measure.video import is_video
     from tg4mm.show.measure.write import parse_formats, work_folder, write_measurement
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     drawn = read_drawn(regions)
     wanted = parse_formats(formats)
-    opened = Run.open(run)
-    if drawn is not None:
+    require("--fps", fps, Maybe(POSITIVE), Tg4mmError)
+    require("--readout", readout, Maybe(NOT_NEGATIVE), Tg4mmError)
+    opened = None if is_video(run) else Run.open(run)
+    if opened is not None and (fps is not None or readout is not None):
+        raise Tg4mmError("--fps and --readout are of a video; a run has them from tg4mm sfm")
+    if drawn is not None and opened is not None:
         capture = load_capture(opened.dataset, split="train")
         drawn.check_size((capture.width, capture.height), opened.dataset)
         asked += drawn_sensors(drawn, [frame.name for frame in frames_of(capture)[1]])
+    scene = None if opened is not None else prepare_video(run, fps, (readout or 0.0) / 1e3)
+    if drawn is not None and scene is not None:
+        drawn.check_size(scene.observations.size, run)
+        asked += drawn_sensors(drawn, [run.stem])
     checked_names(asked)
     if reference is not None and asked and reference not in [s.name for s in asked]:
         raise Tg4mmError(
@@ -91,11 +122,13 @@ def measure(
     if len(bands) > 1 or None in bands:
         raise Tg4mmError("--band: a measurement takes one band, two frequencies in Hz, LO HI")
     chosen = bands[0] if bands else None
-    check_sensors(opened, asked)
+    if opened is not None:
+        check_sensors(opened, asked)
     with work_folder(out).held("writes a measurement there"):
         remove_leftovers(out)
         scale = None if drawn is None else drawn.scale
-        found = measured(
-            prepare(opened, keep, is_once=True), asked or None, reference, band=chosen, scale=scale
-        )
+        if opened is not None:
+            scene = prepare(opened, keep)
+        assert scene is not None
+        found = measured(scene, asked or None, reference, band=chosen, scale=scale)
         typer.echo(write_measurement(found, out, animate, wanted), nl=False)

@@ -8,6 +8,9 @@ from scipy.interpolate import CubicSpline
 
 EVEN = 0.05  # of a step: what differs by less is rounding
 LONGEST = 3.5  # steps from sample to sample
+_CLOCK = 0.1  # of a step, by which even times may be off
+_TAPS = 32  # samples that a delayed one takes part from; fewer miss what is near half the rate
+_BETA = 4.0  # of their Kaiser window
 _DECIMALS = 9  # of times, at most
 _NEAR = 0.1  # of the last decimal
 
@@ -62,3 +65,38 @@ def on_even_clock(times_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, 
     count = round(float(np.ptp(times_s) / usual)) + 1
     even = np.linspace(times_s[0], times_s[-1], count)
     return even, np.asarray(CubicSpline(times_s, values)(even))
+
+
+def is_even(times_s: np.ndarray) -> bool:
+    """Whether times [F] are evenly spaced, to a tenth of a frame; two always are."""
+    if len(times_s) < 3:
+        return True
+    step = float(np.ptp(times_s)) / (len(times_s) - 1)
+    even = times_s[0] + step * np.arange(len(times_s))
+    return bool(np.abs(times_s - even).max() < _CLOCK * step)
+
+
+def later(times_s: np.ndarray, functions: np.ndarray, seconds: float) -> np.ndarray:
+    """Return functions [R, F] of times [F], so many seconds later.
+
+    Uneven times are interpolated by a cubic spline, which is good up to a third of the frame rate.
+    """
+    if not seconds or not len(functions):
+        return functions
+    step = float(np.ptp(times_s)) / (len(times_s) - 1)
+    if is_even(times_s):
+        return delayed(functions, seconds / step)
+    return np.asarray(CubicSpline(times_s, functions, axis=1)(times_s + seconds))
+
+
+def delayed(functions: np.ndarray, frames: float) -> np.ndarray:
+    """Return functions [R, F] of even times, so many frames later (Kaiser-windowed sinc; mirrored at the ends)."""
+    offsets = np.arange(-_TAPS // 2, _TAPS // 2 + 1)
+    away = frames - offsets
+    inside = np.clip(1 - (away / (_TAPS / 2 + 1)) ** 2, 0, None)
+    taps = np.sinc(away) * np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA)
+    n = functions.shape[1]
+    padded = np.pad(
+        functions, ((0, 0), (_TAPS // 2, _TAPS // 2)), "reflect" if n > _TAPS // 2 else "symmetric"
+    )
+    return np.stack([np.convolve(f, taps[::-1], "valid") for f in padded])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.film import Layer, Mode, texture
-from tg4mm.capture.look.cells import Grid, Template
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, knocks
 from tg4mm.capture.look.ringing import fitted
 from tg4mm.capture.look.scene import find_masks
 from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
+from tg4mm.capture.tracking.template import Grid, Template
 
 FPS = 30.0
 

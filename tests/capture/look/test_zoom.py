@@ -6,9 +6,9 @@ import pytest
 from benchmarks.calibration.film import Film, Layer, Mode, texture
 from tests.helpers.look import found as a_look
 from tg4mm.capture.look import Picture, look_at_pictures
-from tg4mm.capture.look.cells import Grid
 from tg4mm.capture.look.model import Swing, Tone
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted, left_of, swing_note
+from tg4mm.capture.tracking.template import Grid
 
 SIZE, FRAMES = (320, 180), 200
 PLACES = Grid.of(*SIZE, 16).centres()

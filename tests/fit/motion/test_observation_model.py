@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.fit.motion.scenes import inner, problem, two_cameras, weights_of
-from tg4mm.fit.motion.observation_model import ObservationModel, delayed, later, project
+from tg4mm.core.even_clock import delayed, later
+from tg4mm.fit.motion.observation_model import ObservationModel, project
 from tg4mm.fit.motion.observations import PosedFrames
 
 TIMES = np.arange(80) / 20

@@ -26,7 +26,7 @@ def flat(tmp_path_factory):
 def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat):
     scene, sensor, scale = prepare(flat, keep=False), parse_sensor("all"), Scale((), CORNERS, (0.3, 0.2))
     plain, found = (measure(scene, [sensor], scale=s) for s in (None, scale))
-    body, frames = plain["all"].body, scene.views[0].frames
+    body, frames = plain["all"].body, scene.observations.frames[0]
     x, y, depth = frames.K @ (frames.viewmat[:3, :3] @ body.centre + frames.viewmat[:3, 3])
     slope = scale.metres_at((x / depth, y / depth)) * [[1, -1], [-1, 1]]  # right and up
     pixels = plain["all"].displacement * plain["all"].px_per_unit

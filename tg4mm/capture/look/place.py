@@ -21,11 +21,9 @@ from tg4mm.capture.look.rows import by_phases
 from tg4mm.capture.look.scene import lacks
 from tg4mm.capture.look.search import Line, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
+from tg4mm.capture.tracking.template import GAIN_ERROR
 
-SYSTEMATIC, RIM = (
-    0.015,
-    0.08,
-)  # shares of an amplitude: kernel and series in u; cells that hold what is behind too
+RIM = 0.08  # share of an amplitude that is not exact in cells that hold what is behind, too
 _INEXACT = 0.5  # of the root of the share of changes that a shift leaves
 _FALSE = 0.01  # share of the cells said to move that noise may make
 _FREEDOM = 50  # degrees of freedom of a cell's floor
@@ -253,7 +251,7 @@ class _Placing:
                 variance += (amplitude * vibration.decay * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
         inexact = float(self._inexact()[region].mean())
         relative = np.linalg.norm(
-            [RIM if is_rim else SYSTEMATIC, inexact, _PREDICTED * self._predicted_lack()]
+            [RIM if is_rim else GAIN_ERROR, inexact, _PREDICTED * self._predicted_lack()]
         )
         return amplitude, float(np.hypot(variance**0.5, relative * amplitude)), direction, phase
 

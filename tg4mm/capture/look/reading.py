@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from tg4mm.capture.cameras import check_picture_size
-from tg4mm.capture.look.cells import Grid, Template
 from tg4mm.capture.look.matching import Patch, matched, patches_of
 from tg4mm.capture.look.usual import Usual, usual_of
+from tg4mm.capture.tracking.template import Grid, Template
 from tg4mm.core.errors import CaptureError
 
 FEWEST = 24  # pictures: fewer hold no spectrum
@@ -142,10 +142,7 @@ class _Reader:
         self.place: list[int] = []
         self.patches: list[Patch] = []  # of cells that may move by more than a pixel
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
-
-    @property
-    def grid(self) -> Grid:
-        return self.templates[0].grid
+        self.grid = Grid(0, 0, 1)
 
     def add(self, pictures: np.ndarray, kinds: np.ndarray) -> None:
         """kinds: of all pictures so far."""
@@ -181,7 +178,7 @@ class _Reader:
     def _begin(self, pictures: np.ndarray) -> None:
         height, width = pictures.shape[1:]
         cell = CELL if self._small or height * width < SMALL else LARGE_CELL
-        grid = Grid.of(width, height, min(cell, height, width))
+        grid = self.grid = Grid.of(width, height, min(cell, height, width))
         template = Template(pictures.mean(0, dtype=np.float32), grid)
         products = _products_of(template, pictures)
         shift, _, misfit, _ = template.solved(*products)

@@ -60,17 +60,34 @@ def read_recording(
         series = read_cells(
             _watched(video_pictures(path, fps, window), meter, update), str(path), small_cells
         )
-    times = [Fraction(t).limit_denominator(10_000_000) for t in series.times_s.tolist()]
+    new, times, repeats = taken(path, series.times_s, fps, None if keep_duplicates else meter)
+    return series.of_pictures(new, times), repeats
+
+
+def taken(
+    path: Path, stamps_s: np.ndarray, fps: float | None, meter: DuplicateMeter | None
+) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+    """Find when a video's pictures were taken, and which repeat the one before.
+
+    Args:
+        path: the video.
+        stamps_s: [F] times of all its pictures, seconds.
+        fps: pictures a second, where the file's own times are not the recording's.
+        meter: has seen all its pictures; None: no duplicates are looked for.
+
+    Returns:
+        Which pictures are new [F] bool, these ones' times in seconds, and the numbers of the others.
+    """
+    info, every = video_info(path), np.ones(len(stamps_s), bool)
+    times = [Fraction(t).limit_denominator(10_000_000) for t in stamps_s.tolist()]
     rate = Fraction(fps).limit_denominator(1001) if fps else frame_rate(path, times, info.rates, info.tick)
-    if not keep_duplicates and (fps or is_regular(times, rate, info.tick)):
+    if meter is not None and (fps or is_regular(times, rate, info.tick)):
         found = meter.found()
         if found is not None:
-            new_times = np.array([float(t) for t in found.times(rate)])
-            return series.of_pictures(found.is_new, new_times), found.rows
+            return found.is_new, np.array([float(t) for t in found.times(rate)]), found.rows
     if fps:
-        return series, ()
-    exact = np.array([float(t) for t in regular_times(times, rate, info.tick)])
-    return series.of_pictures(np.ones(len(exact), bool), exact), ()
+        return every, stamps_s, ()
+    return every, np.array([float(t) for t in regular_times(times, rate, info.tick)]), ()
 
 
 def _expected(info: VideoInfo, window: Window) -> int:

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.capture.look.cells import FROZEN, false_information
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
-from tg4mm.capture.look.place import SYSTEMATIC
 from tg4mm.capture.look.reading import MEAN_OF
 from tg4mm.capture.look.scene import Scene
 from tg4mm.capture.look.spectra import without
 from tg4mm.capture.look.usual import LEAST_INFORMATION
+from tg4mm.capture.tracking.template import FROZEN, GAIN_ERROR, false_information
 from tg4mm.core.errors import RegionError
 from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.regions import Region
@@ -83,7 +82,7 @@ def _line(line: Line, axes: np.ndarray, region: Region, cells: np.ndarray) -> Lo
         hz=line.hz,
         hz_deviation=line.hz_deviation,
         amplitude_px=amplitude,
-        amplitude_deviation_px=float(np.hypot(sure, SYSTEMATIC * amplitude)),
+        amplitude_deviation_px=float(np.hypot(sure, GAIN_ERROR * amplitude)),
         change=line.change,
         damping=line.damping,
         damping_deviation=line.damping_deviation,

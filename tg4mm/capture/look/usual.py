@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from tg4mm.capture.look.cells import Grid
+from tg4mm.capture.tracking.template import Grid
 
 QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
 LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing

@@ -8,15 +8,12 @@ another moment, so its changes are multiplied with the functions of time at that
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
+from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection
-from tg4mm.fit.motion.observations import PosedFrames, is_even
-
-_TAPS = 32  # frames that an interpolated function of time takes part from; fewer miss what is near half the frame rate
-_BETA = 4.0  # of their Kaiser window
+from tg4mm.fit.motion.observations import PosedFrames
 
 
 @dataclass(frozen=True)
@@ -84,29 +81,3 @@ def project(
     delays = frames.readout_s * ((np.arange(rows.start, rows.stop) + 0.5) / height - 0.5)
     each = (later(frames.times_s, functions, d).astype(np.float32) for d in delays)
     return np.stack([np.tensordot(f, strip[:, k], 1) for k, f in enumerate(each)], axis=1)
-
-
-def later(times_s: np.ndarray, functions: np.ndarray, seconds: float) -> np.ndarray:
-    """[R, F]: functions [R, F] of times [F], so many seconds later.
-
-    Of times that are not even by a cubic spline, which is good up to a third of the frame rate.
-    """
-    if not seconds or not len(functions):
-        return functions
-    step = float(np.ptp(times_s)) / (len(times_s) - 1)
-    if is_even(times_s):
-        return delayed(functions, seconds / step)
-    return np.asarray(CubicSpline(times_s, functions, axis=1)(times_s + seconds))
-
-
-def delayed(functions: np.ndarray, frames: float) -> np.ndarray:
-    """[R, F]: functions [R, F] of regular times, so many frames later (Kaiser-windowed sinc; mirrored at the ends)."""
-    offsets = np.arange(-_TAPS // 2, _TAPS // 2 + 1)
-    away = frames - offsets
-    inside = np.clip(1 - (away / (_TAPS / 2 + 1)) ** 2, 0, None)
-    taps = np.sinc(away) * np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA)
-    n = functions.shape[1]
-    padded = np.pad(
-        functions, ((0, 0), (_TAPS // 2, _TAPS // 2)), "reflect" if n > _TAPS // 2 else "symmetric"
-    )
-    return np.stack([np.convolve(f, taps[::-1], "valid") for f in padded])

@@ -251,15 +251,6 @@ def _are_synchronous(frames: list[PosedFrames]) -> bool:
     return all(np.abs(f.times_s - times).max() < within for f in frames)
 
 
-def is_even(times_s: np.ndarray) -> bool:
-    """Whether times [F] are evenly spaced, to a tenth of a frame; two always are."""
-    if len(times_s) < 3:
-        return True
-    step = float(np.ptp(times_s)) / (len(times_s) - 1)
-    even = times_s[0] + step * np.arange(len(times_s))
-    return bool(np.abs(times_s - even).max() < _CLOCK * step)
-
-
 SHOWN = 50_000_000  # pixels, which take some seconds
 Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
 

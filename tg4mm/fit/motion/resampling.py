@@ -12,9 +12,9 @@ import numpy as np
 from scipy.ndimage import spline_filter1d
 
 from tg4mm.capture.pictures import Pictures, Strips, over_white
+from tg4mm.core.even_clock import later
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.observation_model import later
 from tg4mm.fit.motion.observations import PosedFrames
 
 _DECAY = 12  # pixels: 0.268¹² of a pixel's value is what a cubic spline's coefficients so far away owe to it

@@ -20,6 +20,7 @@ from tg4mm.show.measure.sensors import Sensor, parse_sensor, read_sensors
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.shapes import Shape
 from tg4mm.show.measure.spectrum import Peak, Spectrum
+from tg4mm.show.measure.video import prepare_video
 
 __all__ = [
     "Clusters",
@@ -38,6 +39,7 @@ __all__ = [
     "parse_sensor",
     "prepare",
     "prepare_fit",
+    "prepare_video",
     "read_sensors",
     "sep005",
 ]

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from tg4mm.capture.codec import Loss, Tone, codec_losses
-from tg4mm.capture.scene import video_file
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 
@@ -18,7 +17,7 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
 
     Of what rings down also when it is weaker by e, on whose share the decay that was fitted depends.
     """
-    video = video_file(scene.capture.root)
+    video = scene.video
     if video is None or len(scene.observations.frames) != 1:
         return list(results)
     regions = [_region(scene, result) for result in results]
@@ -52,7 +51,9 @@ def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
 
 
 def _region(scene: Prepared, result: SensorResult) -> np.ndarray:
-    """[H, W] bool: the pixels about the Gaussians of a region."""
+    """[H, W] bool: the pixels of a region, or those about its Gaussians."""
+    if result.mask is not None:
+        return result.mask > 0.5 * result.mask.max()
     frame, (width, height) = scene.observations.frames[0], scene.observations.size
     weights = result.body.weights
     means = scene.means[weights > 0.5 * weights.max()]

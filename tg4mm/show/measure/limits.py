@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.show.measure.linearity import lacking
@@ -12,6 +14,30 @@ from tg4mm.show.measure.sensor_result import SensorResult
 _HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
 _OTHER = 0.5  # of the largest changes: what is no motion of the region, from here on its numbers are none
 _LACKING = 0.05  # of the largest motion: what the answer lacks of it, from here on it is said
+
+
+def _of_region(result: SensorResult) -> list[str]:
+    """What a region of a flat capture shows beside its motion."""
+    if (motion := result.motion) is None:
+        return []
+    out = []
+    if motion.hidden.any():
+        out.append(
+            f"{result.name}: something passes in {int(motion.hidden.sum())} of {len(motion.hidden)} frames; the motion "
+            "is interpolated there"
+        )
+    size = float(np.linalg.norm(motion.whole - np.median(motion.whole, 0), axis=1).max())
+    if (other := motion.other_share) > _OTHER:
+        out.append(
+            f"{result.name}: {100 * other:.0f} % of what changes its pictures most is not explained by a motion of "
+            f"{size:.2g} px: something passes, a light changes, or parts move differently; its numbers may be of that"
+        )
+    elif size > 1 and not motion.is_iterated:
+        out.append(
+            f"{result.name} moves by up to {size:.2g} px, and was measured in one step: it may move by more; choose a "
+            "smaller region"
+        )
+    return out
 
 
 def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
@@ -41,11 +67,12 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             f"which of two parts that move against each other at {named} Hz stands still: every ± is at least as large "
             "as the motion"
         )
-    if not scene.fit.uncertainty:
+    if len(scene.means) and not scene.fit.uncertainty:
         out.append(
             "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"
         )
     for result in results:
+        out += _of_region(result)
         if (found := lacking(scene, result)) is not None:
             size, share, deviation, other = found
             if other > _OTHER:

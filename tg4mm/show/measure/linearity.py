@@ -5,14 +5,13 @@ pixels and stay in proportion, fine speckle does not by half a pixel. So the mea
 compared with the frame: what is left, through the gradients of the moved picture, is what the answer lacks.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import shift
 
 from tg4mm.capture.pictures import over_white
-from tg4mm.show.measure.residuals import AT_ONCE, MeasuredView
+from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.result.reach import pixel_rows
@@ -26,9 +25,9 @@ _MARGIN = 6  # pixels around them
 def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float, float] | None:
     """Largest motion in pixels, the share of it that the answer lacks, the share's deviation, and `other_share`.
 
-    None for a moving camera, and for a motion that is small.
+    None for a moving camera, for a flat capture, whose motion is iterated, and for a motion that is small.
     """
-    if scene.is_moving:
+    if scene.is_moving or not scene.views:
         return None
     names = [f.name for f in scene.observations.frames]
     v = names.index(result.best_view)
@@ -121,83 +120,3 @@ def _compared(
             columns.reshape(-1, 4),
             (picture[box] - some)[own].ravel(),
         )
-
-
-_LACKING, _OTHER = 0.03, 0.5  # shares: of the largest motion that is missing; of changes that are no motion
-_BLURS_PX = (2.0, 1.0, 0.0, 0.0, 0.0)  # of the passes
-_MOST_PIXELS = 400_000  # of a region: a larger one bends, and its passes take minutes
-Frames = Callable[[slice], np.ndarray]  # some frames of a region [f, h, w]
-
-
-def iterated(scene: Prepared, result: SensorResult) -> SensorResult:
-    """The result with its motion iterated where more than 3 % of the largest, and two deviations, is missing."""
-    if scene.is_moving or scene.capture.kind.sees_depth or len(scene.views) != 1:
-        return result
-    found = lacking(scene, result)
-    if found is None or abs(found[1]) < max(_LACKING, 2 * found[2]) or found[3] > _OTHER:
-        return result
-    view, series = scene.views[0], result.series
-    box, inside = box_of(weights_of(scene, result, view))
-    if inside.size > _MOST_PIXELS:
-        return result
-    rows = pixel_rows(result.body.centre[None], view.frames.viewmat, view.frames.K, scene.observations.size)[
-        0
-    ][0]
-    along = series.axes @ rows.T  # [A, 2] pixels a unit
-
-    def frames(some: slice) -> np.ndarray:
-        raw = scene.observations.pictures.strips(view.frames.rows[some].tolist())
-        left = over_white(raw(slice(None)), scene.observations.pictures.maximum)
-        return np.asarray(left[(slice(None), *box)].mean(-1), np.float32)
-
-    first = series.displacement @ along
-    moved = registered(frames, first, inside)
-    if moved is None:
-        return result
-    more = (moved - first) @ np.linalg.pinv(along)
-    return replace(result, all_series=(replace(series, displacement=series.displacement + more),))
-
-
-def registered(frames: Frames, first: np.ndarray, inside: np.ndarray) -> np.ndarray | None:
-    """Motions [F, 2] (pixels right and down) that explain a region's frames, from first ones; None: no better.
-
-    inside [h, w] bool: where the region is. Motions are about the mean of the first ones.
-    """
-    moved, template = np.array(first), np.zeros(inside.shape)
-    for k, picture in _each(frames, len(moved)):
-        template += _back(picture, moved[k]) / len(moved)
-    before = after = 0.0
-    for number, blur in enumerate(_BLURS_PX):
-        reference, fresh, after = gaussian_filter(template, blur), np.zeros(inside.shape), 0.0
-        for k, picture in _each(frames, len(moved)):
-            if not number:
-                before += _beyond(_back(picture, moved[k]), template, inside)[1]
-            step, left = _beyond(_back(gaussian_filter(picture, blur), moved[k]), reference, inside)
-            after += left
-            moved[k] += step
-            fresh += _back(picture, moved[k]) / len(moved)
-        moved += first.mean(0) - moved.mean(0)
-        template = fresh
-    return moved if after < before else None
-
-
-def _each(frames: Frames, count: int) -> Iterator[tuple[int, np.ndarray]]:
-    for start in range(0, count, AT_ONCE):
-        yield from enumerate(frames(slice(start, min(start + AT_ONCE, count))), start)
-
-
-def _back(picture: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """[h, w] shifted back by a motion."""
-    return np.asarray(shift(picture, -moved[::-1], order=3, mode="nearest"))
-
-
-def _beyond(back: np.ndarray, template: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
-    """The motion [2] that a picture has beyond the template, and the square of what light does not explain."""
-    down, right = np.gradient(template)
-    columns = np.stack([-right[inside], -down[inside], template[inside], np.ones(int(inside.sum()))], -1)
-    change = (back - template)[inside]
-    products = columns.T @ columns
-    fit = np.linalg.solve(products + 1e-9 * np.trace(products) * np.eye(4), columns.T @ change)
-    light = columns[:, 2:]
-    left = change - light @ np.linalg.lstsq(light, change, rcond=None)[0]
-    return fit[:2], float((left**2).sum())

@@ -51,7 +51,7 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
     """The rigid body of a region, and its axes' names: x, y, z of the world, or of one fixed camera right, up, sight.
 
     One camera's axes go by the line of sight to the region's centre, away from the camera: motion along it is hardly
-    seen. A flat capture has its picture's right and up alone.
+    seen.
     """
     seen = weights * scene.seen
     centre = (seen @ scene.means) / seen.sum()
@@ -62,23 +62,40 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
         return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
     frames = scene.views[0].frames
     viewmat = frames.viewmat.astype(np.float64)
-    if not scene.capture.kind.sees_depth:
-        axes = _on_plane(scene.scale, frames, centre) @ viewmat[:2, :3]
-        return Body(weights, centre, radius, axes), OF_ONE_CAMERA[:2]
     return Body(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
 
 
-def _on_plane(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> np.ndarray:
-    """[2, 2], rows: how the picture moves (right, down) for a unit to the right and up on the plane of a rectangle.
+def plane_axes(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> np.ndarray:
+    """Return the axes [2, 3] of a flat capture: how what it shows moves for a unit right and up on its plane.
 
-    A unit there is `scale.reference_m` × the focal length, in metres; without a rectangle it is the picture's own.
+    With a rectangle marked in the picture a unit is `scale.reference_m` × the focal length, in metres, on the
+    rectangle's plane; without one it is the picture's own.
     """
+    viewmat = frames.viewmat[:2, :3].astype(np.float64)
     flip = np.array([[1.0, 0.0], [0.0, -1.0]])
     if scale is None or not scale.corners:
-        return flip
+        return np.asarray(flip @ viewmat)
     x, y, depth = frames.K.astype(np.float64) @ (frames.viewmat[:3, :3] @ centre + frames.viewmat[:3, 3])
     pixels = np.linalg.inv(scale.metres_at((float(x / depth), float(y / depth)))) * scale.reference_m
-    return np.asarray(flip @ pixels.T)
+    return np.asarray(flip @ pixels.T @ viewmat)
+
+
+def plane_depth(scene: Prepared, weights: np.ndarray | None = None) -> float:
+    """Return the distance of a flat capture's plane from the camera, scene units.
+
+    weights [N]: of the Gaussians that show it; without them, or without any Gaussian, the whole plane's.
+    """
+    frames = scene.observations.frames[0]
+    if not len(scene.means):
+        return float(frames.K[0, 0])
+    seen = scene.seen if weights is None or not (weights @ scene.seen) > 0 else weights * scene.seen
+    return float(np.average(scene.means @ frames.viewmat[2, :3] + frames.viewmat[2, 3], weights=seen))
+
+
+def px_per_unit(frames: PosedFrames, centre: np.ndarray) -> float:
+    """Return pixels per scene unit at a place; 0 behind the camera."""
+    depth = float(frames.viewmat[2, :3] @ centre + frames.viewmat[2, 3])
+    return float(frames.K[0, 0]) / depth if depth > 0 else 0.0
 
 
 def unit_scale(scale: Scale, scene: Prepared) -> float:
@@ -87,12 +104,10 @@ def unit_scale(scale: Scale, scene: Prepared) -> float:
     Raises MeasureError where there are several cameras or it moves, where an end lies on nothing, or where the dataset
     has another scale.
     """
-    if scene.is_moving or len(scene.views) != 1:
+    if scene.is_moving or len(scene.observations.frames) != 1:
         raise MeasureError("a scale marked in a picture needs one fixed camera: give tg4mm sfm --length")
-    frames = scene.views[0].frames
     if not scene.capture.kind.sees_depth:
-        depth = scene.means @ frames.viewmat[2, :3] + frames.viewmat[2, 3]  # of the plane
-        return scale.reference_m * float(frames.K[0, 0] / np.average(depth, weights=scene.seen))
+        return scale.reference_m * float(scene.observations.frames[0].K[0, 0] / plane_depth(scene))
     if not scale.lengths:
         raise MeasureError("a rectangle scales flat captures; mark a length, whose ends have depth here")
     found = []
@@ -156,15 +171,15 @@ def check_pixel(sensor: Sensor, cameras: Sequence[str], size: tuple[int, int]) -
     if sensor.camera not in cameras:
         known = ", ".join(cameras[:8]) + (" …" if len(cameras) > 8 else "")
         raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
-    x, y = np.mean(_corners(sensor), 0)
+    x, y = np.mean(corners_of(sensor), 0)
     if not (0 <= x <= size[0] and 0 <= y <= size[1]):
         raise MeasureError(
             f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {size[0]}×{size[1]}"
         )
 
 
-def _corners(sensor: Sensor) -> np.ndarray:
-    """[P, 2] pixels: of a polygon; of a pixel it itself."""
+def corners_of(sensor: Sensor) -> np.ndarray:
+    """Return a polygon's corners [P, 2] in pixels; of a pixel, itself."""
     values = sensor.values[:2] if sensor.region == "pixel" else sensor.values
     return np.array(values).reshape(-1, 2)
 
@@ -191,7 +206,7 @@ def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     check_pixel(sensor, names, scene.observations.size)
     view = scene.views[names.index(str(sensor.camera))]
     height, width = view.mean.shape[:2]
-    corners = _corners(sensor)
+    corners = corners_of(sensor)
     if sensor.region == "pixel":
         (x, y), radius = corners[0], sensor.values[2]
         rows, columns = np.mgrid[:height, :width] + 0.5

@@ -7,25 +7,24 @@ from itertools import count
 import numpy as np
 
 from tg4mm.capture.look import Found
-from tg4mm.capture.scene import between_frames, codec_period, video_file
 from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
 from tg4mm.core.scale import Scale
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
-from tg4mm.run.stages.look import look_of
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.compression import USUAL_PERIOD
 from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.flat import flat_sensors
 from tg4mm.show.measure.limits import limits_of
-from tg4mm.show.measure.linearity import iterated
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
     body_of,
     check_sensors,
+    px_per_unit,
     sight_axes,
     unit_scale,
     weights_of,
@@ -42,6 +41,7 @@ from tg4mm.show.measure.sensors import Sensor, checked_names
 from tg4mm.show.measure.series import Series, series_of
 from tg4mm.show.measure.shapes import Shape, shapes_of
 from tg4mm.show.measure.sides import HALVES
+from tg4mm.show.measure.video import looked_at
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,12 @@ def measure(
     """
     if isinstance(run, Run):
         check_sensors(run, sensors or ())
-    scene = run if isinstance(run, Prepared) else prepare(run, is_once=True)
+    scene = run if isinstance(run, Prepared) else prepare(run)
     metres = None if scale is None else unit_scale(scale, scene)
     scene = replace(scene, scale=scale)
-    groups = clusters or clusters_of(scene)
-    found = found_in(scene)
+    has_gaussians = len(scene.means) > 0
+    groups = clusters or (clusters_of(scene) if has_gaussians else Clusters({}, {}))
+    found = looked_at(scene) if sensors is None and not has_gaussians else scene.found
     own = region_sensors(scene, found) if found is not None else []
     usual = [*own, Sensor("all", "all")] if own else default_sensors(groups)
     if scene.capture.kind.sees_depth:
@@ -123,7 +124,7 @@ def measure(
     if asked is not None:
         check_band_told(check_band(asked, observations.fps), observations.duration_s)
         results = [r.with_(band=asked) for r in results]
-    results = with_losses(scene, [iterated(scene, r) for r in results])
+    results = with_losses(scene, results)
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)
     results = [r if r is against else _related(r, against) for r in results]
@@ -152,6 +153,8 @@ def _results(
     scene: Prepared, wanted: Sequence[Sensor], clusters: Mapping[int, np.ndarray]
 ) -> tuple[list[SensorResult], ClipPhases | None]:
     """Of every sensor, without its relation to a reference."""
+    if not scene.capture.kind.sees_depth:
+        return _flat_results(scene, wanted, clusters), None
     bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
     views = [_views_of(scene, clock) for clock in scene.clocks]
     # a moving camera's views are made when they are asked for
@@ -175,6 +178,19 @@ def _results(
     return results, phases
 
 
+def _flat_results(
+    scene: Prepared, wanted: Sequence[Sensor], clusters: Mapping[int, np.ndarray]
+) -> list[SensorResult]:
+    with progress("sensors", len(wanted), "sensors", brief=True) as update:
+        done = count(1)
+        found = flat_sensors(scene, wanted, clusters, lambda: update(next(done)))
+    out = []
+    for sensor, own in zip(wanted, found, strict=True):
+        result = _result(scene, sensor, own.body, [own.series], None)
+        out.append(replace(result, mask=own.mask, motion=own.motion))
+    return out
+
+
 def _views_of(scene: Prepared, clock: SharedClock) -> Sequence[MeasuredView]:
     return scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
 
@@ -187,9 +203,9 @@ def _series(
     step: Callable[[], None],
 ) -> list[Series]:
     own = [body for body, _ in bodies]
+    assert clock.sides is not None
     equations = equations_of(
-        own, scene.means, views, clock.sides or scene.observations, scene.modal.fields, clock.series,
-        scene.is_moving, step,
+        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving, step,
     )  # fmt: skip
     out = []
     for e, (body, labels) in zip(equations, bodies, strict=True):
@@ -198,7 +214,7 @@ def _series(
             viewmat = views[0].frames.viewmat.astype(np.float64)
             axes, labels = sight_axes(viewmat, body.centre), OF_ONE_CAMERA
             e = e.along(axes)
-        series = series_of(e, clock.times_s + e.delay_s, axes, labels, body.radius, clock.name, scene.slow)
+        series = series_of(e, clock.times_s, axes, labels, body.radius, clock.name, scene.slow)
         out.append(with_model_error(series, body, scene))
     return out
 
@@ -219,18 +235,12 @@ def _result(
     scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series], clips: Together | None
 ) -> SensorResult:
     frames = scene.observations.frames
-    scales = [_px_per_unit(f, body.centre) for f in frames]
+    scales = [px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    root = scene.capture.root
-    between = between_frames(root, len(series[0].times_s)) if len(series) == 1 else None
-    period = codec_period(root) or (None if video_file(root) is None else USUAL_PERIOD)
+    between = scene.between if len(series) == 1 else None
+    period = scene.observations.codec_period or (None if scene.video is None else USUAL_PERIOD)
     found = tuple(series), scales[best], frames[best].name, clips, period, between
     return SensorResult(sensor, body, *found)
-
-
-def _px_per_unit(frames, centre: np.ndarray) -> float:
-    depth = float(frames.viewmat[2, :3] @ centre + frames.viewmat[2, 3])
-    return float(frames.K[0, 0]) / depth if depth > 0 else 0.0
 
 
 def _related(result: SensorResult, against: SensorResult) -> SensorResult:
@@ -248,11 +258,6 @@ class _silent:
 
     def __exit__(self, *error: object) -> None:
         return None
-
-
-def found_in(scene: Prepared) -> Found | None:
-    """What the look at the one fixed camera found; None of other captures, and of fits without a run."""
-    return None if scene.folder is None else look_of(Run.open(scene.folder))
 
 
 def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:

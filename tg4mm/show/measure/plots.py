@@ -71,9 +71,7 @@ def _composite(plt: Any, found: Found) -> Any:
 def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     figure = plt.figure(figsize=(10, 6), layout="constrained")
     grid = figure.add_gridspec(2, 3)
-    figure.suptitle(
-        f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold"
-    )
+    figure.suptitle(f"{result.name}: {result.extent}", x=0.01, ha="left", weight="bold")
     waveform(figure.add_subplot(grid[0, :]), result, unit)
     spectrum(figure.add_subplot(grid[1, :2]), result, unit)
     _orbit(figure.add_subplot(grid[1, 2]), result, unit)

@@ -9,11 +9,12 @@ import numpy as np
 
 from tg4mm.capture import Capture, ImageStack, load_capture
 from tg4mm.capture.pictures import FilePictures, pictures_for
+from tg4mm.capture.scene import between_frames, video_file
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import no_checkpoint
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.view import blend_sum
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.nuisance.first_look import look_at, rest_views
 from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, nuisances_of
@@ -21,6 +22,7 @@ from tg4mm.fit.motion.nuisance.registration import mean_pictures
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
+from tg4mm.run.stages.look import look_of
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.kept import Kept, KeptPass, Wanted
 from tg4mm.show.measure.modal_fields import ModalFields, clock_phases
@@ -42,15 +44,13 @@ from tg4mm.show.measure.sides import HALVES, Sides
 _LOG = logging.getLogger("tg4mm")
 
 
-def prepare(run: Run, keep: bool = True, is_once: bool = False) -> Prepared:
-    """Read the run's pictures once, for any number of measurements.
+def prepare(run: Run, keep: bool = True) -> Prepared:
+    """Read the run's pictures once, for any number of measurements; a flat capture's are read by each measurement.
 
     Args:
         run: a finished run.
         keep: keep what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
-            Gaussian, if that is under 1 GiB and the folder can be written.
-        is_once: for one call of `measure`. Where that is a flat capture's, nothing is pulled back or kept, unless it
-            is there: its sensors read the pictures themselves, which takes a tenth of the time.
+            Gaussian, if that is under 1 GiB and the folder can be written. Nothing is kept of a flat capture.
 
     Returns:
         What `measure` takes.
@@ -70,7 +70,7 @@ def prepare(run: Run, keep: bool = True, is_once: bool = False) -> Prepared:
     check_readout(run.path, run.dataset, fit.figures, capture.rows_s)
     kept = KeptPass.of(run, keep)
     pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
-    return _prepared(fit, run.path, capture, observe(capture, pictures), kept, is_once)
+    return _prepared(fit, run.path, capture, observe(capture, pictures), kept)
 
 
 def prepare_fit(
@@ -92,7 +92,7 @@ def prepare_fit(
     """
     if capture.n_timesteps < 2:
         raise MeasureError(f"{capture.root}: has one timestep; a measurement needs pictures over time")
-    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None, True)
+    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None)
 
 
 def _prepared(
@@ -101,13 +101,17 @@ def _prepared(
     capture: Capture,
     observations: Observations,
     kept: KeptPass | None,
-    is_once: bool,
 ) -> Prepared:
     modal = ModalFields.of(fit.motion, len(fit.gaussians))
     if observations.clock == "moving":
         return prepare_moving(fit, folder, capture, observations, modal, kept)
-    is_direct = is_once and not capture.kind.sees_depth
-    return _Fixed(fit, folder, capture, observations, modal, kept, is_direct).prepared()
+    own = _Fixed(fit, folder, capture, observations, modal, kept)
+    found = own.flat() if not capture.kind.sees_depth else own.prepared()
+    if len(observations.frames) != 1:
+        return found
+    between = between_frames(capture.root, len(observations.frames[0].rows))
+    look = None if folder is None else look_of(Run.open(folder))
+    return replace(found, video=video_file(capture.root), between=between, found=look)
 
 
 @dataclass(frozen=True)
@@ -128,37 +132,51 @@ class _Fixed:
     observations: Observations
     modal: ModalFields
     kept: KeptPass | None
-    is_direct: bool  # sensors read the pictures themselves
 
     @property
     def gaussians(self) -> Gaussians:
         return self.fit.gaussians
 
+    def flat(self) -> Prepared:
+        """Of a capture whose sensors are regions of the picture (`flat.py`): shake is taken out, nothing is read."""
+        observations, notes = self._still()
+        seen = seen_weights(rest_views(self.gaussians, self.observations), len(self.gaussians))
+        clocks = [replace(c, sides=None) for c in self._clocks(self.observations.frames)]
+        return Prepared(
+            self.fit,
+            self.folder,
+            self.capture,
+            observations,
+            self.modal,
+            (),
+            tuple(clocks),
+            seen,
+            tuple(notes),
+        )
+
     def prepared(self) -> Prepared:
         clocks = self._clocks(self.observations.frames)
         found = None if self.kept is None else self._found(self.kept, clocks)
-        observations = self.observations
-        sides: list[Sides | None]
+        sides: list[Sides]
         if self.kept is not None and found is not None:
             arrays, sides = found[0], list(found[1])
             means = unpacked_mean(arrays["mean"])
-            views = self._views(observations.frames, means, arrays["active"].astype(bool))
+            views = self._views(self.observations.frames, means, arrays["active"].astype(bool))
             weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
             views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
             notes = tuple(self.kept.notes)
         else:
             seen = self._seen()
-            observations = seen.observations
             means = unpacked_mean(packed_mean(seen.mean))  # as a later call will have it
-            views = self._views(observations.frames, means, seen.active)
-            views, sides = self._passed(observations, views, clocks)
+            views = self._views(seen.observations.frames, means, seen.active)
+            views, sides = self._passed(seen.observations, views, clocks)
             notes = tuple(seen.notes)
-            if self.kept is not None and not self.is_direct:
+            if self.kept is not None:
                 self._keep(self.kept, views, sides, notes)
         clocks = [replace(c, sides=s) for c, s in zip(clocks, sides, strict=True)]
         return Prepared(
-            self.fit, self.folder, self.capture, observations if self.is_direct else self.observations, self.modal,
-            views, tuple(clocks), seen_weights(views, len(self.gaussians)), notes,
+            self.fit, self.folder, self.capture, self.observations, self.modal, views, tuple(clocks),
+            seen_weights([v.view for v in views], len(self.gaussians)), notes,
         )  # fmt: skip
 
     def _found(self, kept: KeptPass, clocks: Sequence[SharedClock]) -> Kept | None:
@@ -172,6 +190,15 @@ class _Fixed:
         }
         n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
         return kept.load(wanted, n_frames, len(self.gaussians))
+
+    def _still(self) -> tuple[Observations, list[str]]:
+        """The pictures without the camera's shake, where the motion stage found some, and what to say of it."""
+        if "pose" not in self.fit.figures.get("nuisance", ["pose"]):
+            return self.observations, []
+        seen = look_at(
+            self.gaussians, self.observations, self.fit.config, "cpu", no_checkpoint, refines=False
+        )
+        return seen.observations, seen.notes
 
     def _seen(self) -> _Seen:
         """As the motion stage finds it. Where it says that no camera shakes, there is no need to look again."""
@@ -215,11 +242,11 @@ class _Fixed:
 
     def _passed(
         self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
-    ) -> tuple[list[MeasuredView], list[Sides | None]]:
-        """Views with weights, and the sides of every clock, for which every picture is read; None if `is_direct`."""
+    ) -> tuple[list[MeasuredView], list[Sides]]:
+        """Views with weights, and the sides of every clock, for which every picture is read."""
         out, sides = list(views), []
         counts = [len(v.frames.rows) for v in views]
-        total, done = sum(len(sampled(n)) for n in counts) + (0 if self.is_direct else sum(counts)), 0
+        total, done = sum(len(sampled(n)) for n in counts) + sum(counts), 0
         with progress("pictures", total, "frames") as update:
 
             def step(frames: int) -> None:
@@ -228,22 +255,19 @@ class _Fixed:
                 update(done)
 
             for clock in clocks:
-                own = None
-                if not self.is_direct:
-                    own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
+                own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
                 for v in clock.views:
                     shown = shown_fields(views[v].view, self.modal.fields)
                     out[v] = weighed(observations, views[v], shown, clock.series, step)
-                    if own is not None:
-                        pull_back(observations, out[v], shown, clock.series, own, step)
-                sides.append(None if own is None else Sides.of(own))
+                    pull_back(observations, out[v], shown, clock.series, own, step)
+                sides.append(Sides.of(own))
         return out, sides
 
     def _keep(
         self,
         kept: KeptPass,
         views: Sequence[MeasuredView],
-        sides: Sequence[Sides | None],
+        sides: Sequence[Sides],
         notes: Sequence[str],
     ) -> None:
         weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
@@ -254,15 +278,15 @@ class _Fixed:
             "unit": np.array(units),
         }
         for c, own in enumerate(sides):
-            arrays |= {} if own is None else own.arrays(str(c))
+            arrays |= own.arrays(str(c))
         kept.save(arrays, notes)
 
 
-def seen_weights(views: Sequence[MeasuredView], n_gaussians: int) -> np.ndarray:
+def seen_weights(views: Sequence[ViewJacobian], n_gaussians: int) -> np.ndarray:
     """[N] blending weight of every Gaussian, pixels, summed over views."""
     out = np.zeros(n_gaussians)
     for view in views:
-        out += blend_sum(view.view, np.ones_like(view.mean))[:, 0]
+        out += blend_sum(view, np.ones((*view.transmittance.shape, 3), np.float32))[:, 0]
     return out
 
 

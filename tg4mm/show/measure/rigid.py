@@ -1,9 +1,8 @@
 """A region's rigid motion in every frame, by least squares through the Jacobian.
 
 E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: translations along the
-sensor's axes and rotations about its centre, each Gaussian by its weight w; three each, and of a flat capture two and
-one, since nothing moves out of its picture's plane. D is the same for the region and
-for what goes with it, by weights w' ≥ w (`companions`). With the residual's pull-back s_f (`residuals.py`) and the
+sensor's axes and rotations about its centre, three each, each Gaussian by its weight w. D is the same for the region
+and for what goes with it, by weights w' ≥ w (`companions`). With the residual's pull-back s_f (`residuals.py`) and the
 run's modal motion x_f, whose picture was taken out of the residual,
 
     A u_f  =  E·s_f + E·JᵀWJ (w' x_f)        A = E·JᵀWJ D,  noise of the right-hand side B = E·JᵀWJ E
@@ -17,21 +16,16 @@ variables, Fuller 1987). With e the scene at rest less the mean picture, a motio
 change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
 
     F_kl  =  E_k·JᵀW (motion_l·∇e)
-
-Of a flat capture, whose scene at rest is fitted to that mean picture, (A − F) u = b is solved: E J is the instrument.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import false_changes
-from tg4mm.fit.motion.observation_model import later
-from tg4mm.fit.motion.observations import Observations
-from tg4mm.show.measure.direct import summed
-from tg4mm.show.measure.residuals import MeasuredView, shown_fields
+from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.sides import HALVES, Sides
 
 
@@ -44,21 +38,16 @@ class Body:
     radius: float  # rms distance from the centre, scene units
     axes: np.ndarray  # [A, 3], rows: unit vectors in the world; two of a flat capture, else three
 
-    @property
-    def turned_about(self) -> np.ndarray:
-        """[B, 3]: its axes, or the normal of the plane that two axes span."""
-        return self.axes if len(self.axes) == 3 else np.cross(*self.axes)[None]
-
     def motions(self, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """[A + B, N, 6] float32: by one scene unit along each axis, and by one radian times `radius` in each turn.
+        """[6, N, 6] float32: by one scene unit along each of three axes, and by one radian times `radius` about each.
 
         E for the body's own weights [N], D for those of `companions`.
         """
         away = means - self.centre
-        out = np.zeros((len(self.axes) + len(self.turned_about), len(means), DOF), np.float32)
+        out = np.zeros((2 * len(self.axes), len(means), DOF), np.float32)
         for k, axis in enumerate(self.axes):
             out[k, :, :3] = axis
-        for k, axis in enumerate(self.turned_about, len(self.axes)):
+        for k, axis in enumerate(self.axes, len(self.axes)):
             out[k, :, :3] = np.cross(axis, away) / self.radius
             out[k, :, 3:] = axis / self.radius
         return out * weights[:, None]
@@ -72,24 +61,19 @@ class Equations:
     noise: np.ndarray  # [2, F or 1, K, K] B
     sides: np.ndarray  # [2, F, K]
     false: np.ndarray  # [2, K, K] F; 0 of a moving camera, which has no mean picture
-    delay_s: float = 0.0  # after the frames' times: when the rows that tell of the body are read
 
     def along(self, axes: np.ndarray) -> "Equations":
         """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
-        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T, self.delay_s)
-
-    def by_the_pictures(self) -> "Equations":
-        """(A − F) u = b, by what the mean picture itself shows of a motion; the scene at rest is the instrument."""
-        return replace(self, normals=self.normals - self.false[:, None])
+        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
 
 
 def equations_of(
     bodies: Sequence[Body],
     means: np.ndarray,
     views: Sequence[MeasuredView],
-    sides: Sides | Observations,
+    sides: Sides,
     fields: np.ndarray,
     series: np.ndarray,
     is_moving: bool,
@@ -97,9 +81,8 @@ def equations_of(
 ) -> list[Equations]:
     """The equations of several bodies in one pass over a clock's views.
 
-    sides: what the pictures say of every Gaussian, or the pictures of one view themselves (`direct.py`). fields
-    [R, N, 6], series [R, F]. A moving camera has one view for each frame. `step` is called after each body in each half
-    of each view.
+    sides: what the pictures say of every Gaussian. fields [R, N, 6], series [R, F]. A moving camera has one view for
+    each frame. `step` is called after each body in each half of each view.
     """
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
@@ -109,18 +92,11 @@ def equations_of(
     known = np.zeros((len(bodies), HALVES, n_frames, unknowns))
     false = np.zeros((len(bodies), HALVES, unknowns, unknowns))
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
-    delays = np.zeros(len(bodies))
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
         halves = list(view.models())
-        if not isinstance(sides, Sides):
-            shown = shown_fields(view.view, fields)
-            pictures = [np.array(view.view.jvp(e)) for e in motions]
-            said, delays = summed(sides, view, halves, pictures, shown, series)
-            known += said
         for b, e in enumerate(motions):
-            is_flat = len(bodies[b].axes) == 2
-            changes = None if is_moving else false_changes(view.view, view.mean, trials[b], is_flat)
+            changes = None if is_moving else false_changes(view.view, view.mean, trials[b], False)
             for half, model in halves:
                 if changes is not None:
                     back = model.adjoint(changes).reshape(unknowns, -1)
@@ -130,14 +106,12 @@ def equations_of(
                 normals[at] += flat @ trials[b].reshape(unknowns, -1).T
                 noise[at] += flat @ e.reshape(unknowns, -1).T
                 if len(fields):
-                    then = later(view.frames.times_s, series[:, frames], float(delays[b]))
-                    known[b, half, frames] += (flat @ own[b].T @ then).T
+                    known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
                 step()
         view.nuisance.release()
-    if isinstance(sides, Sides):
-        for b, e in enumerate(motions):
-            known[b] += sides.summed(e, np.flatnonzero(bodies[b].weights))
-    return [Equations(normals[b], noise[b], known[b], false[b], float(delays[b])) for b in range(len(bodies))]
+    for b, e in enumerate(motions):
+        known[b] += sides.summed(e, np.flatnonzero(bodies[b].weights))
+    return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
 
 
 def companions(body: Body, fields: np.ndarray) -> np.ndarray:

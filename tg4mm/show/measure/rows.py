@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tg4mm.fit.motion.observation_model import later
+from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.observations import PosedFrames
 
 BANDS = 64  # of a picture: near half the frame rate phases inside one differ by 1.4° at most, if a readout is a frame

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture import Capture
+from tg4mm.capture.look import Found
+from tg4mm.capture.pictures import Strips
+from tg4mm.capture.scene import VideoFile
 from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.scale import Scale
 from tg4mm.fit.gaussians import Gaussians
@@ -27,7 +30,7 @@ class SharedClock:
     name: str  # "" where there is one clock
     views: tuple[int, ...]
     times_s: np.ndarray  # [F] seconds
-    sides: Sides | None  # `residuals.py`; None: sensors read the pictures themselves (`direct.py`)
+    sides: Sides | None  # `residuals.py`; None: of a flat capture
     series: np.ndarray  # [R, F] of the modal fields
 
 
@@ -40,13 +43,16 @@ class Prepared:
     capture: Capture  # its pictures' cameras and times
     observations: Observations  # of the motion stage: views, clocks, pictures
     modal: ModalFields  # the motion as a few fields and their functions of time
-    views: Sequence[MeasuredView]  # what was read of each view's pictures
+    views: Sequence[MeasuredView]  # what was read of each view's pictures; none of a flat capture
     clocks: tuple[SharedClock, ...]  # views whose frames were taken at the same times
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
     notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
     # [S, F] functions of time that a moving camera cannot tell from its own motion
     slow: np.ndarray | None = None
     scale: Scale | None = None  # marked in the picture
+    video: VideoFile | None = None  # that the one camera's pictures are of
+    between: np.ndarray | None = None  # [T] bool: its frames that the codec predicts from both sides
+    found: Found | None = None  # what the look at the one camera's pictures found
 
     @property
     def gaussians(self) -> Gaussians:
@@ -62,6 +68,33 @@ class Prepared:
     def is_moving(self) -> bool:
         """Whether one moving camera took the pictures."""
         return self.observations.clock == "moving"
+
+
+@dataclass(frozen=True)
+class GreyPictures:
+    """The luma of a video's frames in memory, or in a temporary file, without a dataset."""
+
+    data: np.ndarray  # [F, H, W] uint8, or float32 of that range
+    kinds: np.ndarray  # [F] of coded pictures: INTRA, FORWARD or BETWEEN of `capture.look.reading`
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.data.shape[1], self.data.shape[2]
+
+    @property
+    def maximum(self) -> int:
+        """The value of white."""
+        return 255
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        """Return opaque pictures, grey in all channels."""
+
+        def strip(part: slice) -> np.ndarray:
+            grey = self.data[list(rows), part, :, None].astype(np.uint8)
+            return np.concatenate([grey, grey, grey, np.full_like(grey, 255)], -1)
+
+        return strip
 
 
 def zeros_in_room(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:

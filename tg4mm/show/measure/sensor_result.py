@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.codec import Loss
+from tg4mm.capture.tracking.region import RegionMotion
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.compression import with_sidebands
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
@@ -63,11 +64,20 @@ class SensorResult:
     ] = ()  # the same of peaks that decay when they are weaker by e; none where nothing decays
     band: tuple[float, float] | None = None  # Hz, asked for: a peak is there, found or not
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
+    mask: np.ndarray | None = None  # [H, W] of a flat capture: weights of the region's pixels
+    motion: RegionMotion | None = None  # of a flat capture: what the region showed
 
     @property
     def name(self) -> str:
         """Of the sensor."""
         return self.sensor.name
+
+    @property
+    def extent(self) -> str:
+        """How many Gaussians, or pixels of a flat capture, it is measured by."""
+        if self.mask is not None:
+            return f"{int((self.mask > 0).sum()):,} pixels"
+        return f"{int((self.body.weights > 0).sum()):,} Gaussians"
 
     def with_(self, **changes: Any) -> "SensorResult":
         """`dataclasses.replace` of what the spectrum does not depend on: it is not worked out again."""

@@ -82,11 +82,9 @@ def series_of(
     slow: np.ndarray | None = None,
 ) -> Series:
     """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
-    shifts, is_flat = slice(len(axes)), len(axes) == 2
+    shifts = slice(len(axes))
     dof = equations.false.shape[-1] if _tells_rotation(equations, len(axes)) else len(axes)
     false = _false_share(equations, dof, len(axes))
-    if is_flat:
-        equations, false = equations.by_the_pictures(), false**2  # what a share of the first order leaves
     normals, noise, sides = equations.normals, equations.noise, equations.sides
     answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
     whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)

@@ -96,7 +96,6 @@ def _peaks(found: Measurement) -> Table:
 
 def _figure(found: Measurement, result: SensorResult) -> Figure:
     unit = unit_of_sensor(found, result)
-    count = int((result.body.weights > 0).sum())
     name = result.name
     panels = [
         drawing(chart(draw, f"{name}: {label}", zooms=True))
@@ -115,7 +114,7 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
         else ""
     )
     caption = (
-        f"Sensor “{name}”, {count:,} Gaussians around ({', '.join(f'{c:.3g}' for c in result.body.centre)}), radius "
+        f"Sensor “{name}”, {result.extent} around ({', '.join(f'{c:.3g}' for c in result.body.centre)}), radius "
         f"{result.body.radius:.3g} scene units: displacement with a band of one standard deviation, and its spectrum "
         f"with the noise floor, which noise alone passes in one record of a hundred.{clips}"
     )

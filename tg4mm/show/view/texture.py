@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tg4mm.capture.look.cells import FROZEN, Grid, Template, false_information
 from tg4mm.capture.look.reading import CELL
 from tg4mm.capture.look.usual import LEAST_INFORMATION, QUANTISED
+from tg4mm.capture.tracking.template import FROZEN, Grid, Template, false_information
 from tg4mm.core.regions import Region
 from tg4mm.show.regions import COLOURS
 from tg4mm.show.view.drawing import Drawing

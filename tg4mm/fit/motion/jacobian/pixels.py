@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.capture.look.cells import slope
+from tg4mm.capture.tracking.template import slope
 from tg4mm.fit.motion.jacobian.packed import DOF, mean_rows, mean_rows_as_colours
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.fit.rasterize.buffers import Buffers

@@ -1,14 +1,17 @@
-"""Shifts of a picture's cells against the mean picture, from six inner products a cell and picture.
+"""Shift of parts of a picture against the mean picture: Lucas–Kanade from six inner products a part and frame.
 
-A cell of S × S pixels differs from the mean picture M by d = o + (g − 1) (M − mean M) − g u · ∇M + …: offset o, gain g
-and shift u are least squares with instruments, [1, M, ∇ of a smoothed M], which are correlated with the noise of d
-less than ∇M itself (Bowden & Turkington 1984). Terms up to third order in u follow by Gauss-Newton steps on the same
-products; what the motion itself took from the mean picture (its second and third moments) is taken off them.
+A part (a cell of a grid, or the pixels of a region) differs from the mean picture M by
+d = o + (g − 1) (M − mean M) − g u · ∇M + …: offset o, gain g and shift u are least squares with instruments,
+[1, M, ∇ of a smoothed M], which are correlated with the noise of d less than ∇M itself (Bowden & Turkington 1984).
+Terms up to third order in u follow by Gauss–Newton steps on the same products; what the motion itself took from the
+mean picture (its second and third moments) is subtracted. A turn of the part about its centre is a third unknown on
+request.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy import ndimage
@@ -21,8 +24,21 @@ _PLAIN, _UNKNOWN = 1e-3, 1e6  # a cell's squared slopes, grey levels² / px², o
 _STEPS = 4  # of Gauss-Newton; the terms beyond third order are larger than what more steps would change
 _FURTHEST_PX = 1.0  # where the series in u ends
 FROZEN = 10.0  # pictures that a codec's noise may last: so many times less than white noise it averages out
+GAIN_ERROR = 0.015  # of a motion: what kernel and series miss
 _DIVERGED = 2.0  # times what a simpler answer leaves
 _LEAST_GAIN = 0.2  # a darker cell shows something else
+
+
+class Parts(Protocol):
+    """C sets of pixels, of which each moves as one."""
+
+    def __len__(self) -> int:
+        """Return C."""
+        ...
+
+    def cut(self, pictures: np.ndarray) -> np.ndarray:
+        """Return the weighted pixels [C, F, P] float32 of pictures [F, H, W]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -67,56 +83,102 @@ class Grid:
 
 
 class Solved(NamedTuple):
-    """What C cells show in F pictures."""
+    """What C parts show in F pictures."""
 
-    shift: np.ndarray  # [C, F, 2] pixels right and down; NaN where a cell is dark
+    shift: np.ndarray  # [C, F, 2] pixels right and down, or [C, F, 3] with turns; NaN where a part is dark
     gain: np.ndarray  # [C, F]
     misfit: np.ndarray  # [C, F] mean square of what offset, gain and shift leave, grey levels²
     change: np.ndarray  # [C, F] the same of offset and gain alone
 
 
-class Template:
-    """A mean picture cut into cells: pictures to inner products, and these to offsets, gains and shifts."""
+class Turn(NamedTuple):
+    """The turn that is an unknown beside the shift: by one pixel at a distance of `radius` from the centre."""
 
-    def __init__(self, mean: np.ndarray, grid: Grid) -> None:
+    centre: tuple[float, float]  # pixels right and down
+    radius: float  # pixels
+
+
+class Template:
+    """A mean picture cut into parts: pictures to inner products, and these to offsets, gains and shifts."""
+
+    def __init__(self, mean: np.ndarray, parts: Parts, turn: Turn | None = None) -> None:
         """mean: [H, W] float32."""
-        self.mean, self.grid = mean, grid
+        self.mean, self.parts = mean, parts
         dx, dy = slope(mean, 1), slope(mean, 0)
         dxx, dxy, dyy = slope(dx, 1), slope(dx, 0), slope(dy, 0)
         higher = (dxx, dxy, dyy, slope(dxx, 1), slope(dxx, 0), slope(dyy, 1), slope(dyy, 0))
-        self._rest = self._cells(mean)
-        contrast = self._rest - self._rest.mean(1, keepdims=True)
-        model = np.stack([np.ones_like(contrast), contrast, -self._cells(dx), -self._cells(dy)], 2)
-        smoothed = [-self._cells(ndimage.gaussian_filter(g, _SMOOTH_PX, mode="nearest")) for g in (dx, dy)]
-        instruments = np.stack([model[..., 0], contrast, *smoothed], 2)
-        self._columns = np.concatenate([model, instruments[..., 2:]], 2)  # [C, S², 6]
+        self._rest, ones = self._cut(mean), self._cut(np.ones_like(mean))
+        self._pixels = (ones**2).sum(1)
+        level = (self._rest * ones).sum(1) / self._pixels
+        contrast = self._rest - level[:, None] * ones
+        model = np.stack([ones, contrast, *(self._cut(g) for g in _changes(dx, dy, turn))], 2)
+        right, down = (ndimage.gaussian_filter(g, _SMOOTH_PX, mode="nearest") for g in (dx, dy))
+        instruments = np.stack([ones, contrast, *(self._cut(g) for g in _changes(right, down, turn))], 2)
+        self._columns = np.concatenate([model, instruments[..., 2:]], 2)  # [C, P, 6 or 8]
         self._model_products = _products(model, model)
         light = self._model_products[:, :2, :2]
         self._inverse_light = np.linalg.inv(light + 1e-6 * light[:, :1, :1] * np.eye(2))
-        by_model = _products(instruments, model)
-        ridge = 1e-6 * np.einsum("cii->ci", by_model).clip(1e-3)[:, :, None] * np.eye(4)
-        self._inverse = np.linalg.inv(by_model + ridge)
-        self._higher = _products(instruments, np.stack([self._cells(h) for h in higher], 2))
-        of_instruments = _products(instruments, instruments)
-        of_noise = (self._inverse @ of_instruments @ self._inverse.transpose(0, 2, 1))[:, 2:, 2:]
-        is_plain = np.einsum("cii->c", of_instruments[:, 2:, 2:]) < _PLAIN
+        # [C, 4, 4] or [C, 5, 5]: instruments by the model, and by themselves
+        self.by_model, self.of_instruments = (
+            _products(instruments, model),
+            _products(instruments, instruments),
+        )
+        ridge = 1e-6 * np.einsum("cii->ci", self.by_model).clip(1e-3)[:, :, None] * np.eye(model.shape[2])
+        self._inverse = np.linalg.inv(self.by_model + ridge)
+        self._higher = _products(instruments, np.stack([self._cut(h) for h in higher], 2))
+        of_noise = (self._inverse @ self.of_instruments @ self._inverse.transpose(0, 2, 1))[:, 2:4, 2:4]
+        is_plain = np.einsum("cii->c", self.of_instruments[:, 2:4, 2:4]) < _PLAIN
         # [C, 2, 2] of a shift, px², for noise of variance 1
         self.covariance = np.where(is_plain[:, None, None], _UNKNOWN * np.eye(2), of_noise)
 
     def products(self, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inner products [C, F, 6] and energies [C, F] of the differences of pictures [F, H, W] from the mean."""
-        difference = self.grid.cut(pictures)
-        difference -= self._rest[:, None]
+        """Inner products [C, F, 6 or 8] and energies [C, F] of the differences of pictures [F, H, W] from the mean."""
+        difference = self.difference(pictures)
         return difference @ self._columns, np.einsum("cfp,cfp->cf", difference, difference)
 
+    def difference(self, pictures: np.ndarray) -> np.ndarray:
+        """[C, F, P] of pictures [F, H, W] from the mean."""
+        difference = self.parts.cut(pictures)
+        difference -= self._rest[:, None]
+        return difference
+
+    def banded_products(self, difference: np.ndarray, part: int, bands: Sequence[slice]) -> np.ndarray:
+        """[B, F, 6 or 8]: the inner products of one part's differences [F, P], for bands of its pixels apart."""
+        return np.stack([difference[:, band] @ self._columns[part, band] for band in bands])
+
+    def motion_equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the normal matrices [C, K, K] of each part's K motions, with offset and gain eliminated.
+
+        Beside them the covariances [C, K, K] of their right-hand sides for noise of variance 1.
+        """
+        a, light, motion = self.by_model, slice(0, 2), slice(2, None)
+        ridge = 1e-6 * np.einsum("cii->c", a[:, light, light])[:, None, None] * np.eye(2)
+        back = -a[:, motion, light] @ np.linalg.inv(a[:, light, light] + ridge)
+        normals = a[:, motion, motion] + back @ a[:, light, motion]
+        left = np.concatenate(
+            [back, np.broadcast_to(np.eye(back.shape[1]), (len(a), *back.shape[1:2] * 2))], 2
+        )
+        return normals, left @ self.of_instruments @ left.transpose(0, 2, 1)
+
+    def together(self, shift: np.ndarray) -> np.ndarray:
+        """[F, 2] of shifts [C, F, 2 or 3]: their mean, weighted by what each part tells."""
+        if len(shift) == 1:
+            return np.asarray(shift[0, :, :2])
+        normals = self.motion_equations()[0]
+        total, own = normals.sum(0), np.einsum("cij,cfj->fi", normals, np.nan_to_num(shift))
+        ridge = (1e-9 * np.trace(total) + 1e-12) * np.eye(len(total))
+        return np.asarray(np.linalg.solve(total + ridge, own.T).T[:, :2])
+
     def solved(self, products: np.ndarray, energy: np.ndarray) -> Solved:
-        """Shifts, gains and mean squares from inner products [C, F, 6] and energies [C, F]."""
-        by_model, by_instrument = products[..., :4], products[..., [0, 1, 4, 5]]
+        """Shifts, gains and mean squares from inner products [C, F, 6 or 8] and energies [C, F]."""
+        unknowns = self.by_model.shape[1]
+        by_model, of_motion = products[..., :unknowns], products[..., unknowns:]
+        by_instrument = np.concatenate([by_model[..., :2], of_motion], -1)
         light = by_model[..., :2] @ self._inverse_light
         change = energy - (light * by_model[..., :2]).sum(-1)
         p = np.einsum("cij,cfj->cfi", self._inverse, by_instrument)
         first, linear = p.copy(), self._left(p, by_model, energy)
-        large = np.flatnonzero(np.percentile(np.abs(p[..., 2:]), 95, axis=(1, 2)) > _LINEAR_PX)
+        large = np.flatnonzero(np.percentile(np.abs(p[..., 2:4]), 95, axis=(1, 2)) > _LINEAR_PX)
         for _ in range(_STEPS if len(large) else 0):
             curved = np.einsum("cij,cfj->cfi", self._higher[large], _higher_terms(p[large]))
             p[large] = np.einsum("cij,cfj->cfi", self._inverse[large], by_instrument[large] - curved)
@@ -126,20 +188,34 @@ class Template:
         unlike = left > _DIVERGED * np.maximum(
             change, 1.0
         )  # where hardly any texture is, instruments mislead
-        p[unlike] = np.concatenate([light, np.zeros_like(light)], -1)[unlike]
+        p[unlike] = np.concatenate([light, np.zeros((*light.shape[:2], unknowns - 2))], -1)[unlike]
         left = np.where(unlike, change, left)
         gain = 1 + p[..., 1]
         shift = p[..., 2:] / np.where(np.abs(gain) > _LEAST_GAIN, gain, np.nan)[..., None]
-        pixels = self.grid.size**2
-        return Solved(shift, gain, np.maximum(left, 0) / (pixels - 4), np.maximum(change, 0) / (pixels - 2))
+        pixels = self._pixels[:, None]
+        return Solved(
+            shift,
+            gain,
+            np.maximum(left, 0) / np.maximum(pixels - unknowns, 1),
+            np.maximum(change, 0) / np.maximum(pixels - 2, 1),
+        )
 
     def _left(self, p: np.ndarray, by_model: np.ndarray, energy: np.ndarray) -> np.ndarray:
         """[C, F]: the energy that offset, gain and shift leave."""
         left = energy - 2 * (p * by_model).sum(-1)
         return np.asarray(left + np.einsum("cfi,cij,cfj->cf", p, self._model_products, p, optimize=True))
 
-    def _cells(self, picture: np.ndarray) -> np.ndarray:
-        return self.grid.cut(picture[None])[:, 0]
+    def _cut(self, picture: np.ndarray) -> np.ndarray:
+        return self.parts.cut(picture[None])[:, 0]
+
+
+def _changes(dx: np.ndarray, dy: np.ndarray, turn: Turn | None) -> list[np.ndarray]:
+    """What a picture of slopes [H, W] changes by, moved by a pixel right, down, and turned counter-clockwise."""
+    if turn is None:
+        return [-dx, -dy]
+    down, right = np.mgrid[: dx.shape[0], : dx.shape[1]].astype(np.float32) + 0.5
+    (x, y), radius = turn
+    return [-dx, -dy, ((right - x) * dy - (down - y) * dx) / radius]
 
 
 @lru_cache

@@ -1,0 +1,73 @@
+"""A video is measured without a dataset and without training."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from tests.capture.sfm.videos import write_video
+from tests.capture.tracking.test_region import FPS, FRAMES, SIDE, TIMES, moving, wave
+from tg4mm.cli import main
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.show.measure import measure, parse_sensor, prepare_video
+
+SENSOR = "plate=pixel:film,32,32,18"
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """Two seconds of a plate that moves by .4 px at 3.3 Hz, +0.8 right and 0.6 up."""
+    frames = np.clip(moving(wave(0.4), 0), 0, 255).astype(np.uint8)[..., None].repeat(3, 3)
+    return write_video(tmp_path_factory.mktemp("video") / "film.mp4", list(frames), Fraction(30), crf=4)
+
+
+def test_the_motion_of_a_region_is_measured_with_its_deviation(video, tmp_path):
+    out = tmp_path / "out"
+    assert main(["measure", str(video), "--out", str(out), "--sensor", SENSOR]) == 0
+    found = json.loads((out / "measure.json").read_text())
+    plate = found["sensors"][0]
+    peak = plate["peaks"][0]
+    assert found["run"] is None
+    assert found["printed_unit"] == "px"
+    assert peak["frequency_hz"] == pytest.approx(3.3, abs=0.02)
+    for k, true in enumerate((0.32, 0.24)):
+        assert abs(peak["amplitude"][k] - true) < 2.5 * peak["deviation"][k] + 0.002
+    assert {f.name for f in out.iterdir()} >= {"regions.png", "series.csv", "measure.uff", "plots"}
+
+
+def test_a_readout_moves_each_regions_times_to_its_rows(video):
+    upper, lower = (parse_sensor(f"{n}=pixel:film,32,{y},8") for n, y in (("upper", 14), ("lower", 50)))
+    found = measure(prepare_video(video, readout_s=0.02), [upper, lower])
+    assert found["lower"].times_s[0] - found["upper"].times_s[0] == pytest.approx(0.02 * 36 / SIDE, abs=0.001)
+
+
+def test_without_a_sensor_what_vibrates_is_measured(video):
+    found = measure(prepare_video(video))
+    assert found.sensors[-1].name == "all"
+    whole = found["all"].series.displacement - wave(0.4)[:, 0] * [1, -1]
+    assert np.sqrt(((whole - whole.mean(0)) ** 2).mean()) < 0.02
+    assert len(found["all"].times_s) == FRAMES == len(TIMES)
+    assert found["all"].times_s[1] == pytest.approx(1 / FPS)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensor", "a=box:0,0,0,1,1,1"], "a box needs a trained run; expected pixel, polygon or all"),
+        (["--sensor", "a=pixel:other,3,3"], "'other' is no camera; there are: film"),
+        (["--sensor", "a=pixel:film,99,3"], "lies outside the picture of 64×64"),
+        (["--readout", "50"], "--readout is 50 ms, expected at most the 33.33 ms of a frame"),
+        (["--fps", "-3"], "--fps"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_line(video, tmp_path, capsys, words, message):
+    assert main(["measure", str(video), "--out", str(tmp_path / "out"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_plain_region_is_refused(tmp_path):
+    frames = [np.full((48, 64, 3), 120, np.uint8) for _ in range(30)]
+    video = write_video(tmp_path / "plain.mp4", frames, Fraction(30), crf=4)
+    with pytest.raises(Tg4mmError, match="no texture"):
+        measure(prepare_video(video), [parse_sensor("a=pixel:plain,30,20,9")])

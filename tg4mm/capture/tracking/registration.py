@@ -1,0 +1,179 @@
+"""Motion that is not small: frames are registered to each other, and their mean taken anew, until little is left.
+
+The mean of frames that move by more than a third of a pixel is blurred, and no small shift explains what they show. So
+whole offsets are sought first where the motion may exceed a pixel (least squares over every offset within reach); then
+the frames are resampled at the motion found so far, and `template.Template` gives what is left against their mean.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numba
+import numpy as np
+from scipy import fft
+from scipy.signal import fftconvolve
+
+from tg4mm.capture.tracking.template import Parts, Solved, Template, Turn
+
+TAPS = 7  # pixels to either side that a point between pixels is interpolated from
+EDGE = 12  # pixels around a part that third derivatives of its mean need
+ROUNDS = 4  # at most
+NEAR_PX = 0.1  # no further round where less is left of most shifts
+AT_END = 0.05  # of the frames, at most, at the end of the reach
+Box = tuple[slice, slice]  # rows and columns of a picture
+_WIDEST = 256  # pixels a side of the picture that offsets are sought by
+
+
+def whole_offsets(pictures: np.ndarray, inside: np.ndarray, reach: int) -> np.ndarray:
+    """[F, 2] whole pixels right and down that a part has moved by since the first picture, `reach` at most.
+
+    pictures [F, h, w], which extend at least `reach` beyond the part; inside [h, w]: 1 in the part, 0 elsewhere.
+    """
+    first, inside = pictures[0].astype(np.float32), inside.astype(np.float32)
+    box = _most_textured(first, inside, reach)
+    inside, first = inside[box].copy(), first[box]
+    inside[:reach] = inside[-reach:] = inside[:, :reach] = inside[:, -reach:] = 0
+    level = float(first.mean(where=inside > 0)) if inside.any() else 0.0
+    first = (first - level) * inside
+    shape = inside.shape
+    of_first, of_inside = np.conj(fft.rfft2(first)), np.conj(fft.rfft2(inside))
+    near = np.arange(-reach, reach + 1)
+    out = np.empty((len(pictures), 2), int)
+    for k, picture in enumerate(pictures):
+        own = picture[box].astype(np.float32) - level
+        unlike = fft.irfft2(of_inside * fft.rfft2(own * own) - 2 * of_first * fft.rfft2(own), shape)
+        down, right = np.divmod(int(unlike[near[:, None], near].argmin()), len(near))
+        out[k] = right - reach, down - reach
+    return out
+
+
+def _most_textured(picture: np.ndarray, inside: np.ndarray, reach: int) -> tuple[slice, slice]:
+    """The window, of limited size, in which the part has most texture."""
+    down, right = np.gradient(picture)
+    sides = [min(n - 2 * reach, _WIDEST) for n in picture.shape]
+    if all(side == n - 2 * reach for side, n in zip(sides, picture.shape, strict=True)):
+        return slice(None), slice(None)
+    sums = fftconvolve((down**2 + right**2) * inside, np.ones(sides, np.float32), mode="valid")
+    corner = np.unravel_index(
+        int(sums[reach:-reach, reach:-reach].argmax()), np.array(sums.shape) - 2 * reach
+    )
+    first, second = (slice(int(c), int(c) + n + 2 * reach) for c, n in zip(corner, sides, strict=True))
+    return first, second
+
+
+class Clock(Protocol):
+    """When rows of the frames are read."""
+
+    def by_row(self, shift: np.ndarray) -> np.ndarray:
+        """Return shifts [F, h, 2] of every row for those [F, 2] of a part as a whole."""
+        ...
+
+    def products(self, template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `Template.products`, all rows at the time of the part as a whole."""
+        ...
+
+
+def refined(
+    pictures: np.ndarray,
+    parts: Parts,
+    start: np.ndarray,
+    inner: Box,
+    rounds: int = ROUNDS,
+    turn: Turn | None = None,
+    clock: Clock | None = None,
+) -> tuple[Solved, Template, float]:
+    """Iterate the shift of parts that move as one in pictures [F, h, w], from `start` [F, 2] on, pixels right and down.
+
+    inner: the rows and columns of the pictures that the parts lie in; around it frames are read where it has moved to.
+    clock: of rows that are read one after another; None: all at once. Returns what each part shows, the template of the
+    last round, and how much was left of most shifts in it (pixels).
+    """
+    whole = start.astype(float)
+    for _ in range(rounds):
+        before = np.nan_to_num(whole)
+        by_row = before[:, None] if clock is None else clock.by_row(before)
+        registered = resampled(pictures, by_row, inner)
+        template = Template(registered.mean(0), parts, turn)
+        products = template.products(registered) if clock is None else clock.products(template, registered)
+        solved = template.solved(*products)
+        left = template.together(solved.shift)
+        whole, furthest = before + left, float(np.nanpercentile(np.abs(left), 95))
+        if furthest < NEAR_PX:
+            break
+    moved = solved.shift.copy()
+    moved[..., :2] += before
+    return solved._replace(shift=moved), template, furthest
+
+
+def resampled(pictures: np.ndarray, shift: np.ndarray, inner: Box) -> np.ndarray:
+    """Return a box [F, h, w] of pictures moved back by shifts [F, h or 1, 2] of its rows, pixels right and down.
+
+    By a sinc under a Hann window. Beyond the edge a picture is continued by its edge.
+    """
+    rows, columns = (range(n)[part] for n, part in zip(pictures.shape[1:], inner, strict=True))
+    out = np.empty((len(pictures), len(rows), len(columns)), np.float32)
+    _resample(pictures, np.ascontiguousarray(shift, np.float64), rows.start, columns.start, out)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _resample(pictures: np.ndarray, shift: np.ndarray, top: int, left: int, out: np.ndarray) -> None:
+    count, height, width = out.shape
+    last_row, last_column = pictures.shape[1] - 1, pictures.shape[2] - 1
+    down, right = np.empty(2 * TAPS + 1, np.float32), np.empty(2 * TAPS + 1, np.float32)
+    line = np.empty(width + 2 * TAPS, np.float32)
+    for f in range(count):
+        for i in range(height):
+            row = min(i, shift.shape[1] - 1)
+            if i == row:
+                x, y = round(shift[f, row, 0]), round(shift[f, row, 1])
+                _taps(shift[f, row, 0] - x, right)
+                _taps(shift[f, row, 1] - y, down)
+            line[:] = 0
+            for a in range(2 * TAPS + 1):
+                source = min(max(top + i + y + a - TAPS, 0), last_row)
+                weight = down[a]
+                if weight != 0:
+                    first = left + x - TAPS
+                    if first >= 0 and first + width + 2 * TAPS - 1 <= last_column:
+                        own = pictures[f, source, first : first + width + 2 * TAPS]
+                        for j in range(width + 2 * TAPS):
+                            line[j] += weight * own[j]
+                        continue
+                    for j in range(width + 2 * TAPS):
+                        line[j] += weight * pictures[f, source, min(max(first + j, 0), last_column)]
+            row_out = out[f, i]
+            row_out[:] = 0
+            for a in range(2 * TAPS + 1):
+                weight = right[a]
+                for j in range(width):
+                    row_out[j] += weight * line[j + a]
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _taps(at: float, out: np.ndarray) -> None:
+    """Weights of the pixels about a point that lies a fraction of a pixel, −½ … ½, after the middle one."""
+    total = 0.0
+    for k in range(2 * TAPS + 1):
+        away = k - TAPS - at
+        sinc = 1.0 if abs(away) < 1e-9 else np.sin(np.pi * away) / (np.pi * away)
+        value = sinc * np.cos(np.pi * away / (2 * TAPS + 2)) ** 2
+        out[k] = value
+        total += value
+    for k in range(2 * TAPS + 1):
+        out[k] /= total
+
+
+def spread(series: np.ndarray) -> float:
+    """How far most of a series [F, 2] is from its median, pixels."""
+    away = np.abs(series - np.nanmedian(series, 0))
+    return float(np.nanpercentile(away, 95)) if np.isfinite(away).any() else 0.0
+
+
+def offsets_within(pictures: np.ndarray, inside: np.ndarray, reaches: Sequence[int]) -> np.ndarray | None:
+    """`whole_offsets` within the first of several reaches that few of them end at; None where all are too short."""
+    for reach in reaches:
+        found = whole_offsets(pictures, inside, reach)
+        if (np.abs(found) == reach).any(1).mean() <= AT_END:
+            return found
+    return None

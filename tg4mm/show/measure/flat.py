@@ -1,0 +1,162 @@
+"""Sensors of one fixed camera without depth: regions of its picture, measured by `capture/tracking/region.py`.
+
+No Gaussian takes part, so a video needs no training to be measured. Of a trained run, boxes, spheres and clusters are
+the pixels that show their Gaussians.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from tg4mm.capture.pictures import Pictures, Strips, over_white
+from tg4mm.capture.tracking.region import Frames, RegionMotion, region_motions
+from tg4mm.capture.tracking.registration import Box
+from tg4mm.capture.tracking.template import GAIN_ERROR
+from tg4mm.capture.video import LUMA
+from tg4mm.core.regions import inside as inside_of
+from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.locate import (
+    OF_ONE_CAMERA,
+    check_pixel,
+    corners_of,
+    plane_axes,
+    plane_depth,
+    px_per_unit,
+    weights_of,
+)
+from tg4mm.show.measure.rigid import Body, Equations
+from tg4mm.show.measure.scene import GreyPictures, Prepared
+from tg4mm.show.measure.sensors import OF_PICTURE, Sensor
+from tg4mm.show.measure.series import Series, series_of
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_features
+from tg4mm.show.result.reach import pixel_rows
+
+_AT_ONCE = 32  # frames
+_SMALLEST_PX = 0.75  # radius: a smaller disc could lie between the centres of pixels
+_FEWEST_PIXELS = 50  # a smaller region is grown to so many: fewer do not tell motion from light
+_TEXTURE = 1e-3  # grey levels² / px² of a region's pixels: less shows no motion
+
+
+@dataclass(frozen=True)
+class FlatSensor:
+    """A sensor as a region of the picture."""
+
+    mask: np.ndarray  # [H, W] float32, 0 … 1
+    body: Body
+    labels: tuple[str, ...]
+    motion: RegionMotion
+    series: Series
+
+
+def flat_sensors(
+    scene: Prepared, sensors: Sequence[Sensor], clusters: Mapping[int, np.ndarray], step: Callable[[], None]
+) -> list[FlatSensor]:
+    """Measure sensors in one pass over the pictures. `step` is called after each.
+
+    Raises MeasureError for a region outside the picture, one that a mask covers, or one without texture.
+    """
+    frames = scene.observations.frames[0]
+    masks = [_mask(sensor, scene, clusters) for sensor in sensors]
+    motions = region_motions(_chunks(scene), masks, frames.times_s, frames.readout_s, step)
+    return [
+        _measured(scene, sensor, mask, motion)
+        for sensor, mask, motion in zip(sensors, masks, motions, strict=True)
+    ]
+
+
+def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
+    """[H, W] float32, 0 to 1."""
+    width, height = size = scene.observations.size
+    frames = scene.observations.frames[0]
+    if sensor.region in OF_PICTURE:
+        check_pixel(sensor, [frames.name], size)
+        corners = corners_of(sensor)
+        if sensor.region == "pixel":
+            rows, columns = np.mgrid[:height, :width] + 0.5
+            away = np.hypot(columns - corners[0, 0], rows - corners[0, 1])
+            out = (away <= max(sensor.values[2], _SMALLEST_PX)).astype(np.float32)
+        else:
+            out = np.asarray(inside_of(corners, size), np.float32)
+    elif sensor.region == "all":
+        out = np.ones((height, width), np.float32)
+    elif not len(scene.means):
+        raise MeasureError(
+            f"sensor {sensor}: a {sensor.region} needs a trained run; expected pixel, polygon or all"
+        )
+    else:
+        weights = weights_of(sensor, scene, clusters)
+        camera = Camera(frames.name, frames.viewmat.astype(float), frames.K.astype(float), width, height)
+        shown = render_features(scene.gaussians, weights[:, None], camera)[0][..., 0]
+        out = np.where(shown > 0.5 * shown.max(), shown, 0).clip(0, 1).astype(np.float32)
+    while 0 < (out > 0).sum() < min(_FEWEST_PIXELS, out.size):
+        out = np.maximum(out, binary_dilation(out > 0).astype(np.float32))
+    if scene.observations.counts is not None:
+        out = out * scene.observations.counts[0]
+    if not out.any():
+        raise MeasureError(f"sensor {sensor}: holds no pixel that counts")
+    return out
+
+
+def _chunks(scene: Prepared) -> Iterator[Frames]:
+    """Grey levels of boxes of the picture, a few frames at a time."""
+    pictures, rows = scene.observations.pictures, scene.observations.frames[0].rows
+    for first in range(0, len(rows), _AT_ONCE):
+        yield partial(_grey, pictures, rows[first : first + _AT_ONCE].tolist(), {})
+
+
+def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: Box) -> np.ndarray:
+    """[f, h, w] grey levels of a box of some pictures, which are decoded once."""
+    if isinstance(pictures, GreyPictures):
+        return pictures.data[rows[0] : rows[-1] + 1, *box].astype(np.float32)
+    raw = decoded.setdefault("all", pictures.strips(rows)) if not decoded else decoded["all"]
+    return np.asarray(255 * (over_white(raw(box[0])[:, :, box[1]], pictures.maximum) @ LUMA))
+
+
+def _measured(scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionMotion) -> FlatSensor:
+    frames = scene.observations.frames[0]
+    if not np.trace(motion.noise.sum(0)[:2, :2]) > _TEXTURE * float((mask > 0).sum()):
+        raise MeasureError(f"sensor {sensor}: its pixels show no texture whose motion could be seen")
+    body = _body(scene, frames, mask, motion)
+    along = _pixels_along(frames, body, scene.observations.size)
+    scale = px_per_unit(frames, body.centre)
+    change = np.zeros((3, 3))  # pixels of a unit of each unknown
+    change[:2, :2], change[2, 2] = along, scale
+    normals, noise = (change @ own @ change.T for own in (motion.normals, motion.noise))
+    sides = np.einsum("ij,hjk,hfk->hfi", change, motion.normals, motion.shift)
+    equations = Equations(normals[:, None], noise[:, None], sides, np.zeros((2, 3, 3)))
+    clock = scene.clocks[0]
+    labels = OF_ONE_CAMERA[:2]
+    times = clock.times_s + motion.delay_s
+    series = series_of(equations, times, body.axes, labels, body.radius, clock.name)
+    share = np.hypot(series.model_share, GAIN_ERROR)
+    size = np.linalg.norm(series.displacement, axis=1)
+    of_model = np.where(motion.hidden[:, None], size.max(), share * size[:, None])
+    deviation = np.sqrt(series.noise**2 + of_model**2)
+    return FlatSensor(mask, body, labels, motion, replace(series, model_share=share, deviation=deviation))
+
+
+def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> Body:
+    """The region as a rigid body on the plane of the picture."""
+    viewmat, K = frames.viewmat.astype(np.float64), frames.K.astype(np.float64)
+    weights = np.zeros(len(scene.means), np.float32)
+    if len(weights):
+        seen = scene.means @ viewmat[:3, :3].T + viewmat[:3, 3]
+        at = ((seen @ K.T)[:, :2] / seen[:, 2:]).astype(int)
+        inside = ((at >= 0) & (at < mask.shape[::-1])).all(1)
+        weights[inside] = mask[at[inside, 1], at[inside, 0]]
+    depth = plane_depth(scene, weights)
+    ray = np.linalg.solve(K, [*motion.centre_px, 1.0]) * depth
+    centre = viewmat[:3, :3].T @ (ray - viewmat[:3, 3])
+    axes = plane_axes(scene.scale, frames, centre)
+    return Body(weights, centre, motion.radius_px * depth / float(K[0, 0]), axes)
+
+
+def _pixels_along(frames: PosedFrames, body: Body, size: tuple[int, int]) -> np.ndarray:
+    """[2, 2], rows: pixels right and down of a unit along each axis."""
+    rows = pixel_rows(body.centre[None], frames.viewmat, frames.K, size)[0][0]
+    return np.asarray(body.axes @ rows.T)
