@@ -74,6 +74,10 @@ def test_a_link_that_leads_nowhere_is_seen(tmp_path):
     assert links.broken(page) == ["c.md", "b.md#other", "#here"]
 
 
+def test_the_documents_stay_short():
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in links.PAGES) <= 41_000
+
+
 @pytest.mark.slow
 def test_the_site_builds_strictly(tmp_path):
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
