@@ -75,7 +75,9 @@ def test_a_link_that_leads_nowhere_is_seen(tmp_path):
 
 
 def test_the_documents_stay_short():
-    assert sum(len(page.read_text(encoding="utf-8").split()) for page in links.PAGES) <= 41_000
+    """Words are counted without the rules of tables, which `wc -w` counts too."""
+    words = [word for page in links.PAGES for word in page.read_text(encoding="utf-8").split()]
+    assert sum(any(map(str.isalnum, word)) for word in words) <= 38_000
 
 
 @pytest.mark.slow
