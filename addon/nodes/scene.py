@@ -117,7 +117,7 @@ def moves(obj: Any) -> bool:
 
 
 def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> str:
-    """Set the timeline to frames 1 … T and the recorded frame rate, if something moves.
+    """Set the timeline to frames 1 … T and the recorded frame rate, if something moves, and show the largest motion.
 
     A scene in which something but the `new` objects moves keeps its timeline: another frame rate would retime its keys.
     Returns a message, or "".
@@ -137,7 +137,27 @@ def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -
     most = int(scene.render.bl_rna.properties["fps"].hard_max)
     scene.render.fps = min(max(1, math.ceil(fps)), most)
     scene.render.fps_base = scene.render.fps / fps
-    return ", ".join(filter(None, (f"timeline set to {fps:g} frames a second", cut)))
+    frame = most_displaced(next(obj for obj in new if moves(obj)), last)
+    scene.frame_set(frame)
+    shown = f"frame {frame} shows the largest motion" if frame > 1 else ""
+    return ", ".join(filter(None, (f"timeline set to {fps:g} frames a second", cut, shown)))
+
+
+def most_displaced(obj: Any, last: int) -> int:
+    """Return the frame, 1 … `last`, in which the strongest mode is displaced most, rms over the Gaussians.
+
+    A sine is at rest in frame 1, where no magnification would show. Of frames alike, the first.
+    """
+    k = int(np.argmax(obj[names.MODE_RMS]))
+    turns_per_frame = float(obj[names.FREQUENCIES][k]) / float(obj[names.FPS])
+    if turns_per_frame <= 0:
+        return 1
+    part = names.phasor(k)
+    re, im = (values(obj.data, part[name]).astype(np.float64) for name in ("re", "im"))
+    angle = 2 * np.pi * turns_per_frame * np.arange(min(last, math.ceil(0.5 / turns_per_frame) + 1))
+    c, s = np.cos(angle), np.sin(angle)
+    power = c**2 * (re**2).sum() + s**2 * (im**2).sum() - 2 * c * s * (re * im).sum()
+    return 1 + int(np.argmax(power >= (1 - 1e-6) * power.max()))
 
 
 def _has_keys(action: Any) -> bool:

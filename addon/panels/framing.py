@@ -13,17 +13,20 @@ from . import panel, pictures
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "META", "FONT")  # what may hide something
 ROOM = 1.2  # of the size, around it
+_STARTUP_CAMERA = (7.358891, -6.925791, 4.958309)  # where it stands in Blender's own startup scene
 
 
 def show(context: Any, objects: Sequence[Any]) -> list[str]:
     """Frame the objects in every 3D view of the window, unless it looks through a camera; draw the spectrum.
 
-    Hides the startup scene's cube where it is in the way. Returns what to tell about it.
+    The startup scene's camera, where it still stands as it did, frames them, too, and its cube is hidden where it is in
+    the way. Returns messages about both.
     """
     context.view_layer.update()  # where the objects are
     low, high = box(objects)
     told = _uncover(context, objects, low, high)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    told += _aim(context.scene, middle, radius)
     window = context.window
     for area in () if window is None else window.screen.areas:
         if area.type == "VIEW_3D":
@@ -44,6 +47,28 @@ def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     if not ends:
         return -np.ones(3), np.ones(3)
     return np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
+
+
+def _aim(scene: Any, middle: np.ndarray, radius: float) -> list[str]:
+    """Move the untouched startup camera, in its direction, so that the sphere fills its picture."""
+    camera = scene.camera
+    if (
+        camera is None
+        or camera.type != "CAMERA"
+        or camera.animation_data
+        or camera.parent
+        or camera.constraints
+    ):
+        return []
+    if max(abs(a - b) for a, b in zip(camera.location, _STARTUP_CAMERA, strict=True)) > 1e-3:
+        return []
+    corners = np.array([tuple(corner) for corner in camera.data.view_frame(scene=scene)])
+    half = math.atan(np.abs(corners[:, :2]).max(axis=0).min() / -corners[0, 2])
+    distance = ROOM * radius / math.sin(half)
+    camera.location = (middle + distance * np.array(camera.matrix_world.col[2][:3])).tolist()
+    camera.data.clip_start = min(camera.data.clip_start, distance / 100)
+    camera.data.clip_end = max(camera.data.clip_end, 10 * distance)
+    return [f"{camera.name} frames the splats"]
 
 
 def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.ndarray) -> list[str]:

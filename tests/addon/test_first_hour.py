@@ -14,6 +14,9 @@ from tg4mm.core.splatfile import positions_at, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
+from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
+from mathutils import Vector  # noqa: E402
+
 from tests.addon.playing import drawn_whole, import_splat, places, setter  # noqa: E402
 
 
@@ -56,6 +59,45 @@ def colmap_camera(up):
     """[3, 3] camera-to-world of a level camera, y down, in a world with this up."""
     ahead = np.array([1.0, 0.0, 0.0])
     return np.stack([np.cross(ahead, up), -np.array(up), ahead], axis=1)
+
+
+def startup_camera():
+    """The camera of Blender's startup scene."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location, camera.rotation_euler = (7.358891, -6.925791, 4.958309), (1.109319, 0.0, 0.814928)
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    return camera
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_untouched_startup_camera_frames_the_splats(extension, splat_path, moved):
+    camera = startup_camera()
+    if moved:
+        camera.location.x += 1
+    before = np.array(camera.location)
+    obj = import_splat(splat_path)
+    bpy.context.view_layer.update()
+    low, high = extension.panels.framing.box([obj])
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
+    seen = np.array([world_to_camera_view(bpy.context.scene, camera, Vector(c)) for c in corners])
+    if moved:
+        np.testing.assert_array_equal(np.array(camera.location), before)
+    else:
+        assert ((seen[:, :2] > 0) & (seen[:, :2] < 1)).all()
+        assert np.ptp(seen[:, :2], axis=0).max() > 0.4
+
+
+@pytest.mark.parametrize(("phase", "frame"), [(-1j, 3), (1, 1), (1j, 3)])
+def test_an_import_shows_a_frame_in_which_something_moves(extension, tmp_path, phase, frame):
+    """A sine of 3 Hz at 24 timesteps a second is at rest in frame 1, and largest two frames later."""
+    splat = some_splat(freqs_hz=(3.0,))
+    real = np.abs(splat.displacement) * np.complex64(phase)
+    write_splat(tmp_path / "a.ply", replace(splat, displacement=real, rotation=0 * real))
+    import_splat(tmp_path / "a.ply")
+    assert bpy.context.scene.frame_current == frame
+    import_splat(tmp_path / "a.ply", timeline=False)
+    assert bpy.context.scene.frame_current == frame
 
 
 @pytest.mark.parametrize("up", UPS)
