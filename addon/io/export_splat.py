@@ -53,8 +53,8 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         items=[
             ("IMPORTED", "As Imported", "As in the file that the object came from"),
             (splats.FILE, "Z", "As in Blender"),
-            (splats.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
-            (splats.PLUS_Y, "Y", "As other viewers have it"),
+            (splats.MINUS_Y, "−Y", "The convention of COLMAP and 3DGS"),
+            (splats.PLUS_Y, "Y", "The convention of most viewers"),
         ],
     )
 

@@ -57,7 +57,7 @@ def load(
     heads = [read_head(path) for path in paths]
     moves = any(head.n_modes or (head.n_lost and options.freqs_hz) for head in heads)
     upright = all(head.y_up for head in heads)
-    frames = _frames(paths) if sequences and not moves else None
+    frames = as_sequence(paths) if sequences and not moves else None
     check_count(frames or paths, most)
     if frames is not None:
         return _load_sequence(frames, collection, step, options, upright)
@@ -108,11 +108,6 @@ def check_count(paths: Sequence[Path], most: int) -> None:
         raise SplatFileError(f"{what} {total:,} Gaussians, more than Most Gaussians, {most:,}")
 
 
-def _frames(paths: Sequence[Path]) -> list[Path] | None:
-    run = run_around(paths[0]) if len(paths) == 1 else as_sequence(paths)
-    return run if run is not None and len(run) > 1 else None
-
-
 def _load_sequence(
     frames: list[Path], collection: Any, step: Callable[[float], None], options: Options, upright: bool
 ) -> Loaded:
@@ -122,9 +117,7 @@ def _load_sequence(
         splat = _read(path, options)
         odd.extend([path] if splat.notes else [])
         if splat.n_modes:
-            raise SplatFileError(
-                f"{path}: contains motion, so it cannot be a frame of a sequence; import it alone"
-            )
+            raise SplatFileError(f"{path}: has motion and cannot be a frame of a sequence: import it alone")
         return splat
 
     obj, most = scene.make_sequence(
@@ -132,65 +125,56 @@ def _load_sequence(
     )
     message = f"{len(frames)} frames of up to {most:,} Gaussians"
     if missing := missing_beside(frames[0]):
-        message += f"; there is no file number {', '.join(map(str, missing[:4]))}"
+        message += f"; missing file numbers: {', '.join(map(str, missing[:4]))}"
     if odd:
-        message += f"; {len(odd)} of them changed in reading, see the console: first {odd[0].name}"
+        message += f"; {len(odd)} changed on reading (see the console), first {odd[0].name}"
     return Loaded([obj], message, 0.0, len(frames), upright)
 
 
-_NUMBER = re.compile(r"^(?P<stem>.*?)(?P<number>\d+)$")
+_NUMBER = re.compile(r"^(.*?)(\d+)$")
 
 
 def stem_and_number(path: Path) -> tuple[str, int] | None:
     """Split `bell_0007.ply` into ("bell_", 7); return None if the stem does not end in digits."""
     found = _NUMBER.match(path.stem)
-    return None if found is None else (found["stem"], int(found["number"]))
+    return None if found is None else (found[1], int(found[2]))
 
 
 def as_sequence(paths: Sequence[Path]) -> list[Path] | None:
-    """Return the paths sorted by number if they share one stem and differ in number, else None."""
-    parts = [stem_and_number(path) for path in paths]
-    known = [part for part in parts if part is not None]
-    stems = {(path.parent, part[0]) for path, part in zip(paths, parts, strict=True) if part is not None}
-    numbers = {part[1] for part in known}
-    if len(paths) < 2 or len(known) < len(paths) or len(stems) > 1 or len(numbers) < len(paths):
-        return None
-    return [path for _, path in sorted(zip((n for _, n in known), paths, strict=True))]
+    """Return the frames in the order of their numbers: several files numbered alike, or the gapless run around one.
 
-
-def run_around(path: Path) -> list[Path]:
-    """Return the gapless run of numbered files beside `path` that contains it.
-
-    Only `path` itself where it has no number or no neighbour.
+    None if the files are no sequence.
     """
-    own = stem_and_number(path)
+    own = stem_and_number(paths[0])
     if own is None:
-        return [path]
-    beside: dict[int, Path] = {}
-    for other in sorted(path.parent.glob(f"*{path.suffix}")):
-        part = stem_and_number(other)
-        # Of `f_1` and `f_01` the one written as `path` is.
-        if (
-            part is not None
-            and part[0] == own[0]
-            and (part[1] not in beside or len(other.stem) == len(path.stem))
-        ):
-            beside[part[1]] = other
-    beside[own[1]] = path
+        return None
+    known = siblings(paths[0]) if len(paths) == 1 else _by_number(paths[0], paths)
+    if len(paths) > 1:
+        return [known[number] for number in sorted(known)] if len(known) == len(paths) else None
     first = last = own[1]
-    while first - 1 in beside:
+    while first - 1 in known:
         first -= 1
-    while last + 1 in beside:
+    while last + 1 in known:
         last += 1
-    return [beside[i] for i in range(first, last + 1)]
+    return [known[number] for number in range(first, last + 1)] if last > first else None
+
+
+def siblings(path: Path) -> dict[int, Path]:
+    """Return the files of the same folder, stem and suffix by number; of `f_1` and `f_01` the one written as `path`."""
+    beside = sorted(path.parent.glob(f"*{path.suffix}"), key=lambda p: (len(p.stem) == len(path.stem), p))
+    return _by_number(path, [*beside, path])
+
+
+def _by_number(like: Path, paths: Sequence[Path]) -> dict[int, Path]:
+    own, parts = stem_and_number(like), [(stem_and_number(path), path) for path in paths]
+    same = [(part[1], path) for part, path in parts if part and own and part[0] == own[0]]
+    return {number: path for number, path in same if path.parent == like.parent}
 
 
 def missing_beside(path: Path) -> list[int]:
     """Return the first number of every gap in the numbered files that share the stem of `path`."""
-    own = stem_and_number(path)
-    parts = map(stem_and_number, path.parent.glob(f"*{path.suffix}"))
-    numbers = {part[1] for part in parts if own is not None and part is not None and part[0] == own[0]}
-    return [n + 1 for n in sorted(numbers)[:-1] if n + 1 not in numbers]
+    numbers = sorted(siblings(path))
+    return [n + 1 for n in numbers[:-1] if n + 1 not in numbers]
 
 
 def name_of(paths: Sequence[Path]) -> str:
@@ -217,14 +201,14 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
     sequence: BoolProperty(  # type: ignore[valid-type]
         name="As Sequence",
-        description="Numbered static files such as name_0001.ply, name_0002.ply play one after another; "
-        "one of them brings its neighbours along",
+        description="Play numbered files without motion, such as name_0001.ply and name_0002.ply, one after "
+        "another; one chosen file brings the whole run",
         default=True,
     )
     timeline: BoolProperty(  # type: ignore[valid-type]
         name="Set Timeline",
-        description="Take frame rate (Hz) and frame range from a file with motion, where nothing moves in the scene "
-        "yet. The motion takes as long as it took at any frame rate",
+        description="Set frame rate (Hz) and frame range from a file with motion, and show a frame with large motion, "
+        "unless the scene is animated already",
         default=True,
     )
     colours: BoolProperty(  # type: ignore[valid-type]
@@ -235,29 +219,29 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     show: BoolProperty(  # type: ignore[valid-type]
         name="Show",
-        description="Frame what is imported in the 3D views, hide the startup scene's untouched cube where it is in "
-        "the way, and leave Solid view for Material Preview, since Solid view shows splats grey",
+        description="Frame the splats in the 3D views and in the untouched startup camera, hide the untouched startup "
+        "cube where it is in the way, and switch Solid view, which shows splats grey, to Material Preview",
         default=True,
     )
     axes: EnumProperty(  # type: ignore[valid-type]
         name="Up",
-        description="Which way is up in the file; the object is turned so that it is up here",
+        description="The axis that points up in the file; the object is rotated so that it points up here",
         items=[
             (
                 splats.CAMERAS,
                 "By Its Cameras",
                 "As SPZ and glTF, cameras.json or transforms.json beside it say, else Z up",
             ),
-            (splats.FILE, "Z", "As Blender: nothing is turned"),
-            (splats.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
-            (splats.PLUS_Y, "Y", "As other viewers and glTF have it"),
+            (splats.FILE, "Z", "The convention of Blender: no rotation"),
+            (splats.MINUS_Y, "−Y", "The convention of COLMAP and 3DGS"),
+            (splats.PLUS_Y, "Y", "The convention of glTF and most viewers"),
         ],
         default=splats.CAMERAS,
     )
     frequencies: StringProperty(  # type: ignore[valid-type]
         name="Frequencies",
-        description="Hz, such as 5, 7.5: one for each mode of a file with motion that lost its line with them in "
-        "another program. Without them it opens still",
+        description="Hz, such as 5, 7.5, one for each mode, for a file that lost them in another program; without "
+        "them it is imported without motion",
         options={"SKIP_SAVE"},
     )
     most: IntProperty(  # type: ignore[valid-type]
@@ -319,7 +303,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         """Rotate the objects so that the file's up axis is Z; return a message."""
         axes, said = self.axes, ""
         if axes == splats.CAMERAS and loaded.upright:
-            return ["Y up, as the format has it, was turned to Z up"]
+            return ["Y is up in this format: rotated to Z up"]
         if axes == splats.CAMERAS:
             axes, said = splats.told(self._paths()[0]) or (splats.FILE, "")
         if axes == splats.FILE:
@@ -327,7 +311,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         for obj in loaded.objects:
             obj.rotation_euler.x = splats.TURNS[axes]
             obj[names.AXES] = axes
-        return [f"turned, as {said} says {splats.LABELS[axes]}"] if said else []
+        return [f"rotated, because {said} shows {splats.LABELS[axes]}"] if said else []
 
     def _paths(self) -> list[Path]:
         folder = Path(bpy.path.abspath(self.directory))

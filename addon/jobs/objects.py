@@ -79,7 +79,7 @@ def box(objects: Sequence[Any], depsgraph: Any) -> tuple[np.ndarray, np.ndarray]
         for corner in obj.bound_box
     ]
     if not corners:
-        raise GenerateError("no object has a size")
+        raise GenerateError("the objects have no extent")
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
@@ -114,7 +114,7 @@ def fit(settings: Any, low: np.ndarray, high: np.ndarray) -> None:
     """Fit the selected kind's fields to a box with these corners [3]. Raises GenerateError if it has no size."""
     size = high - low
     if not size.max() > 0:
-        raise GenerateError("the objects have no size")
+        raise GenerateError("the objects have no extent")
     thin, middle, long = np.argsort(size, kind="stable")
     centre = 0.5 * (low + high)
     foot, top = centre.copy(), centre.copy()

@@ -76,7 +76,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     amplitude_in: props.EnumProperty(  # type: ignore[valid-type]
         name="Amplitude In", default="SCENE", update=_changed,
         description="Unit of the amplitude, which is the largest displacement of any vertex",
-        items=[("SCENE", "Units", "Of the plate"),
+        items=[("SCENE", "Units", "Scene units"),
                ("PIXELS", "Pixels", "Pixels in the first training camera")])
     amplitude: _length("Amplitude", "Largest displacement", 0.01, 1e-9)  # type: ignore[valid-type]
     amplitude_px: props.FloatProperty(  # type: ignore[valid-type]
@@ -93,7 +93,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
                     "Distance along the axis over which the twist grows; 0: uniform rotation", 0.0)
     order: props.IntProperty(  # type: ignore[valid-type]
         name="Order", description="1 is the beam's lowest mode", default=1, min=1, max=3, update=_changed)
-    wavelength: _length("Wavelength", "Of the plate", 1.0, 1e-6)  # type: ignore[valid-type]
+    wavelength: _length("Wavelength", "Distance between crests", 1.0, 1e-6)  # type: ignore[valid-type]
     rayleigh: props.BoolProperty(  # type: ignore[valid-type]
         name="Rayleigh", description="The Rayleigh wave of an elastic solid: points move on ellipses", update=_changed)
     decay_length: _length("Decay Length",  # type: ignore[valid-type]
@@ -108,12 +108,12 @@ class TG4MM_generate(bpy.types.PropertyGroup):
                    "Distance from the support over which the displacement grows linearly", 1.0, 1e-6)
     random: props.BoolProperty(  # type: ignore[valid-type]
         name="Random Direction", description="Every object sways independently", update=_changed)
-    radius: _length("Radius", "Of the rim", 1.0, 1e-6)  # type: ignore[valid-type]
+    radius: _length("Radius", "Radius of the rim", 1.0, 1e-6)  # type: ignore[valid-type]
     drum_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Nodes", description="Nodal diameters, and nodal circles counting the rim", size=2, default=(0, 1),
         min=0, max=20, update=_changed)
     sides: props.FloatVectorProperty(  # type: ignore[valid-type]
-        name="Sides", description="Of the plate", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
+        name="Sides", description="Their lengths", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
     plate_nodes: props.IntVectorProperty(  # type: ignore[valid-type]
         name="Half Waves", description="Along each side", size=2, default=(1, 1), min=1, max=20, update=_changed)
     thickness: _length("Thickness",  # type: ignore[valid-type]

@@ -33,7 +33,7 @@ def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
     inside = [float(f) for f in obj[names.FREQUENCIES] if low <= f <= high]
     fastest = max(inside, default=0.0)
     if fastest * abs(speed) * FEWEST_FRAMES > rate(scene):
-        said.append(f"{rate(scene) / (fastest * abs(speed)):.1f} frames a period at {fastest:.4g} Hz")
+        said.append(f"{rate(scene) / (fastest * abs(speed)):.1f} frames per period at {fastest:.4g} Hz")
         said.append("Motion will strobe: lower Speed")
     return said
 

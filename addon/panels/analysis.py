@@ -159,7 +159,7 @@ def units_differ(obj: Any, scene_: Any) -> str:
         or math.isclose(metres, settings.scale_length, rel_tol=1e-3)
     ):
         return ""
-    return f"A unit is {metres:.4g} m here, {settings.scale_length:.4g} m in Blender"
+    return f"1 unit is {metres:.4g} m in the file, {settings.scale_length:.4g} m here"
 
 
 def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | None:

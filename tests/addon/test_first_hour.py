@@ -121,16 +121,16 @@ def test_metres_of_the_file_and_of_blender_are_compared(extension, splat_path, t
     scene, differ = bpy.context.scene, extension.panels.analysis.units_differ
     assert differ(import_splat(splat_path), scene) == ""  # the file does not say
     obj = import_splat(tmp_path / "small.ply")
-    assert differ(obj, scene) == "A unit is 0.1 m here, 1 m in Blender"
+    assert differ(obj, scene) == "1 unit is 0.1 m in the file, 1 m here"
     assert bpy.ops.tg4mm.file_units() == {"FINISHED"}
     assert scene.unit_settings.scale_length == pytest.approx(0.1)
     assert differ(obj, scene) == ""
     obj.scale = (2, 2, 2)
     bpy.context.view_layer.update()
-    assert "0.05 m here" in differ(obj, scene)
+    assert "0.05 m in the file" in differ(obj, scene)
     obj.select_set(True)
     bpy.ops.object.transform_apply()
-    assert "0.05 m here" in differ(obj, scene)
+    assert "0.05 m in the file" in differ(obj, scene)
     scene.unit_settings.system = "NONE"
     assert differ(obj, scene) == ""
 

@@ -78,4 +78,4 @@ def test_an_import_tells_which_numbers_are_missing(extension, frames):
     loaded = extension.io.import_splat.load(
         [frames[2]], bpy.context.collection, True, 1000, lambda part: None
     )
-    assert loaded.message == "2 frames of up to 9 Gaussians; there is no file number 9"
+    assert loaded.message == "2 frames of up to 9 Gaussians; missing file numbers: 9"
