@@ -27,7 +27,7 @@ def blender_remedy() -> str:
 def check_choice(option: str, value: str, choices: Collection[str]) -> None:
     """Raises GenerateError unless the value is one of the choices."""
     if value not in choices:
-        raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
+        raise GenerateError(f"{option} {value!r} is not one of {', '.join(choices)}")
 
 
 def check_whole(option: str, value: object, low: int, high: int) -> None:

@@ -280,7 +280,7 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
         raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} given{hint}")
     if options.scene is not None:
         if options.scene != ALL and options.scene not in NAMES:
-            raise GenerateError(f"scene {options.scene!r} is none of {', '.join(NAMES)}, {ALL}")
+            raise GenerateError(f"scene {options.scene!r} is not one of {', '.join(NAMES)}, {ALL}")
         return [(name, Source()) for name in (NAMES if options.scene == ALL else (options.scene,))]
     path: Path = options.blend or options.mesh
     if not path.is_file():
@@ -338,7 +338,7 @@ def _sensor(options: argparse.Namespace) -> Sensor | None:
     if options.jpeg is None:
         return sensor
     if sensor is None:
-        raise GenerateError(f"--jpeg {options.jpeg} goes with --sensor")
+        raise GenerateError(f"--jpeg {options.jpeg} needs --sensor")
     return replace(sensor, jpeg_quality=options.jpeg or None)
 
 
@@ -367,7 +367,7 @@ def check_together(options: argparse.Namespace, values: Mapping[str, Any]) -> No
 
 def _listing(options: argparse.Namespace) -> Iterator[str]:
     if options.list and options.scene is not None:
-        yield f"--list goes with --blend and --mesh, not with the scene {options.scene}"
+        yield f"--list needs --blend or --mesh, not the scene {options.scene}"
     for name in ("save_blend", *_OF_WORK, *_OF_PICTURES) if options.list else ():
         if getattr(options, name) not in (None, False):
             yield f"{_given(options, name)}: --list only reads the file, it writes nothing"
@@ -377,7 +377,7 @@ def _work(options: argparse.Namespace) -> Iterator[str]:
     if options.processes is not None and options.processes < 0:
         yield f"--processes {options.processes} is negative"
     if options.parts is not None and (options.parts < 1 or not options.prepare):
-        yield f"--parts {options.parts} goes with --prepare and is at least 1"
+        yield f"--parts {options.parts} needs --prepare and is at least 1"
     if options.save_blend is None:
         if options.out is None and not options.list:
             yield "--out DIR is needed: the parent folder of the dataset"
@@ -396,9 +396,9 @@ def _source(options: argparse.Namespace) -> Iterator[str]:
     if options.blend is None:
         for option, value in (("--frame", options.frame), ("--scene", options.blend_scene)):
             if value is not None:
-                yield f"{option} {value} goes with --blend"
+                yield f"{option} {value} needs --blend"
     if options.scene is not None and options.name is not None:
-        yield f"--name {options.name} goes with --blend and --mesh"
+        yield f"--name {options.name} needs --blend or --mesh"
 
 
 def _cameras(options: argparse.Namespace, values: Mapping[str, Any]) -> Iterator[str]:
@@ -421,13 +421,13 @@ def _pictures(options: argparse.Namespace, values: Mapping[str, Any]) -> Iterato
     if options.device is not None and values["engine"] != "cycles":
         yield f"--device {options.device} is where Cycles runs; --engine {values['engine']} has no choice"
     if options.jpeg is not None and options.sensor in (None, "none"):
-        yield f"--jpeg {options.jpeg} goes with --sensor"
+        yield f"--jpeg {options.jpeg} needs --sensor"
     if options.flicker_hz is not None and not values["flicker"]:
-        yield f"--flicker-hz {options.flicker_hz:g} goes with --flicker"
+        yield f"--flicker-hz {options.flicker_hz:g} needs --flicker"
     if values["codec"] == "none":
         for name in ("crf", "keep_video"):
             if getattr(options, name) not in (None, False):
-                yield f"{_given(options, name)} goes with --codec"
+                yield f"{_given(options, name)} needs --codec"
 
 
 def _given(options: argparse.Namespace, name: str) -> str:

@@ -82,7 +82,7 @@ class Sensor:
         if name == "none":
             return None
         if name not in PRESETS:
-            raise GenerateError(f"--sensor {name!r} is none of none, {', '.join(PRESETS)}")
+            raise GenerateError(f"--sensor {name!r} is not one of none, {', '.join(PRESETS)}")
         return PRESETS[name]
 
     def to_json(self) -> dict[str, Any]:

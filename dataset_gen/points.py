@@ -68,17 +68,17 @@ def read_view(file: Path, count: int) -> dict[str, np.ndarray]:
     view = read_npz(file)
     index, colour, weight = (view.get(name) for name in ("index", "colour", "weight"))
     if index is None or colour is None or weight is None or index.ndim != 1 or index.dtype.kind not in "iu":
-        raise ValueError("it does not hold what a view gives")
+        raise ValueError("its arrays are not a view's points and colours")
     if (
         colour.shape != (len(index), 3)
         or weight.shape != index.shape
         or colour.dtype.kind + weight.dtype.kind != "ff"
     ):
-        raise ValueError("its arrays do not fit together")
+        raise ValueError("its arrays have different lengths")
     if len(index) and (index.min() < 0 or index.max() >= _SPARE * count):
-        raise ValueError("it numbers points that there are not")
+        raise ValueError("a point number is out of range")
     if not (np.isfinite(colour).all() and np.isfinite(weight).all()):
-        raise ValueError("it holds a number that is not finite")
+        raise ValueError("a value is not finite")
     return view
 
 

@@ -82,7 +82,7 @@ def motion_of(settings: Settings, bodies: tuple[Body, ...]) -> Motion:
 def builtin(name: str) -> Scene:
     """The description of a built-in scene. Raises GenerateError for an unknown name."""
     if name not in SCENES:
-        raise GenerateError(f"scene {name!r} is none of {', '.join(sorted(SCENES))}")
+        raise GenerateError(f"scene {name!r} is not one of {', '.join(sorted(SCENES))}")
     return SCENES[name]()
 
 

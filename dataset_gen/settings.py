@@ -158,7 +158,7 @@ class Quality:
         return cls(size, size, settings.samples, settings.seed, threads, settings.engine, settings.device)
 
     def finer(self, size: int, fineness: int) -> "Quality":
-        """Of a larger picture whose pixels are `fineness` times as many along an edge: as many light paths in all."""
+        """Quality of a picture with `fineness` times as many pixels along an edge and as many light paths in all."""
         samples = max(1, round(self.samples / fineness**2))
         return replace(self, width=size, height=size, samples=samples)
 

@@ -152,7 +152,7 @@ def from_cursor(settings: Any, name: str, cursor: Any) -> None:
     elif name in HEIGHTS:
         setattr(settings, name, cursor.matrix.translation[2])
     else:
-        raise ValueError(f"{name!r} is none of {', '.join((*PLACES, *HEADINGS, *HEIGHTS))}")
+        raise ValueError(f"{name!r} is not one of {', '.join((*PLACES, *HEADINGS, *HEIGHTS))}")
 
 
 def _set(settings: Any, **values: Any) -> None:

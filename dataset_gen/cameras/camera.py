@@ -127,7 +127,7 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
     back = np.asarray(position, np.float64) - np.asarray(target, np.float64)
     distance = float(np.linalg.norm(back))
     if not distance > 0:
-        raise GenerateError(f"a camera at {np.asarray(position).tolist()} cannot look at its own place")
+        raise GenerateError(f"a camera at {np.asarray(position).tolist()} cannot look at its own position")
     back = back / distance
     right = np.cross([0.0, 0.0, 1.0], back)
     if np.linalg.norm(right) < _PARALLEL:

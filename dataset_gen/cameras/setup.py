@@ -109,17 +109,17 @@ class CameraSetup:
 
     @property
     def aim(self) -> Aim:
-        """Of the orbit."""
+        """Target, distance and lens of the orbit."""
         return Aim(self.centre, self.distance, self.angle_x)
 
     @property
     def stand(self) -> Aim:
-        """Of the other training cameras."""
+        """Target, distance and lens of the other training cameras."""
         return Aim(self.centre, self.distance * self.clearance, self.angle_x)
 
     @property
     def test_stand(self) -> Aim:
-        """Of the test cameras."""
+        """Target, distance and lens of the test cameras."""
         return Aim(self.centre, self.distance * self.test_clearance, self.angle_x)
 
     def n_train(self, timestep: int) -> int:

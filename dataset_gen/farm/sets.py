@@ -76,7 +76,7 @@ def farm_sets(config: Mapping[str, Any]) -> list[FarmSet]:
 def _checked(config: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in config.items():
         if key not in _KEYS:
-            raise GenerateError(f"configuration: {key!r} is none of {', '.join(_KEYS)}")
+            raise GenerateError(f"configuration: {key!r} is not one of {', '.join(_KEYS)}")
         if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
             raise GenerateError(f"configuration: {key} is {value!r}, expected {_KEYS[key].__name__}")
     for key in ("out", "python", "options"):
@@ -97,7 +97,7 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
     if not isinstance(own, dict):
         raise GenerateError(f"{where}: is {own!r}, expected {' and '.join(_SET_KEYS)}")
     if unknown := [key for key in own if key not in _SET_KEYS]:
-        raise GenerateError(f"{where}: {unknown[0]!r} is none of {', '.join(_SET_KEYS)}")
+        raise GenerateError(f"{where}: {unknown[0]!r} is not one of {', '.join(_SET_KEYS)}")
     parts = own.get("parts", values["parts"])
     options = own.get("options", name)
     require(f"{where}: parts", parts, Number(1, MOST_PARTS, whole=True), GenerateError)

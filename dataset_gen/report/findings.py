@@ -59,7 +59,7 @@ class Scores:
 
     @property
     def perfect(self) -> float | None:
-        """Of a method that is exact and free of noise."""
+        """PSNR of a method that is exact and free of noise."""
         return None if self.pair is None else min(MAX_PSNR_DB, self.pair + 10 * math.log10(2))
 
 

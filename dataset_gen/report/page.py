@@ -64,7 +64,7 @@ def warnings(f: Findings) -> list[str]:
     if not f.alphas:
         said.append("Ground truth of magnified motion is absent.")
     if not f.strength.size:
-        said.append("truth/motion.npz is absent: nothing is known of the motion but what scene.json says.")
+        said.append("truth/motion.npz is absent: the motion is known from scene.json only.")
     if f.any.unit_scale_m is None:
         said.append("Scale unknown: lengths are in scene units.")
     for mode in f.modes:
@@ -85,7 +85,7 @@ def warnings(f: Findings) -> list[str]:
         ):
             said.append(
                 f"At α = {row.alpha:g} a still picture scores {row.still:.2f} dB and a perfect method "
-                f"{row.perfect:.2f} dB: the score hardly tells them apart."
+                f"{row.perfect:.2f} dB: the score hardly distinguishes them."
             )
     return said
 

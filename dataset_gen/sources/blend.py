@@ -59,7 +59,7 @@ def _open(path: Path) -> None:
         reason = " ".join(str(error).removeprefix("Error: ").split())
         raise GenerateError(f"{path} cannot be opened: {reason}") from None
     if not bpy.data.filepath or not os.path.samefile(bpy.data.filepath, path):
-        raise GenerateError(f"{path} cannot be opened: it is cut off, damaged or not a .blend file")
+        raise GenerateError(f"{path} cannot be opened: it is truncated, damaged or not a .blend file")
     bodies_file.check_version(path, (bpy.data.version[0], bpy.data.version[1]), running)
 
 
@@ -148,7 +148,9 @@ def own_unit(scene: bpy.types.Scene) -> tuple[str, float]:
     if (scale := _unit_scale(scene)) is None:
         return "scene units", 1.0
     default = "METERS" if scene.unit_settings.system == "METRIC" else "FEET"
-    name, metres = _UNITS.get(scene.unit_settings.length_unit, _UNITS[default])  # "ADAPTIVE" is none of them
+    name, metres = _UNITS.get(
+        scene.unit_settings.length_unit, _UNITS[default]
+    )  # "ADAPTIVE" is not one of them
     return name, scale / metres
 
 

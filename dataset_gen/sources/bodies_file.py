@@ -106,7 +106,9 @@ def check(path: Path, running: tuple[int, int]) -> None:
     except IsADirectoryError:
         raise GenerateError(f"{path} is a folder, not a .blend file") from None
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise GenerateError(f"{path} is cut off or damaged: its compressed data does not end well") from None
+        raise GenerateError(
+            f"{path} is truncated or damaged: its compressed data does not end well"
+        ) from None
     except OSError as error:
         raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from error
 
@@ -120,7 +122,7 @@ def _check_plain(path: Path, file: BinaryIO | gzip.GzipFile, running: tuple[int,
     while block := file.read(1 << 20):
         tail = (tail + block)[-_TAIL:]
     if b"ENDB" not in tail:
-        raise GenerateError(f"{path} is cut off: the block that closes a .blend file is missing")
+        raise GenerateError(f"{path} is truncated: the block that closes a .blend file is missing")
 
 
 def check_version(path: Path, saved: tuple[int, int], running: tuple[int, int]) -> None:

@@ -78,14 +78,17 @@ class MaterialCopies:
         """Adds the warnings about all materials that were made."""
         self._warnings += repair_images(trees(m.node_tree for m in self.made))
         for names, text in (
-            (self._lost, "part of their nodes is lost with a library, a plain colour takes their place"),
-            (self._displaced, "true displacement is rendered as a bump, which truth does not see"),
+            (self._lost, "some nodes are missing with their library, replaced by a plain colour"),
+            (self._displaced, "displacement is rendered as a bump, which ground truth ignores"),
             (self._volumes, "volumes are left out"),
             (
                 using(self.made, _transparent),
-                "transparent places are surface to truth, which sees whole faces",
+                "ground truth treats transparent parts as opaque surface",
             ),
-            (using(self.made, _glassy), "truth sees the surface of glass, not what lies behind it"),
+            (
+                using(self.made, _glassy),
+                "ground truth is that of the glass surface, not of what lies behind it",
+            ),
         ):
             if names:
                 self._warnings.append(f"materials {list_names(names)}: {text}")

@@ -80,7 +80,7 @@ def _format_of(path: Path) -> _Format:
     format_ = _FORMATS.get(path.suffix.lower())
     if format_ is None:
         known = ", ".join(sorted(_FORMATS))
-        raise GenerateError(f"{path}: extension {path.suffix!r} is none of {known}")
+        raise GenerateError(f"{path}: extension {path.suffix!r} is not one of {known}")
     if not path.is_file():
         raise GenerateError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
     if path.stat().st_size == 0:

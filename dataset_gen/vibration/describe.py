@@ -147,7 +147,7 @@ def _mode(data: Any) -> Mode:
             raise ValueError(f"{key} is missing")
     name, kind = (_read(data, key, values.text) for key in ("name", "kind"))
     if kind not in KINDS:
-        raise ValueError(f"kind {kind!r} is none of {', '.join(KINDS)}")
+        raise ValueError(f"kind {kind!r} is not one of {', '.join(KINDS)}")
     drifts = kind == "drift"
     common = (*_ALWAYS, "rate") if drifts else (*_ALWAYS, *_VIBRATES)
     _check_keys(data, (*common, *keys(kind)), f"a mode of kind {kind}")

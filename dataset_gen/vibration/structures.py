@@ -173,7 +173,7 @@ class Bending(Field):
 
     @property
     def length(self) -> float:
-        """Of the beam, scene units."""
+        """Length of the beam, scene units."""
         return float(np.linalg.norm(np.subtract(self.tip, self.base)))
 
     def profile(self, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

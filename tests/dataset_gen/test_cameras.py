@@ -76,7 +76,7 @@ SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
         (lambda: Camera(2, np.eye(4), angle_x=np.nan), r"field of view nan° is not in"),
         (lambda: Camera(2, np.eye(4), shift=(np.inf, 0)), r"principal point is off by \(inf, 0\)"),
         (lambda: scene_cameras([np.diag([1.0, 0, 1, 1])], [0.7]), r"camera 0: its pose is flattened"),
-        (lambda: look_at(np.ones(3), np.ones(3)), r"cannot look at its own place"),
+        (lambda: look_at(np.ones(3), np.ones(3)), r"cannot look at its own position"),
     ],
 )
 def test_unusable_cameras_are_refused(make, message):

@@ -118,7 +118,10 @@ def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "drone"}, r"--cameras 'drone' is none of orbit, rig, sweep, handheld, clips, flat, given"),
+        (
+            {"kind": "drone"},
+            r"--cameras 'drone' is not one of orbit, rig, sweep, handheld, clips, flat, given",
+        ),
         ({"clock_offset_s": -1.0}, r"--clock-offsets -1.0 is not in 0 … 10000 seconds"),
         ({"kind": "sweep", "clock_offset_s": 0.1}, r"--clock-offsets 0.1: with --cameras sweep no two"),
         ({"views": True}, r"--views True"),

@@ -56,7 +56,7 @@ def test_a_mesh_says_how_it_was_scaled(stl):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mic", "--list"], "--list goes with --blend and --mesh, not with the scene mic"),
+        (["mic", "--list"], "--list needs --blend or --mesh, not the scene mic"),
         (["--list", "--out", "x"], "--out x: --list only reads the file, it writes nothing"),
         (["--list", "--alphas", "5"], "--alphas 5: --list only reads the file"),
         (["--list", "--save-blend", "b.blend"], "--save-blend b.blend: --list only reads the file"),

@@ -27,10 +27,10 @@ def write(tmp_path, content):
         (b"", "is empty"),
         (b"# a text\n" * 10, r"is not a \.blend file: it begins with b'# a text'"),
         (gzip.compress(b"no scene in here", mtime=0), r"is not a \.blend file: it begins with b'no scene'"),
-        (OLD[:200], "is cut off: the block that closes"),
-        (NEW[:300], "is cut off"),
-        (gzip.compress(OLD, mtime=0)[:-20], "is cut off or damaged"),
-        (gzip.compress(OLD[:200], mtime=0), "is cut off"),
+        (OLD[:200], "is truncated: the block that closes"),
+        (NEW[:300], "is truncated"),
+        (gzip.compress(OLD, mtime=0)[:-20], "is truncated or damaged"),
+        (gzip.compress(OLD[:200], mtime=0), "is truncated"),
     ],
 )
 def test_other_files_are_refused_in_one_line_with_the_path(tmp_path, content, complaint):

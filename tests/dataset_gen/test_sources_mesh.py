@@ -165,7 +165,7 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path):
         assert name in str(caught.value)
 
     refused("absent.obj", None, "does not exist")
-    refused("model.max", b"x", r"extension '\.max' is none of \.fbx, \.glb, \.gltf, \.obj, \.ply")
+    refused("model.max", b"x", r"extension '\.max' is not one of \.fbx, \.glb, \.gltf, \.obj, \.ply")
     refused("empty.obj", b"", "is empty")
     refused("nothing.obj", b"# no vertices\n", "holds no surface")
     refused("points.obj", b"v 0 0 0\nv 1 0 0\n", "holds no surface")

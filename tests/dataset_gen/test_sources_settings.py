@@ -168,9 +168,9 @@ def test_materials_that_truth_sees_otherwise_are_named(tmp_path):
         link(material.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
     loaded = open_blend(save(tmp_path))
     said = "\n".join(loaded.warnings)
-    assert "materials leaf: transparent places" in said
-    assert "materials glass: truth sees the surface" in said
-    assert "materials bark: true displacement" in said
+    assert "materials leaf: ground truth treats transparent parts" in said
+    assert "materials glass: ground truth is that of the glass surface" in said
+    assert "materials bark: displacement is rendered as a bump" in said
     assert "materials smoke: volumes are left out" in said
     assert "stone" not in said
     assert {body.name for body in loaded.bodies} == {"leaf", "glass", "bark", "stone"}

@@ -136,7 +136,7 @@ def test_a_broken_frame_is_one_line(data, expected):
 @pytest.mark.parametrize(
     ("kind", "change", "expected"),
     [
-        ("bending", {"kind": "bend"}, "kind 'bend' is none of translate, rock, twist, bending, "),
+        ("bending", {"kind": "bend"}, "kind 'bend' is not one of translate, rock, twist, bending, "),
         ("bending", {"kind": None}, "kind is missing"),
         ("bending", {"freq": 3}, "key 'freq' is not one of a mode of kind bending: name, kind, parts, "),
         ("drift", {"frequency": 3}, "key 'frequency' is not one of a mode of kind drift: "),
