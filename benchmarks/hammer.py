@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from tg4mm.show.analyse.spectra import Averaging
+from tg4mm.show.analyse.analysis import analyse
 from tg4mm.show.analyse.table import format_analysis
-from tg4mm.show.analyse.write import AnalyseOptions, analyse
+from tg4mm.show.options import AnalyseOptions
 
 OPTIONS: dict[str, Any] = {"out": Path}
 FILM, INSTRUMENT, SECONDS = 500, 5000, 16.0
@@ -64,7 +64,7 @@ def run(options: Any) -> dict[str, Any]:
     found = analyse(
         options.out / "film.csv",
         AnalyseOptions(
-            band=(3.0, 190.0), averaging=Averaging("boxcar", 4.0, 0.0), reference=options.out / "instrument.csv",
+            band=(3.0, 190.0), window="boxcar", segment_s=4.0, overlap=0.0, reference=options.out / "instrument.csv",
             column="force", sync="acc", modes=True,
         ),
     )  # fmt: skip

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm import __version__
 from tg4mm.core import events
+from tg4mm.core.version import __version__
 
 from . import processes, tree, truth
 from .cameras import cameras_at

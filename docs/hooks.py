@@ -6,18 +6,16 @@ import ast
 import dataclasses
 import inspect
 import io
-import re
+import os
 import tokenize
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
-from typer.testing import CliRunner
 
 ROOT = Path(__file__).resolve().parent.parent
 # Texts that a repository's root must hold, and their pages.
 ROOT_PAGES = {"SECURITY.md": "security.md", "CHANGELOG.md": "changelog.md"}
-_WIDTH = {"COLUMNS": "100", "TERMINAL_WIDTH": "100", "NO_COLOR": "1"}
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -46,21 +44,15 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 def commands_page() -> str:
     """`--help` of every command, as the terminal shows it."""
     from dataset_gen.options import parser
-    from tg4mm.cli.program import app
+    from tg4mm.cli.bench import COMMANDS as BENCH
+    from tg4mm.cli.program import COMMANDS, help_text
 
-    def said(*words: str) -> str:
-        result = CliRunner().invoke(app, [*words, "--help"], env=_WIDTH, prog_name="tg4mm")
-        return result.output.strip()
-
-    names = re.findall(r"^  ([a-z][a-z-]*)  ", said().split("Commands:")[1], re.MULTILINE)
-    parts = ["# Commands\n", "What `--help` prints; made from the program itself.\n", _block(said())]
-    for name in names:
-        text = parser().format_help() if name == "generate" else said(name)
+    os.environ["COLUMNS"] = "100"
+    parts = ["# Commands\n", "What `--help` prints; made from the program itself.\n", _block(help_text())]
+    for name in [*COMMANDS, "bench"]:
+        text = parser().format_help() if name == "generate" else help_text(name)
         parts += [f"## {name}\n", _block(text)]
-        if "\nCommands:" in text:
-            inner = re.findall(r"^  ([a-z][a-z-]*)(?:  |$)", text.split("\nCommands:")[1], re.MULTILINE)
-            for one in inner:
-                parts += [f"### {name} {one}\n", _block(said(name, one))]
+    parts += [part for one in BENCH for part in (f"### bench {one}\n", _block(help_text("bench", one)))]
     return "\n".join(parts)
 
 

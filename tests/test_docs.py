@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from cyclopts.exceptions import UnknownCommandError
 
 from docs import links
-from tg4mm.cli.program import app
+from tg4mm.cli.program import help_text
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -30,10 +30,10 @@ def unknown_options(command, helps):
     is_part = words[1] == "bench" and not words[2].startswith("--")
     name = " ".join(words[1:3]) if is_part else words[1]
     if name not in helps:
-        result = CliRunner().invoke(
-            app, [*name.split(), "--help"], env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}
-        )
-        helps[name] = result.output if result.exit_code == 0 else ""
+        try:
+            helps[name] = help_text(*name.split())
+        except UnknownCommandError:
+            helps[name] = ""
     if not helps[name]:
         return [name]
     options = [word.split("=")[0] for word in words if word.startswith("--")]

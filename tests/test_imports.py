@@ -72,9 +72,7 @@ def imported(name, source):
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(name.split("/")[: -node.level]) if node.level else ""
             whole = ".".join(part for part in (base, node.module) if part)
-            # the version alone is every room's
-            names = [a.name for a in node.names if a.name != "__version__"]
-            modules = [f"{whole}.{n}" for n in names] if whole in ("tg4mm", "addon") else [whole]
+            modules = [f"{whole}.{a.name}" for a in node.names] if whole in ("tg4mm", "addon") else [whole]
         else:
             continue
         ours = [m for m in modules if m.split(".")[0] in ("tg4mm", "addon", "dataset_gen")]
@@ -114,3 +112,47 @@ def test_every_import_goes_down_a_floor(repo_root):
 )
 def test_an_import_that_goes_up_is_found(name, source):
     assert len(climbs(name, source)) == 1
+
+
+def graph(root, packages):
+    """{module: the modules that it imports} of packages; imports inside functions and for types count."""
+    names = {name for package in packages for name in modules(root, package)}
+    found = {}
+    for name in names:
+        path = root.joinpath(*name.split("."))
+        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        package = name if path.is_dir() else name.rpartition(".")[0]
+        found[name] = set()
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                found[name] |= {alias.name for alias in node.names} & names
+            elif isinstance(node, ast.ImportFrom):
+                up = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+                base = ".".join([*up, *filter(None, [node.module])])
+                found[name] |= {
+                    f"{base}.{a.name}" if f"{base}.{a.name}" in names else base for a in node.names
+                } & names
+    return found
+
+
+def circles(imports):
+    """Modules that import one another, or themselves, in any number of steps."""
+    left = {name: set(others) for name, others in imports.items()}
+    while ends := [name for name, others in left.items() if not others & left.keys()]:
+        for name in ends:
+            del left[name]
+    while heads := [name for name in left if not any(name in others for others in left.values())]:
+        for name in heads:
+            del left[name]
+    return sorted(left)
+
+
+@pytest.mark.parametrize("package", ["tg4mm", "dataset_gen", "benchmarks"])
+def test_no_modules_import_one_another(repo_root, package):
+    assert circles(graph(repo_root, [package])) == []
+
+
+def test_a_circle_of_imports_is_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"c"}, "e": set()}) == ["b", "c"]
+    assert circles({"a": {"a"}}) == ["a"]
+    assert circles({"a": {"b"}, "b": set()}) == []

@@ -17,6 +17,7 @@ import os
 from typing import TYPE_CHECKING
 
 from .core.lazy import lazily
+from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.capture import Capture as Capture
@@ -55,8 +56,6 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.show.render.cameras import capture_cameras as capture_cameras
     from tg4mm.show.render.cameras import orbit as orbit
     from tg4mm.show.render.image import render as render
-
-__version__ = "0.1.0"
 
 # OpenMP's waiting threads spin by default, which on a busy machine costs ten times what it saves. Read when
 # torch or numba load it, so it is set before either; a value of the user's own stays.

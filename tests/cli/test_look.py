@@ -116,7 +116,7 @@ def test_where_nothing_vibrates_it_is_said_with_how_small_a_motion_would_be_foun
         (["notes.txt"], "notes.txt: is neither a folder of pictures nor a video"),
         (["noise.mp4"], "noise.mp4: is not a video that can be decoded"),
         (["empty"], "empty: holds no pictures"),
-        (["noise.mp4", "--fps", "0"], "--fps is 0; expected pictures a second, more than 0"),
+        (["noise.mp4", "--fps", "0"], "--fps is 0; expected a frame rate above 0 Hz"),
         (["noise.mp4", "--readout", "-1"], "--readout is -1.0, expected"),
         (["noise.mp4", "--readout", "nan"], "--readout is nan, expected"),
         (["noise.mp4", "--from", "3", "--until", "2"], "--from 3 --until 2: holds nothing"),

@@ -86,13 +86,13 @@ def test_help_is_fast_and_imports_nothing_heavy():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["bake"], r"No such command 'bake'.* \(see tg4mm --help\)"),
-        (["train"], r"Missing argument 'DATASET' \(see tg4mm train --help\)"),
+        (["bake"], r'Unknown command "bake" \(see tg4mm --help\)'),
+        (["train"], r"DATASET is missing \(see tg4mm train --help\)"),
         (["train", "x", "--out", "y", "--preset", "papers"], "preset is 'papers', expected modal or"),
-        (["train", "x", "--out", "y", "--frames", "3"], "No such option:? '?--frames"),
-        (["render", "x", "--out", "y", "--alpha", "big"], "--alpha.*'big'"),
-        (["render", "x", "--out", "y", "--alpha", "1", "--orbit", "0"], "--orbit.*'?0'?"),
-        (["export", "x", "--out", "y", "--format", "usdz"], "'usdz' is not"),
+        (["train", "x", "--out", "y", "--frames", "3"], "Unknown option: --frames"),
+        (["render", "x", "--out", "y", "--alpha", "big"], '--alpha.*"big"'),
+        (["render", "x", "--out", "y", "--alpha", "1", "--orbit", "0"], '"0" for --orbit'),
+        (["export", "x", "--out", "y", "--format", "usdz"], '"usdz" for --format'),
     ],
 )
 def test_usage_errors_are_one_line(arguments, message):
@@ -145,7 +145,7 @@ def run_main(body):
     code = (
         "import sys; from tg4mm.cli import program\n"
         f"def probe() -> None:\n    {body}\n"
-        "program.app.command()(probe)\nsys.exit(program.main(['probe']))\n"
+        "program.app.command(probe)\nsys.exit(program.main(['probe']))\n"
     )
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
 
@@ -194,7 +194,7 @@ def test_interrupt_exits_with_130_and_says_how_to_go_on():
     code = (
         "import sys, time; from tg4mm.cli import program\n"
         "def probe() -> None:\n    print('ready', flush=True); time.sleep(60)\n"
-        "program.app.command()(probe)\nsys.exit(program.main(['probe']))\n"
+        "program.app.command(probe)\nsys.exit(program.main(['probe']))\n"
     )
     command = [sys.executable, "-c", code]
     with subprocess.Popen(

@@ -1,15 +1,13 @@
 """Cameras: poses and intrinsics from the conventions on disk to those in memory (docs/conventions.md)."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, as_number
-
-if TYPE_CHECKING:
-    from tg4mm.capture.model import Capture
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
@@ -153,18 +151,17 @@ def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
     return rank[inverse.reshape(-1)]
 
 
-def check_depth_observable(capture: "Capture") -> None:
-    """Raise CaptureError where several cameras all stand at one place: they do not show how far things are."""
-    poses = capture.viewmats[np.unique(capture.camera_ids, return_index=True)[1]]
+def check_depth_observable(where: Path, viewmats: np.ndarray, camera_ids: np.ndarray) -> None:
+    """Raise CaptureError, naming `where`, if several cameras all stand at one place: they do not show distances.
+
+    Shapes: viewmats [C, 4, 4], camera_ids [C].
+    """
+    poses = viewmats[np.unique(camera_ids, return_index=True)[1]]
     centres = -np.einsum("cji,cj->ci", poses[:, :3, :3], poses[:, :3, 3])
     spread = float(np.ptp(centres, axis=0).max())
-    if (
-        len(poses) > 1
-        and capture.kind.sees_depth
-        and spread <= ONE_PLACE * max(1.0, float(np.abs(centres).max()))
-    ):
+    if len(poses) > 1 and spread <= ONE_PLACE * max(1.0, float(np.abs(centres).max())):
         raise CaptureError(
-            f"{capture.root}: all {len(poses)} cameras stand at one place, which does not show how far things are: "
+            f"{where}: all {len(poses)} cameras stand at one place, which does not show how far things are: "
             "film from several places, or keep the pictures of one camera alone"
         )
 

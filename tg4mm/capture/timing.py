@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.core.choices import Kind
+from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError
 
 # Of several fixed cameras: synchronous, their times are of one clock; independent, each has a clock of its own.
-CLOCKS = ("synchronous", "independent")
+CLOCKS = (Clock.synchronous, Clock.independent)
 FEWEST_FRAMES = 6  # of a fixed camera that shows motion: fewer tell no frequency below half the frame rate
 FEWEST_MOVING = 8  # of a moving camera
 NEARLY_ALL = 0.9  # of the timesteps, for a camera to count as one that stayed put

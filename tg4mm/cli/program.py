@@ -1,88 +1,64 @@
 """The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
 
+import contextlib
+import io
 import logging
 import os
 import re
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Any
 
-import typer
+from cyclopts import CycloptsError
 
-from tg4mm import __version__
-from tg4mm.cli.analyse import analyse
-from tg4mm.cli.bench import bench
-from tg4mm.cli.convert import convert
-from tg4mm.cli.demo import demo
-from tg4mm.cli.evaluate import evaluate
-from tg4mm.cli.export import export
-from tg4mm.cli.generate import generate
-from tg4mm.cli.look import look
-from tg4mm.cli.magnify import BandsCommand
-from tg4mm.cli.measure import measure
-from tg4mm.cli.process import process
-from tg4mm.cli.render import render
-from tg4mm.cli.report import report
-from tg4mm.cli.sfm import sfm
-from tg4mm.cli.train import train
-from tg4mm.cli.view import view
+from tg4mm.capture.options import ConvertOptions, SfmOptions
+from tg4mm.cli import bench, recordings, results
+from tg4mm.cli.generated import application, command, joined_bands, message_of
 from tg4mm.core import events
 from tg4mm.core.errors import Tg4mmError, one_line, system_says
 from tg4mm.core.extras import EXTRA_OF, EXTRAS_OF_COMMAND, install
 from tg4mm.core.parent import end_with_parent
+from tg4mm.core.version import __version__
 from tg4mm.fit.precompile import enable
+from tg4mm.research.options import DemoOptions, EvaluateOptions
+from tg4mm.run.options import LIST_SETTINGS, TrainOptions
+from tg4mm.show import options as show
 
 BAD_INPUT, INTERRUPTED = 2, 130
+ABOUT = """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
-app = typer.Typer(
-    name="tg4mm",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-# Everything after `generate`, --help included, is dataset_gen's own.
-_PASS_ALL = {
-    "allow_extra_args": True,
-    "ignore_unknown_options": True,
-    "allow_interspersed_args": False,
-    "help_option_names": [],
+look finds in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
+commands, too: sfm makes a dataset from videos or photographs, train fits a model to it and writes it to a run
+folder; render, view, measure, report and export use a run folder; analyse computes engineering quantities of a
+measurement. generate renders a dataset in Blender.
+
+Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
+(1 + α) δ.
+"""
+GENERATE = "generate"  # everything after it, --help included, is dataset_gen's own
+_NONE_AT_ALL = "--methods"  # empty, it asks for none of ours: docs/protocol.md
+
+COMMANDS: dict[str, Any] = {
+    "demo": command(DemoOptions, recordings.demo),
+    GENERATE: recordings.generate,
+    "look": command(show.LookOptions, recordings.look),
+    "train": command(TrainOptions, recordings.train),
+    "measure": command(show.MeasureOptions, results.measure),
+    "convert": command(ConvertOptions, recordings.convert),
+    "process": command(show.ProcessCommand, recordings.process),
+    "analyse": command(show.AnalyseCommand, results.analyse),
+    "render": command(show.RenderOptions, results.render),
+    "evaluate": command(EvaluateOptions, results.evaluate),
+    "report": command(show.ReportCommand, results.report),
+    "view": command(show.ViewOptions, results.view),
+    "export": command(show.ExportOptions, results.export),
+    "sfm": command(SfmOptions, recordings.sfm),
 }
-app.command()(demo)
-app.command(context_settings=_PASS_ALL)(generate)
-app.command()(look)
-app.command(cls=BandsCommand)(train)
-app.command(cls=BandsCommand)(measure)
-app.command()(convert)
-for _command in (process, analyse, render, evaluate, report, view, export, sfm):
-    app.command(cls=BandsCommand)(_command)
-app.add_typer(bench, name="bench")
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"tg4mm {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def tg4mm(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
-
-    look tells in seconds what vibrates in a video. process does everything with one, in one folder; its steps are
-    commands, too: sfm makes a dataset from videos or photographs, train fits a model to it and writes it to a run
-    folder; render, view, measure, report and export use a run folder; analyse
-    computes what an engineer wants of a measurement. generate renders a dataset in Blender.
-
-    Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
-    (1 + α) δ.
-    """
+app = application("tg4mm", ABOUT, version=f"tg4mm {__version__}")
+for _rank, (_name, _call) in enumerate(COMMANDS.items()):
+    app.command(_call, name=_name, sort_key=_rank)
+app.command(bench.app)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -92,39 +68,60 @@ def main(argv: Sequence[str] | None = None) -> int:
     events.print_any_text()
     _show_log()
     enable()
+    arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
     try:
-        arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
-        _check_filled(arguments)
-        result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
+        return _run(arguments)
+    except CycloptsError as error:
+        return _fail(message_of(error, arguments))
     except Tg4mmError as error:
         return _fail(str(error))
+    except BrokenPipeError:  # the reader of our output has gone
+        _silence_output()
+        return 1
     except OSError as error:  # a path that cannot be read or made, a full disk
         return _fail(system_says(error, named=True))
     except KeyboardInterrupt:
-        return _interrupted()
+        print("\ntg4mm: interrupted; run the same command again to continue", file=sys.stderr)
+        return INTERRUPTED
     except ModuleNotFoundError as error:
         package = (error.name or "").split(".")[0]
         if (extra := EXTRA_OF.get(package)) is None:
             raise
         extras = EXTRAS_OF_COMMAND.get(next(iter(arguments), ""), (extra,))
         return _fail(f"this command needs {package}: {install(*extras)}")
-    except Exception as error:
-        # Usage errors as typer reports them; their class has moved between its versions.
-        if not hasattr(error, "format_message"):
-            raise
-        return _usage(error)
-    if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
-        return _interrupted()
+
+
+def _run(words: list[str]) -> int:
+    _check_filled(words)
+    if words[:1] == [GENERATE]:
+        return recordings.run_generate(words[1:])
+    if words[:1] == ["train"] and LIST_SETTINGS in words:
+        return recordings.list_settings()
+    if words in ([], ["bench"]):
+        with contextlib.redirect_stdout(sys.stderr):
+            app([*words, "--help"])
+        return BAD_INPUT
+    result = app(joined_bands(words), print_error=False, exit_on_error=False)
+    sys.stdout.flush()  # a reader that has gone is noticed here
     return result if isinstance(result, int) else 0
+
+
+def help_text(*words: str) -> str:
+    """Return what --help of a command prints, in as many columns as the terminal has."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        app([*words, "--help"], print_error=False, exit_on_error=False)
+    return printed.getvalue().strip()
+
+
+def _silence_output() -> None:
+    """Send what is still buffered nowhere: Python writes it when it exits, and would complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _as_path(word: str) -> str:
     """A file's name that starts with -, as -x.mp4 or --x.mp4, with ./ before it, which no option has."""
     is_option = not word.startswith("-") or word == "-h" or (word.startswith("--") and "." not in word)
     return word if is_option or re.fullmatch(r"-[\d.e]+", word) or not os.path.lexists(word) else f"./{word}"
-
-
-_NONE_AT_ALL = "--methods"  # empty, it asks for none of ours: docs/protocol.md
 
 
 def _check_filled(arguments: Sequence[str]) -> None:
@@ -140,7 +137,6 @@ class _ToStderr(logging.Handler):
     """Lines of the log where progress is shown as well."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        # typer.echo would write into the middle of a progress bar
         events.say("warning" if record.levelno >= logging.WARNING else "note", self.format(record))
 
 
@@ -155,30 +151,6 @@ def _warning_line(message: Warning | str, *_where: object, **_more: object) -> s
     return f"tg4mm: {one_line(str(message))}\n"
 
 
-def _usage(error: Exception) -> int:
-    context = getattr(error, "ctx", None)
-    if type(error).__name__ == "NoArgsIsHelpError" and context is not None:
-        typer.echo(context.get_help(), err=True)
-        return BAD_INPUT
-    command = context.command_path if context is not None else "tg4mm"
-    message = " ".join(error.format_message().split()).rstrip(".")  # type: ignore[attr-defined]
-    return _fail(f"{message}{_offending(error, message)} (see {command} --help)")
-
-
-def _offending(error: Exception, message: str) -> str:
-    """The value that typer's message leaves out where pydantic did the conversion."""
-    try:
-        value = error.__cause__.errors()[0]["input"]  # type: ignore[union-attr]
-    except (AttributeError, LookupError, TypeError):
-        return ""
-    return "" if repr(value) in message else f", got {value!r}"
-
-
 def _fail(message: str) -> int:
     events.say("error", message, "tg4mm: ")
     return BAD_INPUT
-
-
-def _interrupted() -> int:
-    typer.echo("\ntg4mm: interrupted; run the same command again to continue", err=True)
-    return INTERRUPTED

@@ -92,7 +92,8 @@ def _capture(dataset: Path) -> Capture:
         if (command := suggested_command(dataset)) is not None:
             raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")
     capture = load_capture(dataset, split="train")
-    check_depth_observable(capture)
+    if capture.kind.sees_depth:
+        check_depth_observable(capture.root, capture.viewmats, capture.camera_ids)
     check_picture_size(dataset, capture.width, capture.height)
     return capture
 

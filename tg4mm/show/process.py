@@ -1,22 +1,21 @@
 """From a video to numbers, a page and a magnified video, in one folder."""
 
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tg4mm.capture import load_capture
-from tg4mm.capture.sfm.config import SCENE_ONLY, SfmConfig, checked, files_of
+from tg4mm.capture.sfm.config import SCENE_ONLY, checked, files_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.capture.sfm.sources import find_sources
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.progress import few_lines
-from tg4mm.core.regions import Regions
 from tg4mm.core.steps import Say, Step, run_steps
 from tg4mm.core.untrusted import read_json
 from tg4mm.core.work_folder import WorkFolder
@@ -29,13 +28,14 @@ from tg4mm.show.measure.plots import PLOTS
 from tg4mm.show.measure.sensors import OF_PICTURE, checked_names, drawn_sensors
 from tg4mm.show.measure.write import MARK, REGIONS, write_measurement
 from tg4mm.show.measure.write import work_folder as measured_folder
+from tg4mm.show.options import ProcessOptions, ReportOptions
 from tg4mm.show.process_words import estimate_line, result_lines
 from tg4mm.show.render.cameras import Camera, capture_cameras, orbit
 from tg4mm.show.render.sequence import RECORD as RENDER_RECORD
 from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_sequence
 from tg4mm.show.render.sequence import record as record_of
 from tg4mm.show.report.sources import Shown
-from tg4mm.show.report.write import ReportOptions, write_report
+from tg4mm.show.report.write import write_report
 from tg4mm.show.result.read import result_of
 from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
@@ -47,25 +47,6 @@ _AROUND = 0.5  # of a region's own size, that its video shows around it
 _BAND_BINS = 1.5  # over the duration, to either side of a region's strongest line
 # of a first answer: the fewest iterations that a scene of any size is given, and Gaussians that they can place
 QUICK = {"space.iterations": "1000", "space.max_gaussians": "10000"}
-
-
-@dataclass(frozen=True)
-class ProcessOptions:
-    """What the steps are told; the same meaning as in each one's own command."""
-
-    sfm: SfmConfig = field(default_factory=SfmConfig)
-    settings: Mapping[str, str] = field(default_factory=dict)  # of the training, "space.iterations": "3000" …
-    device: str = "cpu"
-    sensors: Sequence[Sensor] = ()  # (): the parts that move alike, and the whole scene
-    alpha: float | None = None  # of the magnified video; None: what shows the motion well
-    band: tuple[float, float] | None = None  # Hz; None: around the strongest vibration
-    regions: Regions | None = None  # drawn, more sensors; with a scale
-    only: str = ""  # the one of them that is measured and shown
-    quick: bool = False  # fewer Gaussians and iterations, and no pages
-    all_files: bool = (
-        False  # the magnified video's pictures, plots as SVG, and the page with the whole scene, too
-    )
-    threads: int = -1  # of COLMAP; −1: all cores
 
 
 def process(source: Path, out: Path, options: ProcessOptions | None = None, say: Say = print) -> Path:
@@ -208,7 +189,7 @@ def _fits_by_band(dataset: Path, band: tuple[float, float] | None) -> bool:
         return False
     check_band(band, capture.fps)
     bins = np.arange(1, capture.n_timesteps // 2 + 1) * capture.fps / capture.n_timesteps
-    return frames_of(capture)[0] != "synchronous" or not ((bins >= band[0]) & (bins <= band[1])).any()
+    return frames_of(capture)[0] != Clock.synchronous or not ((bins >= band[0]) & (bins <= band[1])).any()
 
 
 def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> list[Measurement]:

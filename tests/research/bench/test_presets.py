@@ -6,10 +6,8 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 
 import tg4mm.research.bench
 from dataset_gen.options import parser, request_from
@@ -38,12 +36,8 @@ def accepted(line):
     if name == "generate":
         request = request_from(parser().parse_args(words[4:]))
         return {"alphas": ",".join(map(str, request.sets[0].alphas)), "out": request.out}
-    command: Any = typer.main.get_command(app)
-    context = command.make_context("tg4mm", words[3:])
-    while hasattr(command, "resolve_command"):
-        name, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
-        context = command.make_context(name, list(rest), parent=context)
-    return dict(context.params)
+    _, bound, _ = app.parse_args(words[3:], exit_on_error=False, print_error=False)
+    return bound.arguments
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -65,9 +59,9 @@ def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path):
         assert found["alphas"] == "5,20"
         if kind != "data":
             assert found["device"] == "cuda"
-            assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
+            assert found["lpips_weights"] == (Path("alex.pth"), Path("heads.pth"))
         if kind in {"job", "page"}:
-            assert found["external"] == ["theirs=dir"]
+            assert found["external"] == ("theirs=dir",)
             assert (found["md_vqa"], found["fast_vqa"]) == (Path("md"), Path("fast"))
             assert found["vqa_python"] == "python3.9"
 
@@ -140,7 +134,7 @@ def test_a_configuration_that_will_not_do(own, message):
         (["--preset", "smoke", "--out", "x", "--alphas", "5,many"], "'many'"),
         (["--preset", "smoke", "--out", "x", "--fast-vqa", "/nowhere"], "holds no vqa.py"),
         (["--preset", "smoke", "--out", "x", "--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
-        (["--alphas", "5", "scenes", "data", "--out", "x"], "options before scenes"),
+        (["--alphas", "5", "scenes", "data", "--out", "x"], "unexpected argument 'scenes'"),
         (["--preset", "smoke", "--out", "x", "--external", "theirs"], "expected NAME=DIR"),
         (["--preset", "smoke", "--out", "x", "--external", "modal=."], "that is the name of a row here"),
     ],

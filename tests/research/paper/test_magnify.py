@@ -14,7 +14,7 @@ from tg4mm.core.splatfile import read_splat
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.research.paper.preset import FOLDER, series_of
 from tg4mm.run.poses import poses_of
-from tg4mm.show.export.splat import smoothing_of
+from tg4mm.show.export.lowpass import smoothing_of
 
 IDEAL = TemporalFilter("ideal")
 

@@ -15,8 +15,8 @@ from tg4mm.cli import main
 from tg4mm.core.splatfile import read_splat
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
-from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_variance, widened
-from tg4mm.show.export.splat import export_ply, export_ply_sequence, smoothing_of
+from tg4mm.show.export.lowpass import BAKED_PX2, lacking, smoothing_of, smoothing_variance, widened
+from tg4mm.show.export.splat import export_ply, export_ply_sequence
 from tg4mm.show.render.sequence import RenderRequest
 
 EPS = 1e-6  # square pixels: a viewer without a low-pass

@@ -1,15 +1,14 @@
 """The request of `tg4mm sfm`, checked and kept in its working folder, where only the same request is resumed."""
 
 import json
-import math
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tg4mm.capture.options import Matching, SfmConfig
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.sfm.clip import Window
-from tg4mm.capture.sfm.scale import Length, checked_length
+from tg4mm.capture.sfm.scale import checked_length
 from tg4mm.capture.sfm.sources import FEWEST, Sources
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.temporary import remove_leftovers
@@ -25,45 +24,6 @@ CAMERA_MODELS = (
     "OPENCV_FISHEYE",
     "FULL_OPENCV",
 )
-MATCHING = ("auto", "exhaustive", "sequential")
-
-
-@dataclass(frozen=True)
-class SfmConfig:
-    """Settings of the reconstruction and of the dataset."""
-
-    kind: str | None = None  # of capture; None: told from what lies on disk
-    camera_model: str = "SIMPLE_RADIAL"  # COLMAP's name of the lens model; one bend is enough for most
-    # pixels, a first guess that is refined; None: EXIF, or 1.2 × the longer side
-    focal_px: float | None = None
-    each: bool = False  # every photograph or fixed camera has intrinsics of its own, else all share them
-    matching: str = "auto"  # all pairs of few pictures, of many those alike or, of a video, neighbours
-    # sharp ones that a moving camera's poses are first found from; None: one of a window
-    frames: int | None = None
-    fps: float | None = None  # what was filmed at, Hz; None: as the videos say
-    readout_s: float | None = None  # from a picture's first row to its last; None: all rows at once
-    start_s: float = 0.0  # of every recording, seconds since its first frame
-    stop_s: float | None = None
-    unit_scale_m: float | None = None  # metres per scene unit
-    baseline: tuple[str, str, float] | None = None  # two cameras (pictures) and their distance in metres
-    length: Length | None = None  # on the thing itself
-    keep_duplicates: bool = False  # frames that repeat the one before them are not looked for
-    synchronous: bool = False  # cameras of a rig were started by one signal
-    test_every: int = 0  # every so-many-th camera is a test camera
-    seed: int = 0
-
-    def settings(self) -> dict[str, Any]:
-        """JSON values, as an earlier version wrote them: without switches that it did not know and that are off."""
-        own = asdict(self)
-        if not self.keep_duplicates:
-            del own["keep_duplicates"]
-        return own
-
-    @property
-    def window(self) -> Window:
-        """The part of every recording that is taken."""
-        return Window(self.start_s, math.inf if self.stop_s is None else self.stop_s)
-
 
 DEFAULTS = SfmConfig()
 
@@ -74,7 +34,7 @@ def checked(config: SfmConfig) -> SfmConfig:
     checks: dict[str, tuple[object, object]] = {
         "camera-model": (config.camera_model, Choice(*CAMERA_MODELS)),
         "focal-px": (config.focal_px, Maybe(POSITIVE)),
-        "matching": (config.matching, Choice(*MATCHING)),
+        "matching": (config.matching, Choice(*Matching)),
         "frames": (config.frames, Maybe(Number(FEWEST, whole=True))),
         "fps": (config.fps, Maybe(POSITIVE)),
         "readout": (None if config.readout_s is None else 1e3 * config.readout_s, Maybe(NOT_NEGATIVE)),

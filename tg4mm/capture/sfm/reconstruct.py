@@ -47,7 +47,7 @@ from tg4mm.capture.sfm.staging import (
 )
 from tg4mm.capture.sfm.standing import divided
 from tg4mm.capture.sfm.survey import Survey, survey_clip
-from tg4mm.core.choices import Kind
+from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError
 
 FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
@@ -172,7 +172,7 @@ def _posed(job: _Job) -> dict[str, Any]:
     if clock is not None:
         scene["fps"] = clock.fps
     if job.kind.together:
-        scene["clocks"] = "synchronous" if config.synchronous else "independent"
+        scene["clocks"] = Clock.synchronous if config.synchronous else Clock.independent
     if config.baseline is not None:
         scene["unit_scale_m"] = baseline_scale(placement.tracks, config.baseline)
     if config.length is not None:

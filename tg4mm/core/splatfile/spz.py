@@ -16,13 +16,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from tg4mm.core.splatfile import model, spz
-
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE
 from .axes import TURN, transformed, y_up
 from .drawable import ANTIALIASED, Head, drawable
-from .model import SplatFile
+from .model import SplatFile, log_scale
 from .supersplat import largest_put_in
 from .write import replacing
 
@@ -78,7 +76,7 @@ def _header(raw: bytes) -> _Header:
     if len(raw) < _HEAD.size:
         raise SplatFileError("is truncated: its header has no end")
     magic, version, count, degree, bits, flags, _ = _HEAD.unpack_from(raw)
-    if magic != spz.MAGIC:
+    if magic != MAGIC:
         raise SplatFileError("is packed by gzip, and what is in it is no SPZ")
     if not 1 <= version <= 4:
         raise SplatFileError(f"is SPZ of version {version}; this reader knows 1 to 4")
@@ -184,7 +182,7 @@ def _gaussians(header: _Header, sections: list[np.ndarray]) -> SplatFile:
     n, k = header.count, (header.degree + 1) ** 2
     places, opacities, colours, scales, turns, rest = sections
     sh = np.empty((n, k, 3), np.float32)
-    sh[:, 0] = (colours.reshape(n, 3) / np.float32(255) - np.float32(0.5)) / np.float32(spz.COLOUR)
+    sh[:, 0] = (colours.reshape(n, 3) / np.float32(255) - np.float32(0.5)) / np.float32(COLOUR)
     sh[:, 1:] = (rest.reshape(n, k - 1, 3) - np.float32(128)) / np.float32(128)
     fields = {
         "means": _places(places, header),
@@ -218,7 +216,7 @@ def _turns(raw: np.ndarray, header: _Header) -> np.ndarray:
 
 
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
-    """[N, 4] xyzw of [N] uint32, the inverse of `spz.smallest_three`."""
+    """[N, 4] xyzw of [N] uint32, the inverse of `smallest_three`."""
     parts = np.stack([packed >> np.uint32(s) & np.uint32(1023) for s in (20, 10, 0)], axis=1)
     others = np.sqrt(0.5) / 511 * (parts & np.uint32(511)) * np.where(parts >> np.uint32(9), -1, 1)
     return largest_put_in(others, (packed >> np.uint32(30)).astype(np.intp))
@@ -256,7 +254,7 @@ def _content(splat: SplatFile) -> bytes:
         np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[:, :, :3],
         _bytes(255.0 * splat.opacities),
         _bytes(255.0 * (COLOUR * splat.sh[:, 0] + 0.5)),
-        _bytes(16.0 * (model.log_scale(splat.scales) + 10.0)),
+        _bytes(16.0 * (log_scale(splat.scales) + 10.0)),
         smallest_three(splat.quats),
         _bytes(128.0 * (splat.sh[:, 1:] + 1.0)),
     )

@@ -14,7 +14,7 @@ from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, over_
 from tg4mm.capture.scene import codec_period
 from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.capture.window import Window
-from tg4mm.core.choices import Kind
+from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
 from tg4mm.fit.space.view import EPS2D
@@ -62,7 +62,7 @@ class Observations:
     """
 
     kind: Kind
-    clock: str
+    clock: Clock
     frames: list[PosedFrames]  # V poses
     pictures: Pictures
     fps: float  # Hz
@@ -98,7 +98,7 @@ class Observations:
     @property
     def duration_s(self) -> float:
         """Length of the longest record of one clock."""
-        if self.clock == "moving":
+        if self.clock == Clock.moving:
             times = np.concatenate([f.times_s for f in self.frames])
             return float(np.ptp(times)) + 1 / self.fps
         return max(float(np.ptp(f.times_s)) for f in self.frames) + 1 / self.fps
@@ -117,12 +117,12 @@ def observe(
     Raises CaptureError where too few pictures show motion.
     """
     clock, frames = frames_of(capture)
-    if clock != "moving" and (short := _too_short(capture, frames)):
+    if clock != Clock.moving and (short := _too_short(capture, frames)):
         warnings.warn(
             f"{', '.join(short)}: left out: fewer than half as many pictures over time as other cameras have",
             stacklevel=2,
         )
-    if clock == "moving" and capture.readout_s:
+    if clock == Clock.moving and capture.readout_s:
         warnings.warn(
             f"{capture.root}: rows of a moving camera's pictures are taken to be read at once: readout_s is left out",
             stacklevel=2,
@@ -138,7 +138,7 @@ def observe(
         capture.kind, clock, frames, images, capture.fps, capture.n_timesteps, is_whole,
         codec_period(capture.root), counts, factor=factor, is_part=window is not None,
     )  # fmt: skip
-    return found if counts is None or clock == "moving" else held(found, ~counts)
+    return found if counts is None or clock == Clock.moving else held(found, ~counts)
 
 
 def _counts(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
@@ -162,7 +162,7 @@ def check_shows_motion(capture: Capture) -> None:
     """Raise CaptureError where pictures are too few (`frames_of`), or too short a record to tell any frequency."""
     clock, frames = frames_of(capture)
     longest = max(len(f.rows) for f in frames)
-    if clock != "moving" and longest < FEWEST_FRAMES:
+    if clock != Clock.moving and longest < FEWEST_FRAMES:
         raise CaptureError(
             f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
             f"the frame rate; expected {FEWEST_FRAMES} or more, better several periods of the vibration"
@@ -179,22 +179,22 @@ def check_band_told(band: Sequence[float], duration_s: float) -> None:
         )
 
 
-def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
+def frames_of(capture: Capture) -> tuple[Clock, list[PosedFrames]]:
     """The clock of `Observations`, and the poses with their pictures; those without a time show the scene at rest.
 
     Raises CaptureError where there are too few pictures to show motion, or cameras said to be synchronous are not.
     """
     fixed = fixed_cameras(capture)
     if fixed:
-        own = capture.kind.in_turn or (capture.clocks == "independent" and len(fixed) > 1)
+        own = capture.kind.in_turn or (capture.clocks == Clock.independent and len(fixed) > 1)
         are_synchronous = not own and _are_synchronous(fixed)
-        if capture.clocks == "synchronous" and len(fixed) > 1 and not own and not are_synchronous:
+        if capture.clocks == Clock.synchronous and len(fixed) > 1 and not own and not are_synchronous:
             counts = ", ".join(f"{f.name} {len(f.rows)}" for f in fixed)
             raise CaptureError(
                 f"{capture.root}: scene.json says that its cameras are synchronous, but their times differ (pictures: "
                 f"{counts}); make it again with tg4mm sfm --until, or without --synchronous"
             )
-        return "synchronous" if are_synchronous else "independent", fixed
+        return Clock.synchronous if are_synchronous else Clock.independent, fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
     if len(rows) < FEWEST_MOVING or len(rows) < capture.n_timesteps / 2:
@@ -202,7 +202,7 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
             f"{capture.root}: no camera is fixed, and {len(rows)} pictures have a time, too few to show motion; "
             "expected a fixed camera with a picture at every timestep, or one moving camera's video"
         )
-    return "moving", [_frames(capture, np.array([row])) for row in rows]
+    return Clock.moving, [_frames(capture, np.array([row])) for row in rows]
 
 
 def fixed_cameras(capture: Capture) -> list[PosedFrames]:

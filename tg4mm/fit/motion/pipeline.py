@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.choices import Clock
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
@@ -57,7 +58,11 @@ def fit_motion(
     """
     asked = config or MotionConfig()
     settings = resolved(asked, len(gaussians))
-    models = {"synchronous": Synchronous.of, "independent": IndependentClocks.of, "moving": MovingCamera.of}
+    models = {
+        Clock.synchronous: Synchronous.of,
+        Clock.independent: IndependentClocks.of,
+        Clock.moving: MovingCamera.of,
+    }
     model = models[observations.clock](gaussians, observations, settings, device, checkpoint)
     return replace(_fitted(model, checkpoint), config=asked)
 

@@ -12,6 +12,7 @@ import torch
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.fit.device import gpu_figures, reset_gpu_peak
@@ -58,7 +59,7 @@ def train_motion(
     if mask is not None and mask.any():
         own = mask if window is None else window.any_of(mask)
         observations = held(observations, own[None])
-    if found is not None and found.vibrations and observations.clock == "synchronous":
+    if found is not None and found.vibrations and observations.clock == Clock.synchronous:
         times = observations.frames[0].times_s
         courses = np.concatenate([line.course(times) for line in found.vibrations])
         steady = tuple(line.hz for line in found.vibrations if line.start_s is None and not line.damping)

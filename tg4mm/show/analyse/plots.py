@@ -12,11 +12,11 @@ import numpy as np
 
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
+from tg4mm.show.analyse.analysis import Analysis
 from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import converted
 from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
-from tg4mm.show.analyse.write import Analysis
 
 
 def write_plots(found: Analysis, out: Path, averaging: Averaging) -> None:

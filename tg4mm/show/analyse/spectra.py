@@ -7,18 +7,15 @@ from scipy.signal import get_window, spectrogram, welch
 from scipy.stats import chi2
 
 from tg4mm.show.analyse.channel import AnalyseError, Channel
+from tg4mm.show.options import AveragingOptions
 
 _SEGMENTS = 9  # half segments in a record, where no length is given: eight averages
 _SHORTEST = 8  # samples of a segment
 
 
 @dataclass(frozen=True)
-class Averaging:
+class Averaging(AveragingOptions):
     """How a record is cut: window (scipy's name), seconds of a segment (None: eight averages), share of overlap."""
-
-    window: str = "hann"
-    segment_s: float | None = None
-    overlap: float = 0.5
 
     def cut(self, channel: Channel) -> tuple[int, int]:
         """Samples of a segment, and those that two share. Raises AnalyseError where the record is too short."""
@@ -56,6 +53,11 @@ class Averaging:
             rho = (window[: length - k * step] @ window[k * step :]) / (window @ window)
             total += 2 * (1 - k / count) * rho**2
         return 2 * count / total
+
+
+def averaging_of(options: AveragingOptions) -> Averaging:
+    """Return how the options of a command cut a record."""
+    return Averaging(options.window, options.segment_s, options.overlap)
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from tg4mm.core.digits import aligned, value_with_deviation
+from tg4mm.show.analyse.analysis import Analysis
 from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import Value
-from tg4mm.show.analyse.write import Analysis
 
 
 def format_analysis(found: Analysis) -> str:

@@ -7,12 +7,16 @@ sampled it finest: the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, Eq.
 for the wider Gaussians; lowered as that filter does, by the ratio of the volumes, they would fade (docs/blender.md).
 """
 
+import logging
+
 import numpy as np
 
-from tg4mm.capture import Capture
+from tg4mm.capture import Capture, load_capture
 from tg4mm.core.progress import progress
+from tg4mm.run import Run
 
 BAKED_PX2 = 0.3  # square pixels of a training picture
+_LOG = logging.getLogger("tg4mm")
 _MARGIN = 0.15  # of the picture's size: what is so far outside still reaches into it
 
 
@@ -31,6 +35,18 @@ def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
     known = np.isfinite(finest)
     finest[~known] = np.median(finest[known]) if known.any() else 0.0
     return BAKED_PX2 * finest
+
+
+def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
+    """[N] variances for `to_splat`; None, with a warning, if the dataset, whose cameras determine them, is gone."""
+    if not run.dataset.is_dir():
+        if warn:
+            _LOG.warning(
+                "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
+                run.dataset,
+            )
+        return None
+    return smoothing_variance(run.load_space().means.numpy().astype(np.float64), load_capture(run.dataset))
 
 
 def lacking(

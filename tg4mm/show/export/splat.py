@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,9 @@ from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_variance, widened
+from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_of, widened
+from tg4mm.show.render.sequence import RenderRequest, pose_of, record
 from tg4mm.show.result.line import mode_deviations
-
-if TYPE_CHECKING:
-    from tg4mm.show.render.sequence import RenderRequest
 
 RECORD = "export.json"  # in the folder of a sequence: what it was asked for
 _LOG = logging.getLogger("tg4mm")
@@ -82,18 +80,6 @@ def to_splat(
         deviation=deviation,
         low_pass_px2=baked,
     )
-
-
-def smoothing_of(run: Run, warn: bool = True) -> np.ndarray | None:
-    """[N] variances for `to_splat`; None, with a warning, where the dataset, whose cameras say them, is gone."""
-    if not run.dataset.is_dir():
-        if warn:
-            _LOG.warning(
-                "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
-                run.dataset,
-            )
-        return None
-    return smoothing_variance(run.load_space().means.numpy().astype(np.float64), load_capture(run.dataset))
 
 
 def unit_scale_of(run: Run) -> float | None:
@@ -228,8 +214,6 @@ def frames_of(
 
     Raises Tg4mmError for a timestep that does not exist, and what rendering this request would.
     """
-    from tg4mm.show.render.sequence import pose_of, record
-
     pose, n_timesteps, fps = pose_of(run, request)
     wanted = tuple(range(n_timesteps) if timesteps is None else timesteps)
     for t in wanted:

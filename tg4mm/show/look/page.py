@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm import __version__
 from tg4mm.capture.look import Look
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.charts import chart
@@ -24,6 +23,7 @@ from tg4mm.core.pages.page import (
     render_page,
 )
 from tg4mm.core.pages.plotstyle import STYLE
+from tg4mm.core.version import __version__
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.regions import composite, region_picture
 

@@ -10,6 +10,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack, load_capture
 from tg4mm.capture.pictures import FilePictures, pictures_for
 from tg4mm.capture.scene import between_frames, video_file
+from tg4mm.core.choices import Clock
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import no_checkpoint
@@ -103,7 +104,7 @@ def _prepared(
     kept: KeptPass | None,
 ) -> Prepared:
     modal = ModalFields.of(fit.motion, len(fit.gaussians))
-    if observations.clock == "moving":
+    if observations.clock == Clock.moving:
         return prepare_moving(fit, folder, capture, observations, modal, kept)
     own = _Fixed(fit, folder, capture, observations, modal, kept)
     found = own.flat() if not capture.kind.sees_depth else own.prepared()
@@ -217,7 +218,7 @@ class _Fixed:
     ) -> list[MeasuredView]:
         views = rest_views(self.gaussians, self.observations)
         nuisances = nuisances_of(views, frames, self.gaussians.means.numpy(), active[0])
-        is_shared = self.observations.clock == "synchronous"
+        is_shared = self.observations.clock == Clock.synchronous
         halves = halves_of(len(frames) if is_shared else 1, True)
         return [
             MeasuredView(
@@ -229,7 +230,7 @@ class _Fixed:
 
     def _clocks(self, frames: Sequence[PosedFrames]) -> list[SharedClock]:
         nothing = Sides.of(np.zeros((HALVES, 0, 0, DOF), np.float32))
-        if self.observations.clock == "synchronous":
+        if self.observations.clock == Clock.synchronous:
             times = frames[0].times_s
             series = _centred(self.modal.series(times - times[0]))  # the modes begin with the first picture
             return [SharedClock("", tuple(range(len(frames))), times, nothing, series)]

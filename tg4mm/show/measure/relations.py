@@ -1,10 +1,5 @@
 """How a sensor moves against a reference sensor: phase at the reference's peaks, and coherence over frequency."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.signal import csd, welch
 
@@ -12,36 +7,11 @@ from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.lines import Line, fit_lines
 from tg4mm.core.lines.band import Tone, tone_in
 from tg4mm.show.measure.orbit import Orbit, orbit_in, orbit_of
+from tg4mm.show.measure.sensor_result import PhaseAt, Relation, SensorResult
 from tg4mm.show.measure.series import Series
-
-if TYPE_CHECKING:
-    from tg4mm.show.measure.sensor_result import SensorResult
 
 _SEGMENTS = 4  # of a record, half overlapping
 _SHORTEST = 16  # samples of a segment
-
-
-@dataclass(frozen=True)
-class PhaseAt:
-    """At one frequency of the reference's peaks: motion along each sensor's own main direction."""
-
-    frequency_hz: float
-    amplitude: float  # of this sensor, scene units
-    phase: float  # radians, this sensor's less the reference's, −π … π
-    deviation: float  # radians; π: not told
-    is_above: bool  # whether this sensor stands out of its floor there
-
-
-@dataclass(frozen=True)
-class Relation:
-    """Against the sensor `reference`."""
-
-    reference: str
-    phases: tuple[PhaseAt, ...]
-    freqs_hz: np.ndarray  # [F] of the coherence; empty where the record is too short
-    coherence: np.ndarray  # [F] magnitude squared, of the main directions, Welch
-    segments: int
-    chance: float  # coherence that noise alone stays under in 95 of 100: 1 − 0.05^(1 / (segments − 1))
 
 
 def relation_of(result: SensorResult, reference: SensorResult) -> Relation:

@@ -11,6 +11,7 @@ from tg4mm.capture import Capture
 from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import Strips
 from tg4mm.capture.scene import VideoFile
+from tg4mm.core.choices import Clock
 from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.scale import Scale
 from tg4mm.fit.gaussians import Gaussians
@@ -67,7 +68,7 @@ class Prepared:
     @property
     def is_moving(self) -> bool:
         """Whether one moving camera took the pictures."""
-        return self.observations.clock == "moving"
+        return self.observations.clock == Clock.moving
 
 
 @dataclass(frozen=True)

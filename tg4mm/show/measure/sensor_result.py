@@ -13,13 +13,35 @@ from tg4mm.show.measure.compression import with_sidebands
 from tg4mm.show.measure.damping import Damping, damping_of, with_loss
 from tg4mm.show.measure.derivatives import Derivatives, derivatives_of, deviations_of
 from tg4mm.show.measure.orbit import Orbit, orbit_of
-from tg4mm.show.measure.relations import Relation
 from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.sensors import Sensor
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of, with_band
 
 WORLD = "x", "y", "z"
+
+
+@dataclass(frozen=True)
+class PhaseAt:
+    """At one frequency of the reference's peaks: motion along each sensor's own main direction."""
+
+    frequency_hz: float
+    amplitude: float  # of this sensor, scene units
+    phase: float  # radians, this sensor's less the reference's, −π … π
+    deviation: float  # radians; π: not told
+    is_above: bool  # whether this sensor stands out of its floor there
+
+
+@dataclass(frozen=True)
+class Relation:
+    """Against the sensor `reference`."""
+
+    reference: str
+    phases: tuple[PhaseAt, ...]
+    freqs_hz: np.ndarray  # [F] of the coherence; empty where the record is too short
+    coherence: np.ndarray  # [F] magnitude squared, of the main directions, Welch
+    segments: int
+    chance: float  # coherence that noise alone stays under in 95 of 100: 1 − 0.05^(1 / (segments − 1))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from tg4mm.capture.look.rows import with_rows
 from tg4mm.capture.scene import VideoFile
 from tg4mm.capture.timing import FEWEST_FRAMES
 from tg4mm.capture.video import RECORDING_SUFFIXES, is_turned, is_untimed, video_info
-from tg4mm.core.choices import Kind
+from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
@@ -128,7 +128,7 @@ def _prepared(
     )  # fmt: skip
     is_between = pictures.kinds == BETWEEN
     observations = Observations(
-        Kind.flat, "synchronous", [frames], pictures, fps, count, True, codec_period(is_between)
+        Kind.flat, Clock.synchronous, [frames], pictures, fps, count, True, codec_period(is_between)
     )
     nothing = Gaussians(
         torch.zeros(0, 3), torch.zeros(0, 4), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0, 1, 3)

@@ -21,8 +21,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.run.poses import method_of, poses_of
 from tg4mm.run.tensor_file import model_hash
-from tg4mm.show.export.lowpass import lacking
-from tg4mm.show.export.splat import smoothing_of
+from tg4mm.show.export.lowpass import lacking, smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json
 from tg4mm.show.render.image import WHITE, render_image
 from tg4mm.show.render.video import check_rate, video_of_files

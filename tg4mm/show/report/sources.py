@@ -9,6 +9,7 @@ import numpy as np
 
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.dataset_tree import magnified_alphas
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.pictures.frames import read_png, to_bytes
@@ -123,7 +124,7 @@ class View:
     input: np.ndarray | None
     truth: np.ndarray | None
     why_no_truth: str = ""
-    clock: str = "synchronous"  # `Observations.clock`
+    clock: Clock = Clock.synchronous  # `Observations.clock`
     n_frames: int = 0  # that the camera took; more than the video holds where the record is long
     # of a moving camera: α = 0 and α, rendered from `camera`
     fixed: tuple[np.ndarray, np.ndarray] | None = None
@@ -165,7 +166,7 @@ def gather_view(
     shown: a video of the same magnification; its camera and its pictures are taken, not rendered again.
     """
     split, clock, shots = _shots(run.dataset, train)
-    there = None if shown is None or clock != "synchronous" else shown.camera_of(shots)
+    there = None if shown is None or clock != Clock.synchronous else shown.camera_of(shots)
     best = _most_telling(train, model, shots) if there is None else there
     alpha = magnified.alpha
     pose, n_timesteps, fps = pose_of(run, RenderRequest(magnified))
@@ -175,15 +176,15 @@ def gather_view(
         return View(
             camera, split.split, magnified, ours, _pictures(split, shots[best].rows[:1]), None, n_frames=1
         )
-    own = list(shots) if clock == "moving" else [shots[best]] * len(shots[best].rows)
-    rows = [f.rows[0] for f in own] if clock == "moving" else shots[best].rows.tolist()
+    own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
+    rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
     kept = _kept(len(rows), train)
     jobs = [(float(split.times_s[rows[i]]) * fps, _camera(train, own[i])) for i in range(kept)]
-    jobs = [(t - jobs[0][0] if clock == "independent" else t, c) for t, c in jobs]
+    jobs = [(t - jobs[0][0] if clock == Clock.independent else t, c) for t, c in jobs]
     found = None if there is None or shown is None else shown.pictures(shots[best].name, kept)
     ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}") if found is None else found
     fixed = None
-    if clock == "moving":
+    if clock == Clock.moving:
         still, _, _ = pose_of(run, RenderRequest())
         posed = [(t, camera) for t, _ in jobs]
         fixed = _rendered(still, posed, "one pose, α = 0"), _rendered(pose, posed, f"one pose, α = {alpha:g}")
@@ -192,15 +193,15 @@ def gather_view(
     return View(camera, split.split, magnified, ours, recorded, truth, why, clock, len(rows), fixed)
 
 
-def _shots(dataset: Path, train: Capture) -> tuple[Capture, str, Sequence[PosedFrames]]:
+def _shots(dataset: Path, train: Capture) -> tuple[Capture, Clock, Sequence[PosedFrames]]:
     """The test cameras that stay put over time, else what shows motion of the training pictures, with its clock."""
     if train.n_timesteps == 1:
         rows = np.arange(min(1, len(train)))
-        return train, "synchronous", [_posed(train, rows)]
+        return train, Clock.synchronous, [_posed(train, rows)]
     try:
         test = load_capture(dataset, split="test")
         clock, frames = frames_of(test)
-        if clock != "moving":
+        if clock != Clock.moving:
             return test, clock, frames
     except CaptureError:
         pass

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tg4mm.capture import Capture
+from tg4mm.core.choices import Clock
 from tg4mm.core.pages.page import Block, Section, Stat, Table, Text
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction
@@ -114,7 +115,7 @@ def row_of(metrics: dict[str, Any], alpha: float) -> dict[str, Any] | None:
 def summary(m: Material) -> str:
     """One sentence on what was found."""
     views = m.result.n_cameras
-    what = "pose" if m.view.clock == "moving" else "camera"
+    what = "pose" if m.view.clock == Clock.moving else "camera"
     seen = f"{views} {what}{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
     seen += "s" if m.train.n_timesteps != 1 else ""
     if m.model.motion is None:

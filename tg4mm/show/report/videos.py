@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
+from tg4mm.core.choices import Clock
 from tg4mm.core.pages.page import Block, Figure, Panel, Text, film, missing, picture
 from tg4mm.core.pages.svg import number
 from tg4mm.show.render.video import loops_to_last, write_mp4
@@ -40,7 +41,7 @@ def _caption(m: Material, rate: float) -> Markup:
     camera = Markup("The {} camera <code>{}</code>, which sees most of the motion,").format(
         m.view.split, m.view.camera.name
     )
-    if m.view.clock == "moving":
+    if m.view.clock == Clock.moving:
         camera = Markup("The camera as it moved; ours is rendered from the same poses,")
     speed = "in real time" if rate == m.train.fps else f"slowed down {number(m.train.fps / rate)} times"
     size = f"{m.train.width} × {m.train.height} pixels"
@@ -53,7 +54,7 @@ def _caption(m: Material, rate: float) -> Markup:
         f"δ{band} as (1 + {m.view.alpha:g}) δ. "
     )
     words += f"{m.why_alpha} " if m.why_alpha else ""
-    if m.view.clock == "independent":
+    if m.view.clock == Clock.independent:
         words += "This camera has a clock of its own, so the two need not be in step. "
     if m.view.truth is None:
         return words + "Look for edges that stay sharp while they move."

@@ -3,12 +3,9 @@
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from tg4mm import __version__
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import LookLine
 from tg4mm.core.errors import RunError
@@ -17,18 +14,16 @@ from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, drawing, picture, render_page
 from tg4mm.core.progress import progress
-from tg4mm.core.scale import Scale
+from tg4mm.core.version import __version__
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
 from tg4mm.run.tensor_file import model_hash
-from tg4mm.show.measure import Measurement, Sensor
+from tg4mm.show.options import ReportOptions
 from tg4mm.show.regions import composite, region_picture
 from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
 from tg4mm.show.report.sections import capture_section, motion_section
 from tg4mm.show.report.sources import (
-    Evaluate,
-    Shown,
     choose_alpha,
     contact_images,
     gather_view,
@@ -44,24 +39,6 @@ from tg4mm.show.result.reading import reading_of
 from tg4mm.show.result.requested import too_far
 
 _LOG = logging.getLogger("tg4mm")
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """What a report shows beyond the run itself."""
-
-    alpha: float | None = None  # None: what shows the motion well and its noise does not
-    band: tuple[float, float] | None = None  # Hz, magnified; None = every frequency
-    scale: Scale | None = None  # of the sensors, marked in the picture
-    sensors: Sequence[Sensor] = ()  # (): the parts that move alike, what stands still, and the whole scene
-    shown: Shown | None = None  # a magnified video that there is: its α, band and pictures are taken
-    measurement: Measurement | None = None  # of these sensors; None: measured now
-    orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
-    # Further files or folders to list with their size.
-    files: Mapping[str, Path] = field(default_factory=dict)
-    # as `evaluate_run` returns them; None: RUN/metrics.json, or `evaluate`
-    metrics: Mapping[str, Any] | None = None
-    evaluate: Evaluate | None = None  # scores a run whose dataset has ground truth; None: without scores
 
 
 def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> Path:

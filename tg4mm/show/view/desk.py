@@ -17,6 +17,7 @@ from tg4mm.capture.frames import picture
 from tg4mm.capture.look import look
 from tg4mm.capture.transforms import natural
 from tg4mm.capture.video import RECORDING_SUFFIXES, video_frames
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.files import argument
 from tg4mm.core.pages.svg import number
@@ -53,7 +54,7 @@ def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
     if path.is_dir() and (path / "scene.json").is_file():
         capture = load_capture(path)
         clock, frames = frames_of(capture)
-        if clock == "moving":
+        if clock == Clock.moving:
             raise CaptureError(
                 f"{path}: its camera moves, so a region of a picture is no place: view its run"
             )

@@ -10,6 +10,7 @@ from PIL import Image
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.phasors import peak_displacement, scale_top
@@ -37,7 +38,7 @@ class Filmed:
         ids, timed = capture.camera_ids, np.isfinite(capture.times_s)
         several = [np.flatnonzero((ids == k) & timed) for k in np.unique(ids)]
         self._rows: Sequence[np.ndarray] = [
-            rows for rows in several if len(rows) > 1 and capture.clocks != "independent"
+            rows for rows in several if len(rows) > 1 and capture.clocks != Clock.independent
         ]
         self._near = _SAME_PLACE * depth
 

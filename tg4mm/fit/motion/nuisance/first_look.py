@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Checkpoint
@@ -120,7 +121,7 @@ def _looked_at(
 ) -> tuple[FixedCameras, float]:
     """After one pass; and the cameras' shake (pixels, rms), 0 where they do not."""
     # whether several cameras film at the same times, so that the scene's motion is one to all of them
-    several = observations.clock == "synchronous" and len(observations.frames) > 1
+    several = observations.clock == Clock.synchronous and len(observations.frames) > 1
     looks = config.nuisance in ("auto", "all") and (observations.is_opaque or several)
     possible = np.zeros(COLUMNS, bool)
     possible[EXPOSURE] = config.nuisance != "none"
