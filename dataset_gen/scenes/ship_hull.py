@@ -85,7 +85,7 @@ def _bulkhead(
     openings = []
     for place, width, share, bars in _OPENINGS:
         z = foot + tall * (0.53 if place else 0.44)
-        at = j.frame_on((x + 0.006 * facing, place * half, z), (facing, 0.0, 0.0))
+        at = m.frame((x + 0.006 * facing, place * half, z), (facing, 0.0, 0.0))
         openings.append(j.window(at, width, tall * share, bars))
     edge = np.linspace([x, -half, top + 0.012], [x, half, top + 0.012], 9)
     wall = slab((x - 0.006, -half, foot), (x + 0.006, half, top + 0.012))
@@ -123,7 +123,7 @@ def _stern() -> tuple[Part, ...]:
 
 
 def _stern_window(number: int, z: float) -> tuple[m.Mesh, m.Mesh]:
-    at = j.frame_on(_transom_point(0.046 * number, z), (-1.0, 0.0, 0.1))
+    at = m.frame(_transom_point(0.046 * number, z), (-1.0, 0.0, 0.1))
     return j.window(at, 0.034, 0.056, (2, 3))
 
 
@@ -217,19 +217,13 @@ def _guns() -> tuple[Part, ...]:
     lids, holes, barrels = [], [], []
     for at in _port_frames():
         lids.append(j.window(at, 0.044, 0.042, (1, 1))[0])
-        hole = np.eye(4)
-        hole[2, 3] = -0.001
-        holes.append(box((0.034, 0.036, 0.006)).moved(at @ hole))
-        lift = np.eye(4)
+        holes.append(box((0.034, 0.036, 0.006)).moved(at @ m.shift((0.0, 0.0, -0.001))))
+        lift = m.shift((0.024, 0.0, 0.006))
         lift[:3, :3] = np.array([[0.35, 0, -0.94], [0, 1, 0], [0.94, 0, 0.35]])
-        lift[:3, 3] = (0.024, 0.0, 0.006)
-        out = np.eye(4)
-        out[:3, 3] = (0.02, 0.0, 0.0)
-        lids.append(box((0.038, 0.042, 0.006), tile=0.06).moved(at @ lift @ out))
+        lid = box((0.038, 0.042, 0.006), tile=0.06)
+        lids.append(lid.moved(at @ lift @ m.shift((0.02, 0.0, 0.0))))
         level = m.frame(at[:3, 3], at[:3, 2] * [1, 1, 0.0])
-        back = np.eye(4)
-        back[2, 3] = -0.05
-        barrels.append(j.cannon(level @ back, 0.095))
+        barrels.append(j.cannon(level @ m.shift((0.0, 0.0, -0.05)), 0.095))
     return (
         part("ports", both(m.join(lids)), paint.port()),
         part("port_holes", both(m.join(holes)), paint.dark()),

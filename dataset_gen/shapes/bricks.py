@@ -179,17 +179,11 @@ def tread(pitch: float, width: float) -> Mesh:
     knuckle = m.revolve([(0, 0), (0.1, 0), (0.13, 0.03), (0.13, 0.37), (0.1, 0.4), (0, 0.4)], 10)
     across = m.frame((0, 0, 0), (0, 1, 0))
     hinges = [
-        knuckle.moved(across).moved(_shift(x * p, y - 0.2, 0.02))
+        knuckle.moved(across).moved(m.shift((x * p, y - 0.2, 0.02)))
         for x, ys in ((-0.5, (-0.42 * w, 0.0, 0.42 * w)), (0.5, (-0.2 * w, 0.2 * w)))
         for y in ys
     ]
     return m.join([shoe, grouser, *guides, *hinges])
-
-
-def _shift(x: float, y: float, z: float) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, 3] = x, y, z
-    return out
 
 
 class BrickModel:

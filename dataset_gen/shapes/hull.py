@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..meshes import Mesh, join, sweep
-from .scatter import mirrored, patch
+from .scatter import patch
+from .solids import mirrored
 
 Height = float | Callable[[np.ndarray], np.ndarray]  # above the sheer, constant or by station u
 

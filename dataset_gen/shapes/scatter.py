@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..meshes import Mesh, Vector, frame, join, triangle_areas
+from ..meshes import Mesh, Vector, frame, join, shift, triangle_areas
+from .solids import mirrored
 
 
 def on_surface(
@@ -153,16 +154,7 @@ def beam(
 def slab(low: Vector, high: Vector, tile: float | None = None) -> Mesh:
     """A box between two corners, edges along the axes."""
     a, b = np.asarray(low, float), np.asarray(high, float)
-    at = np.eye(4)
-    at[:3, 3] = (a + b) / 2.0
-    return box(b - a, at, tile)
-
-
-def mirrored(mesh: Mesh, axis: int = 1) -> Mesh:
-    """The mirror image through the origin's plane across `axis`, normals still outwards."""
-    sign = np.ones(3)
-    sign[axis] = -1.0
-    return Mesh(mesh.vertices * sign, np.ascontiguousarray(mesh.triangles[:, ::-1]), mesh.uv[:, ::-1])
+    return box(b - a, shift((a + b) / 2.0), tile)
 
 
 def both(mesh: Mesh) -> Mesh:

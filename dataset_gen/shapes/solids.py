@@ -139,7 +139,7 @@ def turned(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices, mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy())
 
 
-def mirrored(mesh: Mesh, axis: int) -> Mesh:
+def mirrored(mesh: Mesh, axis: int = 1) -> Mesh:
     """The mirror image across the plane where coordinate `axis` is 0, normals still outwards."""
     sign = np.ones(3)
     sign[axis] = -1.0

@@ -134,11 +134,6 @@ def cannon(at: np.ndarray, length: float) -> Mesh:
     return _turned(outline, (length, length), 16).moved(at)
 
 
-def frame_on(point: Vector, outwards: Vector, up: Vector = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """[4, 4] at a point of a wall: z looks outwards, x upwards."""
-    return frame(point, outwards, up)
-
-
 _LAY = 0.06  # scene units of rope per repeat of its texture
 
 
