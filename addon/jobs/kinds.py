@@ -20,7 +20,6 @@ class Row(NamedTuple):
     key: str  # of the description
     setting: str  # of the panel's settings
     text: str  # beside the field
-    read: Callable[[Any], Any]
     shown: Callable[[Any], bool] = lambda _: True  # by the settings
 
 
@@ -30,107 +29,80 @@ class Kind(NamedTuple):
     rows: tuple[Row, ...]
 
 
-def _vector(value: Any) -> list[float]:
-    # Blender keeps float32: 0.1 would become 0.10000000149 in the description.
-    return [_number(x) for x in value]
+# Settings that have another name than their key, and those that are left out of the description where they are 0.
+_SETTINGS = {
+    "pivot": "point",
+    "base": "point",
+    "centre": "point",
+    "normal": "axis",
+    "x": "direction",
+    "size": "sides",
+}
+_OPTIONAL = ("length", "decay_length", "thickness")
+
+
+def _rows(keys: str, **texts: str) -> tuple[Row, ...]:
+    """Rows of keys, with the texts of those that are not called as they are."""
+    named = {key: texts.get(key, key.replace("_", " ").title()) for key in keys.split()}
+    return tuple(Row(key, _SETTINGS.get(key, key), text) for key, text in named.items())
+
+
+_POLARISATION = (
+    Row("polarisation", "rayleigh", "Rayleigh"),
+    Row("polarisation", "axis", "Moves Along", lambda s: not s.rayleigh),
+)
+_HELD = (
+    Row("held", "hold", "Held"),
+    Row("held", "level", "Height z", lambda s: s.hold == "HEIGHT"),
+    Row("held", "point", "Point", lambda s: s.hold == "POINT"),
+)
+_SWAY = (
+    Row("direction", "random", "Random Direction"),
+    Row("direction", "direction", "Direction", lambda s: not s.random),
+)
+_DRUM, _PLATE = Row("nodes", "drum_nodes", "Nodal Lines, Circles"), Row("nodes", "plate_nodes", "Half Waves")
+_PLACE, _THICKNESS = _rows("centre normal"), _rows("thickness")
+KINDS: dict[str, Kind] = {
+    "translate": Kind("Translate", "Everything moves by the same displacement", _rows("direction")),
+    "rock": Kind("Rock", "Rotates back and forth about an axis", _rows("pivot axis")),
+    "twist": Kind("Twist", "Twists about an axis: the angle grows along it", _rows("pivot axis length")),
+    "bending": Kind(
+        "Bending", "A beam clamped at its base (Euler and Bernoulli)", _rows("base tip direction order")
+    ),
+    "wave": Kind(
+        "Wave", "A wave that travels through the objects",
+        (*_rows("direction wavelength", direction="Travels Along"), *_POLARISATION,
+         *_rows("decay_length level", level="Surface z")),
+    ),
+    "jiggle": Kind("Jiggle", "A soft body, held at a height or at a point", (*_HELD, *_rows("reach"), *_SWAY)),
+    "membrane": Kind("Membrane", "A drum skin", (*_PLACE, *_rows("radius"), _DRUM, *_THICKNESS)),
+    "plate": Kind(
+        "Plate", "A rectangle supported along its edge",
+        (*_PLACE, *_rows("x size", x="First Side Along", size="Sides"), _PLATE, *_THICKNESS),
+    ),
+    "group": Kind(
+        "Vertex Group", "The weights of a vertex group times a direction",
+        _rows("group direction", group="Vertex Group"),
+    ),
+}  # fmt: skip
 
 
 def _number(value: Any) -> float:
+    # Blender keeps float32: 0.1 would become 0.10000000149 in the description.
     return float(f"{value:.7g}")
 
 
-def _positive_or_none(value: Any) -> float | None:
-    return _number(value) if value > 0 else None
-
-
-def _whole(value: Any) -> int:
-    return int(value)
-
-
-def _pair(value: Any) -> list[int]:
-    return [int(x) for x in value]
-
-
-def _point(key: str, text: str) -> Row:
-    return Row(key, "point", text, _vector)
-
-
-_DIRECTION = Row("direction", "direction", "Direction", _vector)
-_AXIS = Row("axis", "axis", "Axis", _vector)
-_NORMAL = Row("normal", "axis", "Normal", _vector)
-_THICKNESS = Row("thickness", "thickness", "Thickness", _positive_or_none)
-
-KINDS: dict[str, Kind] = {
-    "translate": Kind("Translate", "Everything moves by the same displacement", (_DIRECTION,)),
-    "rock": Kind("Rock", "Rotates back and forth about an axis", (_point("pivot", "Pivot"), _AXIS)),
-    "twist": Kind(
-        "Twist",
-        "Twists about an axis: the angle grows along it",
-        (_point("pivot", "Pivot"), _AXIS, Row("length", "length", "Length", _positive_or_none)),
-    ),
-    "bending": Kind(
-        "Bending",
-        "A beam clamped at its base (Euler and Bernoulli)",
-        (
-            _point("base", "Base"),
-            Row("tip", "tip", "Tip", _vector),
-            _DIRECTION,
-            Row("order", "order", "Order", _whole),
-        ),
-    ),
-    "wave": Kind(
-        "Wave",
-        "A wave that travels through the objects",
-        (
-            Row("direction", "direction", "Travels Along", _vector),
-            Row("wavelength", "wavelength", "Wavelength", _number),
-            Row("polarisation", "rayleigh", "Rayleigh", lambda on: "rayleigh" if on else None),
-            Row("polarisation", "axis", "Moves Along", _vector, lambda s: not s.rayleigh),
-            Row("decay_length", "decay_length", "Decay Length", _positive_or_none),
-            Row("level", "level", "Surface z", _number),
-        ),
-    ),
-    "jiggle": Kind(
-        "Jiggle",
-        "A soft body, held at a height or at a point",
-        (
-            Row("held", "hold", "Held", lambda _: None),
-            Row("held", "level", "Height z", _number, lambda s: s.hold == "HEIGHT"),
-            Row("held", "point", "Point", _vector, lambda s: s.hold == "POINT"),
-            Row("reach", "reach", "Reach", _number),
-            Row("direction", "random", "Random Direction", lambda on: "random" if on else None),
-            Row("direction", "direction", "Direction", _vector, lambda s: not s.random),
-        ),
-    ),
-    "membrane": Kind(
-        "Membrane",
-        "A drum skin",
-        (
-            _point("centre", "Centre"),
-            _NORMAL,
-            Row("radius", "radius", "Radius", _number),
-            Row("nodes", "drum_nodes", "Nodal Lines, Circles", _pair),
-            _THICKNESS,
-        ),
-    ),
-    "plate": Kind(
-        "Plate",
-        "A rectangle supported along its edge",
-        (
-            _point("centre", "Centre"),
-            _NORMAL,
-            Row("x", "direction", "First Side Along", _vector),
-            Row("size", "sides", "Sides", _vector),
-            Row("nodes", "plate_nodes", "Half Waves", _pair),
-            _THICKNESS,
-        ),
-    ),
-    "group": Kind(
-        "Vertex Group",
-        "The weights of a vertex group times a direction",
-        (Row("group", "group", "Vertex Group", str), _DIRECTION),
-    ),
-}
+def _read(row: Row, value: Any) -> Any:
+    """Return the value of a key from that of its setting; None leaves it out."""
+    if row.setting == "hold" or (row.setting in _OPTIONAL and not value > 0):
+        return None
+    if isinstance(value, bool):  # the word of that name in place of numbers
+        return row.setting if value else None
+    if isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return _number(value)
+    return [int(x) if isinstance(x, int) else _number(x) for x in value]
 
 
 def rows(settings: Any) -> list[Row]:
@@ -147,7 +119,7 @@ def mode(settings: Any, parts: list[str]) -> dict[str, Any]:
         settings.amplitude_px if in_pixels else settings.amplitude
     )
     for row in rows(settings):
-        value = row.read(getattr(settings, row.setting))
+        value = _read(row, getattr(settings, row.setting))
         if value is not None:
             data[row.key] = value
     if settings.phase:
