@@ -1,10 +1,13 @@
 """The files around the code: versions agree, and what GitHub reads is what it expects."""
 
+import ast
+import io
 import re
 import runpy
 import shutil
 import subprocess
 import sys
+import tokenize
 import tomllib
 
 import pytest
@@ -64,3 +67,26 @@ def test_a_release_gives_the_readme_whole_addresses(repo_root, tmp_path):
     urls = tomllib.loads((tmp_path / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
     assert urls["Repository"] == home
     assert len(urls) == 4
+
+
+ELSEWHERE = {"vqa.py", "test_video.py"}  # of another program
+
+
+def named_files(source):
+    """Python files that comments and docstrings of a module name."""
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    texts = [token.string for token in tokens if token.type == tokenize.COMMENT]
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    texts += [
+        ast.get_docstring(node) or "" for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)
+    ]
+    return {name for text in texts for name in re.findall(r"(?<![\w./-])((?:[\w-]+/)*[\w-]+\.py)\b", text)}
+
+
+def test_comments_name_files_that_exist(repo_root):
+    places = ("tg4mm", "dataset_gen", "addon", "benchmarks", "tests", "docs")
+    files = [file for place in places for file in (repo_root / place).rglob("*.py")]
+    there = [f"/{file.relative_to(repo_root).as_posix()}" for file in files]
+    named = {(str(file), name) for file in files for name in named_files(file.read_text("utf-8")) - ELSEWHERE}
+    assert [one for one in named if not any(path.endswith(f"/{one[1]}") for path in there)] == []
+    assert named_files('"""See gone.py."""\nx = 1  # as in a/b.py') == {"gone.py", "a/b.py"}

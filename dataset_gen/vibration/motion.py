@@ -45,7 +45,7 @@ class Basis:
 
 
 class Motion:
-    """Modes on the vertices of a scene; displacement(t) = Re Σ_k shape_k · gain_k(t) (see timelaw.py).
+    """Modes on the vertices of a scene; displacement(t) = Re Σ_k shape_k · gain_k(t) (`TimeLaw` of values.py).
 
     Re[m z] = Re(m) Re(z) − Im(m) Im(z) is a sum over real basis shapes, and only those that are not zero are kept.
     A mode whose points all move in phase then has one gain, and falling through a height is the same state as

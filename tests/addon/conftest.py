@@ -10,7 +10,7 @@ from tg4mm.core.splatfile import SplatFile, write_splat
 
 @pytest.fixture
 def extension(monkeypatch):
-    """addon/, registered in an empty scene. Imports draw ellipsoids (but see test_defaults.py)."""
+    """addon/, registered in an empty scene. Imports draw ellipsoids."""
     bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
     module = importlib.import_module("addon")
     bpy.ops.wm.read_factory_settings(use_empty=True)

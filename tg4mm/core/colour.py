@@ -32,6 +32,11 @@ _STOPS = np.array(
         [0.97, 0.08, 105.0 + 360],
     ]
 )
+STILL = 0.55  # sRGB grey of what moves too little to have a phase
+STILL_BELOW, MOVES_ABOVE = (
+    0.1,
+    0.2,
+)  # of the scale's top: grey below, a phase's colour above, a mixture between
 
 
 def to_display(linear: np.ndarray) -> np.ndarray:
@@ -65,13 +70,6 @@ def phase_colours(phase: np.ndarray) -> np.ndarray:
     return srgb_of_oklch(
         np.full(np.shape(phase), 0.72), np.full(np.shape(phase), 0.125), np.degrees(phase) + 250.0
     )
-
-
-STILL = 0.55  # sRGB grey of what moves too little to have a phase
-STILL_BELOW, MOVES_ABOVE = (
-    0.1,
-    0.2,
-)  # of the scale's top: grey below, a phase's colour above, a mixture between
 
 
 def phase_share(part: np.ndarray) -> np.ndarray:

@@ -12,6 +12,8 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.values import Number
 
+LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
+
 
 def check_band(band: Sequence[float], fps: float) -> tuple[float, float]:
     """The band as (low, high) in Hz, if 0 ≤ low < high < fps / 2; CaptureError otherwise."""
@@ -34,9 +36,6 @@ def _pair(band: Sequence[float]) -> tuple[float, float]:
     if len(numbers) != 2 or not all(Number().fits(x) for x in numbers):
         raise CaptureError(f"band {band!r} is not two frequencies in Hz, low and high")
     return float(numbers[0]), float(numbers[1])
-
-
-LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
+IN_MEMORY = 1 << 28  # bytes of an array: more lies in a file
+_ON_DISK = Path("/var/tmp")
+
 
 def peak_memory_mib() -> float:
     """The most resident memory this process has held, MiB, since it began or since `reset_peak_memory`."""
@@ -39,10 +42,6 @@ def reset_peak_memory() -> bool:
     except OSError:
         return False
     return True
-
-
-IN_MEMORY = 1 << 28  # bytes of an array: more lies in a file
-_ON_DISK = Path("/var/tmp")
 
 
 def mapped_zeros(

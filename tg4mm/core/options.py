@@ -22,6 +22,9 @@ REQUIRED = dataclasses.MISSING
 AUTO = "auto"  # the band around the strongest vibration that the run found
 OPTION = "option"  # the key of a field's metadata
 Band = tuple[float, float]  # low and high, Hz
+_MOST_TIMESTEPS = 1_000_000  # a range is made before the run says how many it has
+RUN = "A run folder made by tg4mm train."
+ALPHA = "Magnification: a displacement δ becomes (1 + alpha) δ"
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,6 @@ def parse_settings_texts(pairs: Sequence[str]) -> Mapping[str, str]:
     return settings
 
 
-_MOST_TIMESTEPS = 1_000_000  # a range is made before the run says how many it has
-
-
 def parse_timesteps(text: str | None) -> list[int] | None:
     """Parse `"0-9,12"` as [0, …, 9, 12]. Raises Tg4mmError naming what is no timestep."""
     if text is None:
@@ -191,10 +191,6 @@ def regions_option() -> Any:
 def empty_band_option() -> Any:
     """Return the option --allow-empty-band."""
     return option(False, "Accept a --band in which no motion was found.")
-
-
-RUN = "A run folder made by tg4mm train."
-ALPHA = "Magnification: a displacement δ becomes (1 + alpha) δ"
 
 
 @dataclass(frozen=True, kw_only=True)

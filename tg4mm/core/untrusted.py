@@ -20,6 +20,7 @@ DEPTH = 64  # lists and objects in each other
 DIGITS = 20  # of a whole number; past that no 64 bits hold it
 DEFLATE = 1032  # bytes, at most, that one byte packed by zlib stands for (zlib's technical notes)
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DEEP = f"is nested more than {DEPTH} deep"
 
 
 def read_json(path: Path, most: int = JSON_BYTES, finite: bool = False) -> Any:
@@ -107,9 +108,6 @@ def _text(path: Path, most: int) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"is not UTF-8 text: {error.reason} at byte {error.start}") from None
-
-
-_DEEP = f"is nested more than {DEPTH} deep"
 
 
 def _whole(text: str) -> int:

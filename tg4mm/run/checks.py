@@ -3,8 +3,8 @@
 The kernels trust the shapes of their arrays, and a time of NaN would be a wrong result in silence. All raise RunError
 with the file, what was found and what was expected.
 
-Of most runs the phasors of all K modes are R < 2K real fields (`motion/fields.py`): then RUN/motion.safetensors holds
-`fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and field where the phasors take 48
+Of most runs the phasors of all K modes are R < 2K real fields (`fields_of` of `motion/modes.py`). Then
+RUN/motion.safetensors holds `fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and field where the phasors take 48
 for a Gaussian and mode. Else it holds `displacement` and `rotation` [K, N, 3] complex64.
 """
 
@@ -30,6 +30,7 @@ FIELDS = {"fields": torch.float32, "series": torch.complex128}
 _NUMBERS = {torch.float32, torch.float64, torch.complex64, torch.complex128}
 _FASTEST = 1e9  # Hz
 _LONGEST = 1_000_000  # timesteps: nine hours at 30 Hz
+_MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 
 
 def check_finite(file: Path, tensors: Mapping[str, Tensor], also: Collection[torch.dtype] = ()) -> None:
@@ -118,9 +119,6 @@ def check_uncertainty(file: Path, tensors: Mapping[str, Tensor], n: int) -> None
             raise RunError(f"{file}: {name} is {shown}, expected float32 {shape}")
         if len(shape) == 1 and bool((found < 0).any()):
             raise RunError(f"{file}: {name} holds {float(found.min()):g}, expected at least 0")
-
-
-_MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 
 
 def tensors_of(motion: ModalMotion) -> dict[str, Tensor]:

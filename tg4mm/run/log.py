@@ -26,6 +26,32 @@ _LOG = {
         "clip_phases_deg?": {str: {float: float}},
     }
 }
+FORMAT = "tg4mm-metrics"
+_SEEN = {"rms_error": float, "rms_true": float, "static_share": float, "static_leak": Maybe(float)}
+_FREQUENCY = {
+    "frequency_hz": float,
+    "amplitude_true": float,
+    "amplitude_estimated": float,
+    **{f"{key}?": Maybe(float) for key in ("mac", "amplitude_true_mm", "amplitude_estimated_mm")},
+    **dict.fromkeys(
+        ("amplitude_ratio", "relative_error", "phase_error_deg", "direction_error_deg"), Maybe(float)
+    ),
+}
+DISPLACEMENT = {
+    **_SEEN,
+    "relative_error": Maybe(float),
+    "per_frequency": [_FREQUENCY],
+    "in_band?": Maybe({"relative_error?": Maybe(float)}),
+    "uncertainty?": Maybe({"said": float, "within_two": float}),
+}
+FORM = {
+    "format": Just(FORMAT),
+    "metrics": [str],
+    "alphas": [{"alpha": float, "n_images": int, "rows": {str: {str: Maybe(float)}}}],
+    "displacement?": Maybe(DISPLACEMENT),
+    "absent": {str: str},
+    "notes": [str],
+}
 
 
 def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -64,34 +90,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float | np.floating) and not np.isfinite(value):
         return None
     return value
-
-
-FORMAT = "tg4mm-metrics"
-_SEEN = {"rms_error": float, "rms_true": float, "static_share": float, "static_leak": Maybe(float)}
-_FREQUENCY = {
-    "frequency_hz": float,
-    "amplitude_true": float,
-    "amplitude_estimated": float,
-    **{f"{key}?": Maybe(float) for key in ("mac", "amplitude_true_mm", "amplitude_estimated_mm")},
-    **dict.fromkeys(
-        ("amplitude_ratio", "relative_error", "phase_error_deg", "direction_error_deg"), Maybe(float)
-    ),
-}
-DISPLACEMENT = {
-    **_SEEN,
-    "relative_error": Maybe(float),
-    "per_frequency": [_FREQUENCY],
-    "in_band?": Maybe({"relative_error?": Maybe(float)}),
-    "uncertainty?": Maybe({"said": float, "within_two": float}),
-}
-FORM = {
-    "format": Just(FORMAT),
-    "metrics": [str],
-    "alphas": [{"alpha": float, "n_images": int, "rows": {str: {str: Maybe(float)}}}],
-    "displacement?": Maybe(DISPLACEMENT),
-    "absent": {str: str},
-    "notes": [str],
-}
 
 
 def read_figures(path: Path) -> dict[str, Any]:

@@ -19,6 +19,9 @@ from tg4mm.core.untrusted import parse_json
 
 FORMAT = "tg4mm"
 DIGEST = "digest"  # header entry: a flipped bit in a number would be a wrong result in silence
+_FILES = ("space", "motion", "triplane")
+# The dataset's folder and the settings that led to it, and the digest, which those are in.
+_NOT_OF_THE_MODEL = ("config", "format", DIGEST)
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
@@ -118,11 +121,6 @@ def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
-
-
-_FILES = ("space", "motion", "triplane")
-# The dataset's folder and the settings that led to it, and the digest, which those are in.
-_NOT_OF_THE_MODEL = ("config", "format", DIGEST)
 
 
 def model_hash(run_path: Path) -> str:

@@ -39,7 +39,7 @@ def find_lines(
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
     rate less half of 1 / duration if not given. Components share frequencies and decays. Noise alone makes a line in
     one record of a hundred. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
-    from both sides: lines are looked for in all, and what they are is taken from the others (`between.py`).
+    from both sides: lines are looked for in all, and what they are is taken from the others.
     """
     record = Record.of(values, times_s, noise, ends)
     if record is None:
