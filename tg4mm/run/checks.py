@@ -4,8 +4,9 @@ The kernels trust the shapes of their arrays, and a time of NaN would be a wrong
 with the file, what was found and what was expected.
 
 Of most runs the phasors of all K modes are R < 2K real fields (`fields_of` of `motion/modes.py`). Then
-RUN/motion.safetensors holds `fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and field where the phasors take 48
-for a Gaussian and mode. Else it holds `displacement` and `rotation` [K, N, 3] complex64.
+RUN/motion.safetensors holds `fields` [R, N, 6] float32 and `series` [K, R] complex128, 24 bytes for a Gaussian and
+field where the phasors take 48 for a Gaussian and mode. Else it holds `displacement` and `rotation`, [K, N, 3]
+complex64.
 """
 
 from collections.abc import Collection, Mapping

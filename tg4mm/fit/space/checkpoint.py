@@ -2,8 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,32 +14,6 @@ from tg4mm.core.progress import progress
 from tg4mm.core.values import POSITIVE, Number
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.targets import RestViews
-
-Checkpoint = tuple[dict[str, Tensor], dict[str, Any]]  # tensors, and the rest of the state
-Check = Callable[[Mapping[str, Tensor], Mapping[str, Any]], None]  # raises RunError
-
-
-class Kept(Protocol):
-    """Where an unfinished fit is kept."""
-
-    def load(self, check: Check) -> Checkpoint | None:
-        """What was saved last, None if nothing was; `check` raises RunError where the fit cannot go on from it."""
-
-    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        """Called every `train.CHECKPOINT_EVERY_S` seconds, more rarely where it takes long.
-
-        source: where the fit began, None after a checkpoint.
-        """
-
-
-class Nowhere:
-    """`Kept` of a fit that begins anew each time."""
-
-    def load(self, check: Check) -> Checkpoint | None:
-        return None
-
-    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        pass
 
 
 def pictures_digest(views: RestViews) -> str:

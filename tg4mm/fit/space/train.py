@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
+from tg4mm.core.checkpoint import Checkpoint, Stored
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.space.checkpoint import Checkpoint, Kept, Nowhere, check_checkpoint, pictures_digest
+from tg4mm.fit.space.checkpoint import check_checkpoint, pictures_digest
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.density import along_a_curve, control_density, growth, is_due, is_sorting_due
 from tg4mm.fit.space.fused import FusedAdam, Iteration
@@ -27,7 +28,6 @@ from tg4mm.fit.space.targets import RestViews
 from tg4mm.fit.space.view import EPS2D, NEAR, render_view
 
 CHECKPOINT_EVERY_S = 20.0
-CHEAP_S = 0.4  # where saving one takes longer, they are so many times rarer
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
 
@@ -52,7 +52,7 @@ class _Fit:
             rest["draws"] = self.draws.get_state()
         return {k: v.detach().cpu().contiguous() for k, v in (self.adam.parameters | moments | rest).items()}
 
-    def checkpoint(self, extent: float, pictures: str) -> Checkpoint:
+    def checkpoint(self, extent: float, pictures: str) -> Stored:
         state = {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr)}
         return self.tensors(), state | {"extent": extent, "pictures": pictures}
 
@@ -67,7 +67,7 @@ def _draws(generator: torch.Generator, device: str, state: Tensor | None = None)
     return draws
 
 
-def _restored(checkpoint: Checkpoint, views: RestViews, device: str) -> tuple[_Fit, float]:
+def _restored(checkpoint: Stored, views: RestViews, device: str) -> tuple[_Fit, float]:
     tensors, state = checkpoint
     generator = torch.Generator()
     generator.set_state(tensors.pop("generator"))
@@ -205,9 +205,9 @@ def fit_space(
     points: SurfacePoints | None,
     config: SpaceConfig | None = None,
     device: str = "cpu",
-    kept: Kept | None = None,
+    kept: Checkpoint | None = None,
 ) -> SpaceFit:
-    """Fit static Gaussians to the rest views; go on from what was `kept`, if anything was.
+    """Fit static Gaussians to the rest views; continue from the checkpoint `kept`, if it has one.
 
     points: initialisation without SfM, or None. The fit, and what is kept of it, is in the stage's own unit
     (`normalise.py`), what is returned in scene units.
@@ -216,7 +216,7 @@ def fit_space(
     Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from, RunError where a
     checkpoint is not of these pictures and settings.
     """
-    config, kept = resolved(config or SpaceConfig(), views), kept or Nowhere()
+    config, kept = resolved(config or SpaceConfig(), views), kept or Checkpoint()
     reset_gpu_peak(device)
     unit = SceneUnit.of(views, points)
     views, points = unit.views(views), unit.points(points)
@@ -224,11 +224,9 @@ def fit_space(
     checkpoint = kept.load(
         lambda tensors, state: check_checkpoint(tensors, state, pictures, len(views.rgb), config)
     )
-    began = saved = time.monotonic()
-    pause = CHECKPOINT_EVERY_S
-    source: str | None = None
+    start: dict[str, Any] = {}
     if checkpoint is None:
-        fit, extent, source = _started(views, points, config, device)
+        fit, extent, start["init"] = _started(views, points, config, device)
     else:
         fit, extent = _restored(checkpoint, views, device)
     steps, cameras = levels(config, views.size), None
@@ -245,19 +243,17 @@ def fit_space(
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)
             update(work(steps, fit.iteration), psnr_db=figure, gaussians=len(fit.error), **cameras.shown)
-            if (due := time.monotonic()) - saved > pause:
-                kept.save(fit.checkpoint(extent, pictures), source)
-                saved = time.monotonic()
-                pause = CHECKPOINT_EVERY_S * max(1.0, (saved - due) / CHEAP_S)
+            if kept.is_due(CHECKPOINT_EVERY_S):
+                kept.save(*fit.checkpoint(extent, pictures), **start)
     gaussians = unit.back(activate(fit.adam.parameters).detach().to("cpu"))
     figures: dict[str, Any] = {
-        "seconds": time.monotonic() - began,
+        "seconds": kept.unrecorded_s,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         "n_gaussians": len(gaussians),
         "iterations": config.iterations,
         "psnr_train": float(fit.psnr),
-        **({} if source is None else {"init": source}),
+        **start,
     }
     if fit.gains is not None:
         figures["gains"] = [[round(g, 5) for g in row] for row in fit.gains.tolist()]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.core.checkpoint import Checkpoint
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.phasors import series_modes
@@ -35,7 +36,7 @@ class _Stage:
         run: Run,
         model: PaperModel,
         config: PaperConfig,
-        began: float,
+        kept: Checkpoint,
         device: str,
         first: "AtRest | None" = None,
     ) -> None:
@@ -45,14 +46,14 @@ class _Stage:
         self.rest = model.rest_embedding.to(device)
         self.base = {k: v.to(device) for k, v in model.base.items()}
         self.decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
-        self.began, self.saved, self.shown, self.figure = began, time.monotonic(), -math.inf, 0.0
+        self.kept, self.shown, self.figure = kept, -math.inf, 0.0
 
     def fit(self, t: int, views, iterations: int, update: Update) -> Tensor:
         """[A, C] the motion planes of timestep t."""
         zero = {"values": torch.zeros(len(self.cells), self.model.channels)}
         c = self.config
         fit = Fit(zero, c.motion_learning_rate, iterations, c.seed + t, self.device, c.motion_rate_falls_to)
-        checkpoint = self.run.load_checkpoint(_STAGE)
+        checkpoint = self.kept.load()
         if checkpoint is not None and checkpoint[1]["timestep"] == t:
             fit.restore(*checkpoint)
         cameras = cameras_on(self._compared(views), self.device)
@@ -81,14 +82,8 @@ class _Stage:
         if now - self.shown > SHOW_EVERY_S:
             self.shown, self.figure = now, round(float(fit.loss), 5)
         update((t - 1) * iterations + fit.iteration, timestep=t, l1=self.figure)
-        if now - self.saved > CHECKPOINT_EVERY_S:
-            self.run.save_checkpoint(_STAGE, fit.tensors(), fit.state() | {"timestep": t})
-            self.record()
-
-    def record(self) -> None:
-        self.saved = time.monotonic()
-        self.run.record(_STAGE, {"seconds": self.saved - self.began})
-        self.began = self.saved
+        if self.kept.is_due(CHECKPOINT_EVERY_S):
+            self.kept.save(fit.tensors(), fit.state() | {"timestep": t})
 
 
 def train_timesteps(
@@ -104,11 +99,11 @@ def train_timesteps(
     Finished timesteps are kept, an unfinished one goes on from its checkpoint. The log's stage `motion` gets seconds,
     peak_memory_mib, iterations (in all), iterations_per_timestep, l1_train (of the last), n_frequencies, mib_on_disk.
     """
-    began = time.monotonic()
+    kept = Checkpoint(run, _STAGE)
     reset_peak_memory()
     reset_gpu_peak(device)
     first = at_rest(model, views_at(capture, images, 0)) if config.difference else None
-    stage = _Stage(run, model, config, began, device, first)
+    stage = _Stage(run, model, config, kept, device, first)
     iterations = config.per_timestep(capture.n_timesteps)
     steps = range(1, capture.n_timesteps)
     todo = [t for t in steps if not run.has_part(planes_name(t))]
@@ -117,11 +112,11 @@ def train_timesteps(
         for t in todo:
             values = stage.fit(t, views_at(capture, images, t), iterations, update)
             save_planes(run, t, values)
-            run.drop_checkpoint(_STAGE)
-            stage.record()
+            kept.drop()
+            kept.record()
     motion = modal_of_series(model, (load_planes(run, t, model) for t in steps), capture.fps)
     figures = {
-        "seconds": time.monotonic() - stage.began,
+        "seconds": kept.unrecorded_s,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         "iterations": len(steps) * iterations,
@@ -131,7 +126,7 @@ def train_timesteps(
     }
     run.save_motion(motion, figures)
     run.record(_STAGE, {"mib_on_disk": disk_mib(run)})
-    run.drop_checkpoint(_STAGE)
+    kept.drop()
     return motion
 
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.core.checkpoint import Checkpoint
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import progress
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
@@ -88,17 +89,17 @@ def train_triplane(
 
     The log's stage `triplane` gets seconds, peak_memory_mib, iterations, l1_train, n_gaussians and sizes.
     """
-    began = time.monotonic()
+    kept = Checkpoint(run, _STAGE)
     reset_peak_memory()
     reset_gpu_peak(device)
     model = started(base, config)
     cells = cells_of(model.points.numpy(), model.box.numpy(), config.resolution)
     total = config.iterations - config.warm_up
     fit = Fit(_parameters(model), config.learning_rate, total, config.seed, device)
-    if (checkpoint := run.load_checkpoint(_STAGE)) is not None:
+    if (checkpoint := kept.load()) is not None:
         fit.restore(*checkpoint)
     cameras = cameras_on(views, device)
-    saved, shown, figure = time.monotonic(), -math.inf, 0.0
+    shown, figure = -math.inf, 0.0
     with progress("space triplane", total, start=fit.iteration) as update, full_precision(device):
         while fit.iteration < total:
             p = fit.parameters
@@ -108,14 +109,10 @@ def train_triplane(
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.loss), 5)
             update(fit.iteration, l1=figure)
-            if time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                run.save_checkpoint(_STAGE, fit.tensors(), fit.state())
-                saved = time.monotonic()
-                run.record(_STAGE, {"seconds": saved - began})
-                began = saved
+            if kept.is_due(CHECKPOINT_EVERY_S):
+                kept.save(fit.tensors(), fit.state())
     model = _finished(model, fit)
     figures = {
-        "seconds": time.monotonic() - began,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         "iterations": total,
@@ -123,9 +120,9 @@ def train_triplane(
         "n_gaussians": len(model.points),
         **model.figures(),
     }
-    run.record(_STAGE, figures)
+    kept.record(**figures)
     save_model(run, model)
-    run.drop_checkpoint(_STAGE)
+    kept.drop()
     return model
 
 

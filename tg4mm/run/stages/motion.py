@@ -3,7 +3,6 @@
 import dataclasses
 import hashlib
 import logging
-import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -12,6 +11,7 @@ import torch
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.checkpoint import Checkpoint
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
@@ -49,7 +49,7 @@ def train_motion(
     each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
     Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
     """
-    began = time.monotonic()
+    kept = Checkpoint(run, _STAGE)
     reset_peak_memory()
     reset_gpu_peak(device)
     window = window_on(capture, config, moves)
@@ -64,7 +64,7 @@ def train_motion(
         courses = np.concatenate([line.course(times) for line in found.vibrations])
         steady = tuple(line.hz for line in found.vibrations if line.start_s is None and not line.damping)
         observations = dataclasses.replace(observations, courses=courses, steady_hz=steady)
-    checkpoint = RunCheckpoint(run, began, capture.rows_s)
+    checkpoint = RunCheckpoint(run, kept, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:
         fit = fit_motion(gaussians, observations, config, device, checkpoint)
@@ -74,7 +74,7 @@ def train_motion(
     if window is not None and window.factor > 1:
         notes.append(note_on(capture, images, window))
     figures = {
-        "seconds": time.monotonic() - checkpoint.began,
+        "seconds": kept.unrecorded_s,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         **fit.figures,
@@ -90,20 +90,19 @@ def train_motion(
     if fit.uncertainty:  # before the motion, which tells that the stage is done
         run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
     run.save_motion(fit.motion, figures)
-    run.drop_checkpoint(_STAGE)
+    kept.drop()
     return fit.motion
 
 
 class RunCheckpoint:
     """`Checkpoint` in the run, and the Gaussians that its steps belong to."""
 
-    def __init__(self, run: Run, began: float, readout_s: float = 0.0) -> None:
-        self.run, self.began = run, began  # began: what log.json does not hold yet
-        self._readout_s = readout_s
+    def __init__(self, run: Run, kept: Checkpoint, readout_s: float = 0.0) -> None:
+        self._kept, self._readout_s = kept, readout_s
         self.gaussians = run.load_space()
         self._scene = _digest(arrays_of(self.gaussians))
         self._arrays: Arrays = {}
-        stored = run.load_checkpoint(_STAGE)
+        stored = kept.load()
         if stored is None or stored[1].get("version") != _VERSION:
             return
         tensors, state = stored
@@ -126,9 +125,6 @@ class RunCheckpoint:
         self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
         self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in arrays.items()}
         self._save()
-        now = time.monotonic()
-        self.run.record(_STAGE, {"seconds": now - self.began})
-        self.began = now
         return arrays
 
     def expect_scene(self, gaussians: Gaussians) -> None:
@@ -139,7 +135,7 @@ class RunCheckpoint:
     def _save(self, **more: str) -> None:
         tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
         state = {"version": _VERSION, "scene": self._scene, "readout_s": self._readout_s, **more}
-        self.run.save_checkpoint(_STAGE, tensors, state)
+        self._kept.save(tensors, state)
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
