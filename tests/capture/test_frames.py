@@ -91,7 +91,7 @@ def _point_at(dataset, file_path):
         ("../video/b.mp4#0", r"video .*b\.mp4 does not exist"),
         ("../../x.mp4#0", r"leads outside the dataset's folder"),
         ("/x.mp4#0", r"is absolute"),
-        ("../video/a#3.mp4", r"is of a kind that is not read"),
+        ("../video/a#3.mp4", r"has an unsupported type"),
         ("../scene.json#0", r"does not exist"),
     ],
 )

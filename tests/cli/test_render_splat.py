@@ -41,7 +41,7 @@ def test_a_splat_file_has_no_cameras(run_path, tmp_path, capsys, options):
     main(["export", str(run_path), "--out", str(file)])
     assert main(["render", str(file), "--alpha", "0", "--out", str(tmp_path / "out"), *options]) == 2
     said = capsys.readouterr().err.splitlines()
-    assert "a.ply is a splat file, which has no cameras of its own: give --cameras FILE" in said[-1]
+    assert "a.ply is a splat file, which has no cameras: give --cameras FILE" in said[-1]
     assert not (tmp_path / "out").exists()
 
 

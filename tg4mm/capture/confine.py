@@ -54,6 +54,6 @@ def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
             return candidate
     if inside(root, named, where).is_file():
         kinds = ", ".join(IMAGE_SUFFIXES)
-        raise CaptureError(f"{where}: image {named} is of a kind that is not read; expected one of {kinds}")
+        raise CaptureError(f"{where}: image {named} has an unsupported type; expected one of {kinds}")
     tried = "" if has_suffix else f" (tried {', '.join(IMAGE_SUFFIXES)})"
     raise MissingPictureError(f"{where}: image {named} does not exist{tried}")

@@ -68,8 +68,8 @@ def say_what_it_is(path: Path, frame: Any) -> None:
         )
     elif hdr:
         said = (
-            f"is HDR ({hdr}, {frame.format.components[0].bits} bits): values stay as they are coded; the curve only "
-            "rises, so that motion is what it is, but colours look flat"
+            f"is HDR ({hdr}, {frame.format.components[0].bits} bits): values stay as they are coded; this does "
+            "not change motion, but colours look flat"
         )
     say_once(path, said)
 

@@ -71,7 +71,7 @@ def _origin(reader: ModuleType, capture: Capture) -> np.ndarray:
         _SAID.add(capture.root)
         place = ", ".join(f"{x:.10g}" for x in origin)
         _LOG.warning(
-            f"{capture.root}: lies far from its origin: coordinates in results are from ({place}) on"
+            f"{capture.root}: lies far from its origin: coordinates in results are relative to ({place}) on"
         )
     return origin
 

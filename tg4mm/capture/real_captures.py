@@ -74,8 +74,8 @@ def _of_tripod(root: Path, views: list[View]) -> list[View]:
     if not names or views[-1].path != names[-1]:
         last = names[-1].name if names else "its last picture"
         raise CaptureError(
-            f"{root / colmap.IMAGES}: {last} shows the tripod's view, and is not registered in {colmap.FOLDERS[0]}: "
-            "where the tripod stands is not known"
+            f"{root / colmap.IMAGES}: {last} shows the tripod's view, but is not registered in {colmap.FOLDERS[0]}: "
+            "the tripod's pose is unknown"
         )
     frames = _pictures(root / FRAMES)
     if not frames:
@@ -105,7 +105,7 @@ def _of_hand(root: Path, views: list[View], scene: Scene) -> list[View]:
     for path in wanted:
         if path not in of:
             raise CaptureError(
-                f"{path}: is a timestep, and is not registered in {colmap.FOLDERS[0]}: its pose is not known"
+                f"{path}: is a timestep, but is not registered in {colmap.FOLDERS[0]}: its pose is unknown"
             )
     return [of[path] for path in wanted]
 

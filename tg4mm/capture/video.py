@@ -169,7 +169,7 @@ def _stacked(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[Fracti
 
 def _check_window(path: Path, start_s: float, stop_s: float) -> None:
     if is_untimed(path) and (start_s > 0 or math.isfinite(stop_s)):
-        raise CaptureError(f"{path}: has no times of its own, which --from and --until are of")
+        raise CaptureError(f"{path}: has no time stamps, so --from and --until cannot be used")
 
 
 def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedFrame, Any]]:
@@ -230,7 +230,7 @@ def _settled(path: Path) -> Iterator[None]:
         if (now := path.stat().st_size) != size:
             raise CaptureError(
                 f"{path}: changed while it was read, from {size:,} to {now:,} bytes: it is still being recorded or "
-                "copied; give the command again when it is whole"
+                "copied; give the command again when it is complete"
             )
 
 

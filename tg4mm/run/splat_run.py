@@ -73,7 +73,9 @@ def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> R
     if path.is_file():
         return SplatRun.open(path, freqs_hz, fps)
     if freqs_hz:
-        raise RunError(f"--frequencies is for a splat file with motion that lost them; {path} is none")
+        raise RunError(
+            f"--frequencies is for a splat file with motion but without frequencies; {path} is not one"
+        )
     return Run.open(path)
 
 
@@ -81,6 +83,4 @@ def cameras_asked(run: Run, given: str | None) -> None:
     """Raise RunError where cameras of a dataset are asked of a splat file; `given`: the option that asked, if one."""
     if isinstance(run, SplatRun):
         asked = "" if given is None else f"{given}: "
-        raise RunError(
-            f"{asked}{run.path} is a splat file, which has no cameras of its own: give --cameras FILE"
-        )
+        raise RunError(f"{asked}{run.path} is a splat file, which has no cameras: give --cameras FILE")

@@ -230,7 +230,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
             "the scene is still"
             if run.load_motion() is None
             else f"no vibration was found{' in ' * bool(options.only)}{options.only}; --band LO HI magnifies a band "
-            "all the same"
+            "anyway"
         )
         say(f"no {video}: {why}")
         return

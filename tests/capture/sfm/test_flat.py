@@ -95,9 +95,7 @@ def test_a_readout_that_cannot_be_is_refused(video, tmp_path, capsys, options, s
 
 def test_rows_of_a_turned_video_have_no_readout(tmp_path):
     turned = write_video(tmp_path / "phone.mp4", still(T), 30, rotation=90)
-    with pytest.raises(
-        Tg4mmError, match=r"rows are read from top to bottom, but those of phone\.mp4 are turned"
-    ):
+    with pytest.raises(Tg4mmError, match=r"stored upright, but phone\.mp4 is rotated"):
         reconstruct(turned, tmp_path / "out", SfmConfig(readout_s=0.0125))
 
 

@@ -161,7 +161,7 @@ def test_what_has_no_times_asks_for_the_rate_and_takes_no_window(tmp_path):
     for call in (lambda: look(path), lambda: reconstruct(path, tmp_path / "out", SfmConfig(kind="flat"), 1)):
         with pytest.raises(Exception, match="--fps"):
             call()
-    with pytest.raises(CaptureError, match="has no times of its own, which --from and --until are of"):
+    with pytest.raises(CaptureError, match="has no time stamps, so --from and --until cannot be used"):
         look(path, RATE, Window(0.1))
 
 

@@ -144,10 +144,10 @@ def test_places_are_those_of_the_picture_set_upright(scene):
         (lambda s: (("001", 700.0, 20.0),), "001 is 640×480 pixels, 700, 20 lies outside"),
         (
             lambda s: (s.at("001", ENDS[0]), s.at("004", ENDS[0] + [0, 0, 0.4])),
-            "001, 004 do not show one point there: it is missed by",
+            "001, 004 do not show the same point there: they miss it by",
         ),
         (lambda s: (s.at("001", ENDS[0]),) * 2, r"001, 001 see the point from directions 0\.00° apart"),
-        (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are one point"),
+        (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are the same point"),
     ],
 )
 def test_ends_that_are_refused(scene, first, match):
@@ -165,7 +165,7 @@ def test_a_length_of_nothing_and_two_lengths():
     end = (("a", 1.0, 1.0),)
     with pytest.raises(Tg4mmError, match=r"--length is 0\.0 m, expected a length above 0 m"):
         checked(SfmConfig(length=Length((end, end), 0.0)))
-    with pytest.raises(Tg4mmError, match=r"--length: a has the place nan, 1\.0, expected pixels"):
+    with pytest.raises(Tg4mmError, match=r"--length: a has the position nan, 1\.0, expected pixels"):
         checked(SfmConfig(length=Length(((("a", float("nan"), 1.0),), end), 1.0)))
     with pytest.raises(Tg4mmError, match="--unit-scale-m and --length exclude each other"):
         checked(SfmConfig(length=Length((end, end), 1.0), unit_scale_m=2.0))

@@ -98,7 +98,7 @@ def test_what_is_refused(tmp_path):
     with pytest.raises(CaptureError, match=r"IMG_1\.HEIC: \.HEIC is not read; convert it to \.jpg"):
         find_sources(tmp_path / "phone")
     videos(tmp_path / "twice", "cam.mp4", "cam.mov")
-    with pytest.raises(CaptureError, match="twice: camera cam is there twice"):
+    with pytest.raises(CaptureError, match="twice: camera cam appears twice"):
         find_sources(tmp_path / "twice")
 
 

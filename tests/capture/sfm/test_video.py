@@ -228,7 +228,9 @@ def test_a_rate_that_varies_keeps_its_stamps():
 
 
 def test_stamps_that_do_not_rise_are_refused():
-    with pytest.raises(CaptureError, match=r"a: its time stamps do not rise, which leaves no frame rate"):
+    with pytest.raises(
+        CaptureError, match=r"a: its time stamps do not increase, so the frame rate is unknown"
+    ):
         frame_rate(Path("a"), [Fraction(0)] * 5, ())
 
 

@@ -94,8 +94,13 @@ def test_of_few_modes_a_peak_has_more_power_than_all_noise():
 def test_what_the_compression_repeats_is_said(hz, is_said):
     """Frames of a period of four at 30 Hz; two seconds, so that frequencies are half a hertz apart."""
     compressed = replace(observed(30.0, 60), codec_period=4)
-    assert any("compression repeats" in n for n in frequency_notes([hz], compressed)) == is_said
-    assert not any("compression repeats" in n for n in frequency_notes([hz], observed(30.0, 60)))
+    assert (
+        any("repetition of the video's compression" in n for n in frequency_notes([hz], compressed))
+        == is_said
+    )
+    assert not any(
+        "repetition of the video's compression" in n for n in frequency_notes([hz], observed(30.0, 60))
+    )
 
 
 def test_modes_under_the_noise_are_empty():

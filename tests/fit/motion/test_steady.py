@@ -71,7 +71,7 @@ def test_a_flat_video_with_missing_frames_shows_what_it_shows_with_all():
     assert np.linalg.norm(fields[1] - fields[0]) < 0.05 * np.linalg.norm(fields[0])
     along = fit.motion.displacement @ camera.viewmat[2, :3]
     assert np.abs(along).max() < 1e-6 * np.abs(fit.motion.displacement).max()
-    assert any("across the sight alone" in note for note in fit.notes)
+    assert any("only motion across the line of sight" in note for note in fit.notes)
     assert fit.figures["duration_s"] == pytest.approx(2.0)
 
 
@@ -114,7 +114,7 @@ def test_an_offset_is_the_one_nearest_to_zero():
     ("hz", "said"),
     [
         ([], "no frequency stands out"),
-        ([3.4], "how things move at 3.4 Hz: two halves of the record do not agree on it"),
+        ([3.4], "the motion at 3.4 Hz: the halves of the record disagree"),
     ],
 )
 def test_a_run_without_motion_says_why(hz, said):

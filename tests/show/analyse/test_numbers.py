@@ -225,7 +225,7 @@ def test_what_changed_is_named_and_what_did_not_is_not():
     slower = channel(np.cos(2 * np.pi * 3.25 * T + 0.4), RATE, 0.05, 3)
     changes, alone = compared(machine(1, 0), _of_channel(slower))
     assert [c.figure for c in changes if c.changed] == ["frequency"]
-    assert alone == ["x: 11.7 Hz is in the first record alone"]
+    assert alone == ["x: 11.7 Hz is in the first record only"]
 
 
 def test_an_instruments_curve_lies_on_the_films_and_the_ratio_tells_a_wrong_scale():

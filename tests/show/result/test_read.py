@@ -80,7 +80,7 @@ def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, 
     at = capture.viewmats[0, :3, :3] @ v.place + capture.viewmats[0, :3, 3]
     assert (capture.Ks[0] @ at)[:2] / at[2] == pytest.approx((9.0, 21.0))
     assert v.amplitude.value == pytest.approx(size * at[2] / capture.Ks[0, 0, 0])
-    assert ("only its own region" in "\n".join(lines_of(told))) == (where == "beside")
+    assert ("seen only in its region" in "\n".join(lines_of(told))) == (where == "beside")
 
 
 def test_pixels_are_how_far_a_point_lands_apart(result, run):
@@ -133,7 +133,7 @@ def test_without_its_dataset_a_run_tells_what_it_can(copy):
     found = result_of(copy)
     assert [v.pixels for v in found.vibrations] == [None, None]
     assert found.band is not None
-    assert "is not there" in "\n".join(lines_of(found))
+    assert "does not exist" in "\n".join(lines_of(found))
 
 
 def test_without_uncertainty_no_deviation_is_made_up(copy):
@@ -141,7 +141,7 @@ def test_without_uncertainty_no_deviation_is_made_up(copy):
     found = result_of(copy)
     assert all(v.amplitude.deviation is None and v.pixels.deviation is None for v in found.vibrations)
     assert (found.noise, found.noise_px) == (None, None)
-    assert "how sure the amplitudes are" in "\n".join(found.cannot)
+    assert "the uncertainty of amplitudes" in "\n".join(found.cannot)
 
 
 def test_what_is_smaller_than_its_own_deviation_is_no_vibration(copy):
@@ -204,7 +204,7 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     told = {
         "frequencies_hz": [3.4],
         "frequency_deviation_hz": [0.002],
-        "notes": ["how things move at 3.4 Hz: …"],
+        "notes": ["the motion at 3.4 Hz: …"],
     }
     copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
     text = "\n".join(lines_of(result_of(copy)))

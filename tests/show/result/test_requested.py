@@ -56,7 +56,7 @@ def test_a_band_without_motion_is_refused_with_those_there_are(run):
 def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run, capsys):
     """The record lasts a second."""
     with pytest.raises(
-        Tg4mmError, match=r"--band 0\.1 0\.4: the record of 1 s holds less than half a period of it"
+        Tg4mmError, match=r"--band 0\.1 0\.4: the record of 1 s contains less than half a period of it"
     ):
         refuse_empty(run, plan(0.1, 0.4))
     refuse_empty(run, plan(0.5, 3.5))

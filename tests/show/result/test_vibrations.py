@@ -115,7 +115,7 @@ def test_a_marked_line_is_no_vibration_and_the_notes_say_why():
 def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger():
     seen = found()
     lost = replace(seen, lines=(replace(seen.lines[0], lost="smaller than the codec lets through"),))
-    said = "how much more than 0.12 px things move at 5.2 Hz at (40, 24): smaller than the codec lets through"
+    said = "the amplitude above 0.12 px at 5.2 Hz at (40, 24): smaller than the codec lets through"
     assert said in looked_notes(lost)
     assert said not in looked_notes(seen)
     K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
@@ -130,6 +130,7 @@ def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger():
 def test_what_moves_by_itself_and_the_light_are_said():
     notes = " ".join(looked_notes(found()))
     assert (
-        "between pixels (0, 0) and (16, 16): something there moves by itself, periodically at 7.5 Hz" in notes
+        "between pixels (0, 0) and (16, 16): an object there moves independently, periodically at 7.5 Hz"
+        in notes
     )
     assert "it flickers at 10 Hz" in notes

@@ -53,7 +53,7 @@ def read_recording(
     if path.suffix.lower() not in RECORDING_SUFFIXES:
         raise CaptureError(f"{path}: is neither a folder of pictures nor a video ({NAMES})")
     if fps is None and is_untimed(path):
-        raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
+        raise CaptureError(f"{path}: has no time stamps; give --fps, frames per second")
     info, meter = video_info(path), DuplicateMeter()
     fps = fps or info.filmed_at
     with progress("regions", _expected(info, window), "pictures", brief=True) as update:

@@ -110,10 +110,12 @@ def frame_rate(
     Raises CaptureError where the stamps do not rise, so that there is no rate.
     """
     if is_untimed(path):
-        raise CaptureError(f"{path}: has no times of its own; give --fps, pictures a second")
+        raise CaptureError(f"{path}: has no time stamps; give --fps, frames per second")
     steps = sorted(b - a for a, b in pairwise(times))
     if not steps or steps[0] <= 0:
-        raise CaptureError(f"{path}: its time stamps do not rise, which leaves no frame rate; give --fps")
+        raise CaptureError(
+            f"{path}: its time stamps do not increase, so the frame rate is unknown; give --fps"
+        )
     for numbers in (np.arange(len(times)), _numbers(times)):
         fitted = Fraction(_slope(times, numbers)).limit_denominator(_FINE)
         usual = [Fraction(round(fitted)), Fraction(round(fitted * 1001 / 1000) * 1000, 1001)]
@@ -205,8 +207,8 @@ def check_numbers(pictures: Sequence[Path]) -> None:
     if step > 0 and 0 < len(odd) < len(steps) / 2 and all(one % step == 0 for one in steps):
         k = odd[0]
         raise CaptureError(
-            f"{pictures[k]}: the next is {pictures[k + 1].name}: pictures between them are missing, and the times of "
-            "those after them would be wrong; give one unbroken part"
+            f"{pictures[k]}: pictures between it and {pictures[k + 1].name} are missing, so later times would be "
+            "wrong; give a part without gaps"
         )
 
 

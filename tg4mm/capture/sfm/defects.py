@@ -95,7 +95,7 @@ def warn_bumps(surveys: Iterable[Survey]) -> None:
             more = f" and {len(bumps) - NAMED} more times" if len(bumps) > NAMED else ""
             warnings.warn(
                 f"{survey.path.name}: the camera was bumped and came back at {listed}{more}; "
-                "what moves then is not the scene",
+                "motion at these times is the camera's",
                 stacklevel=2,
             )
 

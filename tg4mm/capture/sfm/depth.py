@@ -67,7 +67,8 @@ def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     names = ", ".join(s.name for s in sights)
     if widest < SHALLOWEST_DEG:
         raise Tg4mmError(
-            f"--length: {names} see the point from directions {widest:.2f}° apart, which gives no depth"
+            f"--length: {names} see the point from directions {widest:.2f}° apart, too close for depth; "
+            "mark it in another picture"
         )
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     xyz = np.linalg.solve(across.sum(0), np.einsum("sij,sj->i", across, centres))
@@ -77,7 +78,9 @@ def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     residual, jacobian = _equations(sights, xyz)
     miss = float(np.linalg.norm(residual.reshape(-1, 2), axis=1).max()) * CLICK_PX
     if not miss <= MISFIT_PX:
-        raise Tg4mmError(f"--length: {names} do not show one point there: it is missed by {miss:.0f} pixels")
+        raise Tg4mmError(
+            f"--length: {names} do not show the same point there: they miss it by {miss:.0f} pixels"
+        )
     if behind := [s.name for s in sights if s.pose[2, :3] @ xyz + s.pose[2, 3] <= 0]:
         raise Tg4mmError(
             f"--length: {names} meet behind {behind[0]}: are the pixels those of these pictures, in this order?"
@@ -112,15 +115,15 @@ def depth_among_points(sight: Sight, model: Any) -> Spot:
     if len(order) < FEWEST:
         raise Tg4mmError(
             f"--length: {len(order)} points are known within {reach:.0f} pixels of {sight.pixel[0]:g}, "
-            f"{sight.pixel[1]:g} in {sight.name}, at least {FEWEST} are needed; show it in a second picture"
+            f"{sight.pixel[1]:g} in {sight.name}, at least {FEWEST} are needed; mark it in a second picture"
         )
     xyz = np.array([model.points3D[seen[i].point3D_id].xyz for i in order])
     cam = xyz @ pose[:, :3].T + pose[:, 3]
     inverse, spread = _plane(cam[:, :2] / cam[:, 2:] - sight.ray[:2], 1 / cam[:, 2])
     if inverse <= 2 * spread:
         raise Tg4mmError(
-            f"--length: the points around {sight.pixel[0]:g}, {sight.pixel[1]:g} in {sight.name} are on no surface; "
-            "show it in a second picture"
+            f"--length: the points around {sight.pixel[0]:g}, {sight.pixel[1]:g} in {sight.name} lie on no surface; "
+            "mark it in a second picture"
         )
     depth = 1 / inverse
     covariance = np.diag([(sight.angle * depth) ** 2] * 2 + [0.0])

@@ -100,8 +100,8 @@ def _check_readout(images: Path, kind: Kind, surveys: Sequence[Survey], config: 
             )
         if survey.path.is_file() and is_turned(survey.path):
             raise Tg4mmError(
-                f"--readout is for pictures whose rows are read from top to bottom, but those of {survey.path.name} "
-                "are turned when they are shown"
+                f"--readout is for pictures that are stored upright, but {survey.path.name} is rotated when it is "
+                "shown; leave it out"
             )
 
 
@@ -114,8 +114,8 @@ def _check_as_long(surveys: Sequence[Survey]) -> None:
         )
         what = "leave out pictures" if until is None else f"--until {until:.3f} takes as many of each"
         raise CaptureError(
-            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, and the cameras are "
-            f"said to be synchronous: {what}"
+            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, but --synchronous was "
+            f"given: {what}"
         )
 
 

@@ -26,8 +26,8 @@ def warn_light(surveys: Iterable[Survey]) -> None:
         ]
         if told:
             warnings.warn(
-                f"{survey.path.name}: {' and '.join(told)}; what is alike all over the picture is no motion and is "
-                "taken out; lock both in the camera",
+                f"{survey.path.name}: {' and '.join(told)}; changes common to all of the picture are "
+                "removed; lock both in the camera",
                 stacklevel=2,
             )
 

@@ -221,7 +221,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     check_enough(job.sources)
     if len(taken) < FEWEST:
         raise CaptureError(
-            f"{len(taken)} pictures, at least {FEWEST} are needed; a {SWEEP}/ of further ones helps"
+            f"{len(taken)} pictures, at least {FEWEST} are needed; add photographs in {SWEEP}/"
         )
     masks = stage(taken, work)
     database = make_database(taken, work, config.camera_model, config.focal_px)
@@ -281,8 +281,8 @@ def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: b
     typical = int(median(image.num_points3D for image in placed.values()))
     if typical < FEW_POINTS and not quiet:
         warnings.warn(
-            f"a picture shows {typical} points of the model, typically, too few for poses to rely on (expected "
-            f"{FEW_POINTS} or more): places may be off by a tenth of the distance. More texture, larger pictures "
+            f"a typical picture shows {typical} points of the model, too few for reliable poses (expected "
+            f"{FEW_POINTS} or more): positions may be off by a tenth of the distance. More texture, larger pictures "
             "or more overlap help",
             stacklevel=2,
         )

@@ -72,7 +72,7 @@ def read_length(path: Path) -> Length:
         first, second = (_seen(point) for point in values["points"])
         return Length((first, second), float(values["metres"]))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        raise Tg4mmError(f"{path}: is of another form; expected {FORM}") from None
+        raise Tg4mmError(f"{path}: has an unknown form; expected {FORM}") from None
 
 
 def _seen(point: Mapping[str, Sequence[float]]) -> tuple[Pixel, ...]:
@@ -91,7 +91,7 @@ def checked_length(length: Length) -> Length:
         raise Tg4mmError(f"--length is {length.metres} m, expected a length above 0 m")
     for name, x, y in (*length.ends[0], *length.ends[1]):
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise Tg4mmError(f"--length: {name} has the place {x}, {y}, expected pixels")
+            raise Tg4mmError(f"--length: {name} has the position {x}, {y}, expected pixels")
     return length
 
 
@@ -105,7 +105,7 @@ def measured_length(
     spots = [_located(end, taken, placed, model) for end in length.ends]
     units = float(np.linalg.norm(spots[0].xyz - spots[1].xyz))
     if units * world.scale < 1e-6:
-        raise Tg4mmError("--length: both ends are one point")
+        raise Tg4mmError("--length: both ends are the same point")
     along = (spots[0].xyz - spots[1].xyz) / units
     variance = along @ (spots[0].covariance + spots[1].covariance) @ along
     return MeasuredLength(

@@ -75,7 +75,7 @@ def find_sources(path: Path, timed: bool = False) -> Sources:
     names = [camera.name for camera in cameras]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise CaptureError(f"{path}: camera {twice} is there twice")
+        raise CaptureError(f"{path}: camera {twice} appears twice; rename one")
     return Sources(path, clips=cameras, sweep=sweep)
 
 
@@ -102,7 +102,7 @@ def _check_read(path: Path) -> None:
         other = next((p for p in _entries(folder) if p.suffix.lower() in UNREAD), None)
         if other is not None:
             raise CaptureError(
-                f"{other}: {other.suffix} is not read; convert it to .jpg, .png or .exr, or take it away"
+                f"{other}: {other.suffix} is not read; convert it to .jpg, .png or .exr, or remove it"
             )
     if sweep.is_dir() and not _pictures(sweep):
         raise CaptureError(f"{sweep}: holds no pictures; expected {', '.join(IMAGE_SUFFIXES)}")

@@ -246,8 +246,8 @@ class _Look:
             raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
         if self._novelty.hardly_changes(is_new):
             warnings.warn(
-                f"{path.name}: hardly anything changes from frame to frame: all frames are one picture, or compression "
-                "took away what the camera saw change",
+                f"{path.name}: hardly anything changes from frame to frame: the recording is a single picture, or "
+                "compression removed the changes",
                 stacklevel=2,
             )
 

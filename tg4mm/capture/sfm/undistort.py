@@ -91,7 +91,7 @@ def lenses(cameras: Mapping[Key, Any], fitted: Iterable[Key] = ()) -> dict[Key, 
     if (sizes.min(axis=0) < SMALLEST_SHARE * sizes.max(axis=0)).any():
         shown = ", ".join(sorted({f"{w}×{h}" for w, h in sizes.tolist()}))
         raise CaptureError(
-            f"cameras have pictures of {shown} pixels, which one dataset cannot hold: scale them alike"
+            f"cameras have pictures of {shown} pixels, which do not fit into one dataset: scale them to one size"
         )
     return {
         key: _lens(camera, key[1], pinholes[key].cut(width, height, key in set(fitted)), (width, height))

@@ -66,19 +66,19 @@ def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations
             if alias > resolution and abs(f - alias) < resolution / 2:
                 out.append(
                     f"{f:.4g} Hz is where light that flickers at {mains:g} Hz appears at {fps:.4g} frames/s: "
-                    "switch the light off, or change the frame rate, to tell it from motion"
+                    "switch the light off, or change the frame rate, to distinguish it from motion"
                 )
         period = observations.codec_period or 1
         for k in range(1, period // 2 + 1):
             if abs(f - k * fps / period) < resolution / 2:
                 out.append(
-                    f"{f:.4g} Hz is what the video's compression repeats ({k} × {fps:.4g} Hz / {period} frames): "
-                    "a video of less compression, or of another frame rate, tells it from motion"
+                    f"{f:.4g} Hz is a repetition of the video's compression ({k} × {fps:.4g} Hz / {period} frames): "
+                    "less compression, or another frame rate, distinguishes it from motion"
                 )
         if f > _NEAR_NYQUIST * fps / 2:
             out.append(
                 f"{f:.4g} Hz is close to half the frame rate: a vibration of {fps - f:.4g} Hz would look the same; "
-                "a higher frame rate tells them apart"
+                "a higher frame rate distinguishes them"
             )
     return out
 

@@ -124,7 +124,7 @@ def observe(
         )
     if clock == Clock.moving and capture.readout_s:
         warnings.warn(
-            f"{capture.root}: rows of a moving camera's pictures are taken to be read at once: readout_s is left out",
+            f"{capture.root}: row delays are ignored for a moving camera: readout_s is not used",
             stacklevel=2,
         )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
@@ -164,7 +164,7 @@ def check_shows_motion(capture: Capture) -> None:
     longest = max(len(f.rows) for f in frames)
     if clock != Clock.moving and longest < FEWEST_FRAMES:
         raise CaptureError(
-            f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
+            f"{capture.root}: a camera holds {longest} pictures over time, too few to resolve any frequency below half "
             f"the frame rate; expected {FEWEST_FRAMES} or more, better several periods of the vibration"
         )
 
@@ -174,8 +174,8 @@ def check_band_told(band: Sequence[float], duration_s: float) -> None:
     lowest = LEAST_PERIODS / duration_s
     if band[1] < lowest:
         raise CaptureError(
-            f"--band {band[0]:g} {band[1]:g}: the record of {duration_s:.3g} s holds less than half a period of it, "
-            f"which no drift is told from; a band must reach {lowest:.3g} Hz, or film longer"
+            f"--band {band[0]:g} {band[1]:g}: the record of {duration_s:.3g} s contains less than half a period of it, "
+            f"which looks like drift; raise the band to {lowest:.3g} Hz or above, or film longer"
         )
 
 

@@ -261,18 +261,18 @@ def _result(
     """With what is logged, and what cannot be told."""
     observations, notes = model.observations, [*model.notes]
     if observations.is_flat:
-        notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
+        notes.append("a flat capture shows only motion across the line of sight, in pixels")
     pixels = figures["pixels_moved"]
     if pixels > ABOVE_PX * observations.factor and not (model.iterates or figures["gauss_newton"]):
         notes.append(
-            f"things move by {pixels:.2g} px; such a capture is fitted in proportion to motion, which on fine texture "
-            f"holds up to {ABOVE_PX * observations.factor:.2g} px: tg4mm measure tells by the pictures whether "
-            "amplitudes come out too small"
+            f"amplitudes of fine texture: the motion, {pixels:.2g} px, exceeds the linear range, "
+            f"{ABOVE_PX * observations.factor:.2g} px, and this capture is not iterated; tg4mm measure shows whether "
+            "they are too small"
         )
     if (gain := figures.get("picture_gain", 1.0)) > LACKING:
         notes.append(
-            f"how far things move: the pictures change by {gain:.2g} times as much as the motion found says, since "
-            "from these cameras it cannot be told well where things lie; photographs or cameras from more sides tell"
+            f"amplitudes: the pictures change {gain:.2g} times as much as the fitted motion predicts, since these "
+            "cameras do not determine the depth well; add photographs or cameras from more sides"
         )
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]
@@ -302,8 +302,8 @@ def without_motion(model: TemporalModel) -> MotionFit:
     elif hz:
         named = ", ".join(f"{f:.4g}" for f in hz)
         note = (
-            f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
-            f"motion; {model.if_halves_disagree}"
+            f"the motion at {named} Hz: the halves of the record disagree, so the run leaves it "
+            f"out; {model.if_halves_disagree}"
         )
     figures = {"views": len(model.problem.views), **model.figures, "n_frequencies": 0}
     return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, *([note] if note else [])])

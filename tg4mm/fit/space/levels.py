@@ -49,7 +49,7 @@ def check_levels(count: int, size: tuple[int, int]) -> None:
     if count > 1 and min(width, height) < SMALLEST:
         raise Tg4mmError(
             f"setting space.levels is {count}: pictures of {size[0]}×{size[1]} would be {width}×{height} at the "
-            f"coarsest, expected at least {SMALLEST} pixels; ask for fewer"
+            f"coarsest, expected at least {SMALLEST} pixels; give fewer"
         )
 
 

@@ -84,7 +84,7 @@ def compared(before: Sequence[Found], after: Sequence[Found]) -> tuple[list[Chan
     for a in sorted(before, key=lambda f: -f.amplitude.value):
         near = [b for b in rest if b.where == a.where and _distance(a, b) < 1]
         if not near:
-            alone.append(f"{a.where}: {a.frequency.value:.4g} Hz is in the first record alone")
+            alone.append(f"{a.where}: {a.frequency.value:.4g} Hz is in the first record only")
             continue
         b = min(near, key=lambda b: _distance(a, b))
         rest.remove(b)

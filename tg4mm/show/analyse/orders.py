@@ -113,7 +113,7 @@ def orders_of(
     if turns * apart < _TURNS:
         raise AnalyseError(
             f"{channel.name}: a segment of {length / channel.rate:.3g} s holds {turns:.3g} turns, expected "
-            f"{_TURNS / apart:.3g} or more to tell the orders apart: --segment SECONDS makes it longer"
+            f"{_TURNS / apart:.3g} or more to separate the orders: give a longer --segment SECONDS"
         )
     reach = _HIGHEST * channel.rate
     if asked[0] * speed.turns_hz.min() > reach:

@@ -50,8 +50,8 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     """
     if reference.quantity not in ORDER:
         raise AnalyseError(
-            f"{reference.name} is {reference.quantity}, which tells no lag: --sync names an accelerometer's column of "
-            "the same file, or --lag gives it"
+            f"{reference.name} is {reference.quantity}, which does not show the lag: name an accelerometer of "
+            "the same file with --sync, or give --lag"
         )
     lo = 2.0 / min(response.duration_s, reference.duration_s)
     hi = _USED * min(response.rate, reference.rate)
@@ -59,7 +59,7 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     spline = CubicSpline(reference.times_s, converted(reference, reference.quantity, (lo, hi))[0])
     grid = np.arange(reference.times_s[0], reference.times_s[-1], 1 / response.rate)
     if min(len(grid), len(y)) < _FEWEST:
-        raise AnalyseError(f"{response.name}: under {_FEWEST} samples tell no lag")
+        raise AnalyseError(f"{response.name}: under {_FEWEST} samples do not show the lag")
     x = spline(grid)
     cross, lags = correlate(y, x, "full"), correlation_lags(len(y), len(x))
     both = np.rint(correlate(np.ones(len(y)), np.ones(len(x)), "full"))

@@ -47,7 +47,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         where = (
             "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
         )
-        out.append(f"a flat capture shows motion across the sight alone, {where}")
+        out.append(f"a flat capture shows only motion across the line of sight, {where}")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(
             "sensors of one camera: along its line of sight, which it hardly sees, a waveform has a much larger ±"

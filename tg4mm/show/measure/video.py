@@ -57,7 +57,7 @@ def prepare_video(path: Path | str, fps: float | None = None, readout_s: float =
     """
     path = Path(path)
     if fps is None and is_untimed(path):
-        raise MeasureError(f"{path}: has no times of its own; give --fps, pictures a second")
+        raise MeasureError(f"{path}: has no time stamps; give --fps, frames per second")
     if readout_s and is_turned(path):
         raise MeasureError(
             f"--readout: the rows of {path.name} are turned when they are shown, so that they are not read from top "

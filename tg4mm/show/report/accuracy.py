@@ -172,13 +172,13 @@ def _displacement_words(figures: dict[str, Any], unit_scale_m: float | None) -> 
     words.append(f"The rms error is {wrong}, the rms of the true motion {true}.")
     if leak is not None:
         words.append(
-            f"What stands still, {100 * figures['static_share']:.0f} % of what is seen, was given motion of "
-            f"{100 * leak:.1f} % of the rms of what moves (static leak)."
+            f"Static parts, {100 * figures['static_share']:.0f} % of the visible scene, were given motion of "
+            f"{100 * leak:.1f} % of the rms of moving parts (static leak)."
         )
     if sure := figures.get("uncertainty"):
         words.append(
-            f"The run itself says it is off by {both_lengths(sure['said'], unit_scale_m)} rms; "
-            f"{100 * sure['within_two']:.0f} % of what is seen is off by at most twice what it says of it."
+            f"The run estimates its error as {both_lengths(sure['said'], unit_scale_m)} rms; "
+            f"{100 * sure['within_two']:.0f} % of the visible scene lie within two of its deviations."
         )
     return " ".join(words)
 

@@ -91,14 +91,14 @@ def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
     movers = found.movers if is_flat else ()  # other fits leave nothing out
     out = [_moves(mover) for mover in movers[:_MOST]]
     if len(movers) > _MOST:
-        out.append(f"{len(movers) - _MOST} more places where something moves by itself or passes")
+        out.append(f"{len(movers) - _MOST} more regions with independent motion or a passing object")
     out += [
         f"whether something vibrates at {line.hz:.4g} Hz ({line.amplitude_px:.2g} px at {_at(line)}): {line.mark}"
         for line in found.lines
         if line.mark
     ]
     out += [
-        f"how much more than {line.amplitude_px:.2g} px things move at {line.hz:.4g} Hz at {_at(line)}: {line.lost}"
+        f"the amplitude above {line.amplitude_px:.2g} px at {line.hz:.4g} Hz at {_at(line)}: {line.lost}"
         for line in found.vibrations
         if line.lost
     ]
@@ -115,9 +115,9 @@ def _moves(mover: Mover) -> str:
     left, upper, right, lower = mover.box
     where = f"between pixels ({left}, {upper}) and ({right}, {lower})"
     if mover.kind == "passes":
-        return f"what is {where} while something passes, from {mover.from_s:.1f} to {mover.until_s:.1f} s"
+        return f"motion {where} from {mover.from_s:.1f} to {mover.until_s:.1f} s, while something passes"
     rate = "" if mover.hz is None else f", periodically at {mover.hz:.4g} Hz or an alias of it"
-    return f"what vibrates {where}: something there moves by itself{rate}, and is left out of the fit"
+    return f"vibration {where}: an object there moves independently{rate}, and is excluded from the fit"
 
 
 def _at(line: LookLine) -> str:
@@ -135,23 +135,20 @@ def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibrati
         f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
     )
     if "along_sight" in reading.uncertainty and vibrations:
-        out.append(
-            "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
-            "than the ± says"
-        )
+        out.append("motion towards the only camera: its amplitude is underestimated, by more than the ±")
     if "noise" not in reading.uncertainty and vibrations:
         out.append(
-            f"how sure the amplitudes are: the preset {reading.run.preset} with these settings does not say it"
+            f"the uncertainty of amplitudes: the preset {reading.run.preset} with these settings does not estimate it"
         )
     if vibrations and reading.capture is not None and is_coded(reading.capture.root):
         tested = f": tg4mm measure {argument(reading.run.path)} --out FOLDER tests it"
         is_tested = video_file(reading.capture.root) is not None
         out.append(
-            "what the video's compression took of small amplitudes, which the ± does not hold"
+            "the loss of small amplitudes by compression of the video, which the ± does not include"
             + (tested if is_tested else "")
         )
     if reading.capture is None:
-        out.append(f"pixels and the scale: the dataset {reading.run.dataset} is not there")
+        out.append(f"pixels and the scale: the dataset {reading.run.dataset} does not exist")
     elif reading.capture.unit_scale_m is None and reading.capture.kind.sees_depth:
         out.append(
             "millimetres: unit_scale_m (metres per scene unit) in "

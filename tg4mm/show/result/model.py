@@ -101,12 +101,12 @@ def lines_of(result: Result) -> list[str]:
         lines += [
             first,
             *rest,
-            _row("", "(only its own region shows it: the model of the whole picture does not)"),
+            _row("", "(seen only in its region, not by the model of the complete picture)"),
         ]
     if result.n_timesteps > 1 and not result.vibrations and not result.beside:
         lines.append(_INDENT + _nothing(result))
     if result.vibrations:
-        lines.append(_row("", "(where they are largest: 1 % of what is seen moves further)"))
+        lines.append(_row("", "(99th percentile: 1 % of the visible scene moves further)"))
     lines += _noise(result)
     lines += [_row("cannot tell" if i == 0 else "", line) for i, line in enumerate(result.cannot)]
     if result.band is not None:
@@ -129,8 +129,8 @@ def _head(result: Result) -> str:
 def _nothing(result: Result) -> str:
     if not result.untold_hz:
         return (
-            "no vibration was found: no frequency stands out of those around it; --band LO HI looks at a band all the "
-            "same"
+            "no vibration was found: no frequency exceeds the noise around it; --band LO HI selects a band "
+            "anyway"
         )
     named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
     return f"something changes at {named} Hz; how far and which way it moves cannot be told"

@@ -27,7 +27,7 @@ def auto_band(run: Run) -> tuple[Band, str]:
     result = result_of(run)
     if result.band is None:
         raise Tg4mmError(
-            f"--band auto: no vibration was found in {run.path}; --band LO HI looks at one all the same"
+            f"--band auto: no vibration was found in {run.path}; --band LO HI selects a band anyway"
         )
     line = f"--band auto: {_shown(result.band)} Hz, around {result.vibrations[0].hz:.4g} Hz"
     if others := result.vibrations[1:]:
@@ -55,7 +55,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
         if not (gains > _LET_THROUGH).any():
             raise Tg4mmError(
                 f"--band {band.low:g} {band.high:g}: no motion was found there; {_there(result_of(run), freqs)}; "
-                f"--allow-empty-band goes on all the same, tg4mm train --band {band.low:g} {band.high:g} fits one"
+                f"--allow-empty-band continues anyway, tg4mm train --band {band.low:g} {band.high:g} fits one"
             )
 
 

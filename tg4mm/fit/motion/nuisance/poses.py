@@ -92,9 +92,7 @@ def corrected_poses(
                 n = _coefficients(nuisance, shown, left_of(picture, shown))
                 frame = replace(frame, viewmat=_corrected(frame.viewmat, n[POSE]))
             if not np.isfinite(frame.viewmat).all():
-                raise RunError(
-                    f"the pose of frame {i} cannot be refined: what it shows is not the scene at rest"
-                )
+                raise RunError(f"the pose of frame {i} cannot be refined: it does not show the scene at rest")
             out.append(frame)
             exposures.append(n[:6].astype(np.float32))
             if pictures is not None:

@@ -36,7 +36,7 @@ class TemporalModel(ABC):
     notes: Sequence[str]  # what cannot be told
     fitted: np.ndarray  # [ρ'] which of the target images
     # on the motion at a frequency: what the user can do
-    if_halves_disagree: ClassVar[str] = "longer clips tell"
+    if_halves_disagree: ClassVar[str] = "use longer clips"
 
     @property
     def separates(self) -> bool:

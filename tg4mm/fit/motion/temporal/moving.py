@@ -61,7 +61,7 @@ _ALL = np.ones(12, bool)
 class MovingCamera(Steady):
     """`TemporalModel` of one camera that moves."""
 
-    if_halves_disagree: ClassVar[str] = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
+    if_halves_disagree: ClassVar[str] = "use a fixed camera and a sweep (docs/capture-guide.md, tripod)"
     path: CameraPath
     ambiguity: np.ndarray | None = None  # [N] squares of the fields' error; None: no field was read
     min_reliability: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
@@ -86,16 +86,16 @@ class MovingCamera(Steady):
         frequencies, of_band = frequencies_of(observations, [shifts], _LEAST_POWER, lowest_hz, config)
         figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(frequencies), **of_band}
         notes = [
-            "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
-            f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
-            f"what moves by less than {_MOVES:g} of the largest at its frequency is held still, so that it tells "
-            "the poses; motion towards the camera comes out too small",
+            "common motion of the complete scene, which looks like motion of the camera; motion below "
+            f"{lowest_hz:.2g} Hz (eight periods in the record), which looks like a change of viewpoint",
+            f"motion below {_MOVES:g} of the largest at its frequency, which is set to zero to determine "
+            "the poses; motion towards the camera is underestimated",
         ]
         if (slow := frequencies.hz[frequencies.hz < lowest_hz]).size:  # of a band that was asked for
             figures["lower_bound_hz"] = [round(float(f), 4) for f in slow]
             notes.append(
-                f"how far things move at {', '.join(f'{f:.4g}' for f in slow)} Hz: with fewer than eight periods the "
-                "scene at rest takes up what changes so slowly, and amplitudes are lower bounds; a fixed camera tells"
+                f"amplitudes at {', '.join(f'{f:.4g}' for f in slow)} Hz: with fewer than eight periods the "
+                "scene at rest absorbs slow changes, and amplitudes are lower bounds; use a fixed camera"
             )
         targets = no_targets(observations)
         if len(frequencies.hz):
@@ -192,14 +192,14 @@ def _not_told(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.ndarray) -
     """What is said of frequencies [K] whose motion may be the camera's own; those that were asked for stay."""
     out = []
     for some, what in (
-        (~is_determined & ~is_asked, ", so that the run holds no motion there"),
-        (~is_determined & is_asked, " is a guess, kept since it was asked for"),
+        (~is_determined & ~is_asked, ", which the run therefore leaves out"),
+        (~is_determined & is_asked, " is a guess, kept because the band was given"),
     ):
         if some.any():
             named = ", ".join(f"{f:.4g}" for f in hz[some])
             out.append(
-                f"how things move at {named} Hz{what}: neither how much of what is seen moves nor the camera's path "
-                "tells its motion from the camera's own; a fixed camera and a sweep tell "
+                f"the motion at {named} Hz{what}: neither the moving share of the picture nor the camera's path "
+                "separates it from camera motion; use a fixed camera and a sweep "
                 "(docs/capture-guide.md, tripod)"
             )
     return out

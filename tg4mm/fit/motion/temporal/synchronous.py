@@ -133,7 +133,7 @@ def principal_components(
     count = kept_components(energy, rank, pixels, least=0 if len(known) else 1)
     if count > most:
         warnings.warn(
-            f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
+            f"{count} temporal components exceed the noise, motion.components keeps the strongest {most}",
             stacklevel=2,
         )
     basis = np.concatenate([known, vectors[: min(count, most)]])
