@@ -43,7 +43,7 @@ class TestFrozen:
             pytest.skip(f"no {codec}")
         path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
         with pytest.warns(
-            UserWarning, match=r"a\.mkv: hardly anything changes .*: all frames are one picture, or"
+            UserWarning, match=r"a\.mkv: hardly anything changes .*: the recording is a single picture, or"
         ):
             assert looked(path).repeats == ()
 

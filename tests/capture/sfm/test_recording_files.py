@@ -173,7 +173,7 @@ def test_pictures_that_are_missing_amid_a_recording_are_named(tmp_path):
         lambda: reconstruct(path, tmp_path / "out", SfmConfig(kind="flat", fps=RATE), 1),
     ):
         with pytest.raises(
-            CaptureError, match=r"a_0006\.tif: the next is a_0008\.tif: pictures between them are missing"
+            CaptureError, match=r"a_0006\.tif: pictures between it and a_0008\.tif are missing"
         ):
             call()
 

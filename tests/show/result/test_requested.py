@@ -61,7 +61,7 @@ def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run, capsy
         refuse_empty(run, plan(0.1, 0.4))
     refuse_empty(run, plan(0.5, 3.5))
     assert main(["render", str(run.path), "--alpha", "3", "--band", "0.1", "0.4", "--out", "nowhere"]) == 2
-    assert capsys.readouterr().err.count("a band must reach 0.5 Hz, or film longer") == 1
+    assert capsys.readouterr().err.count("raise the band to 0.5 Hz or above, or film longer") == 1
 
 
 def test_a_band_that_a_person_gives_is_magnified_though_one_period_is_no_vibration(run, tmp_path, capsys):
