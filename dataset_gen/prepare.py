@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.core import events
-from tg4mm.core.version import __version__
+from tg4mm.core import __version__, events
 
 from . import processes, tree, truth
 from .cameras import cameras_at

@@ -16,8 +16,8 @@
 import os
 from typing import TYPE_CHECKING
 
-from .core.lazy import lazily
-from .core.version import __version__ as __version__
+from .core import __version__ as __version__
+from .core.extras import lazily
 
 if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.capture import Capture as Capture

@@ -5,8 +5,8 @@ import subprocess
 from typing import Any
 
 from dataset_gen.errors import GenerateError
+from tg4mm.core import __version__ as own_version
 from tg4mm.core.extras import install
-from tg4mm.core.version import __version__ as own_version
 
 from ..declare import Declared
 from . import commands, generating

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from tg4mm.core import __version__
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Stat, Table, Text, picture, render_page
 from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.records import read_formed
-from tg4mm.core.version import __version__
 
 from ..tree import TIMING, whole
 from .findings import Findings, Mode, find, magnified, read_picture

@@ -191,7 +191,7 @@ def test_inside_blender_the_same_arguments_work(tmp_path):
         "import bpy, runpy, sys\n"
         f"sys.argv = ['blender', '--background', '--python', {str(script)!r}, '--', 'mic', '--out', "
         f"{str(tmp_path)!r}, '--preset', 'smoke', '--size', '32', '--timesteps', '2', '--truth', 'none']\n"
-        "for name in ('PIL', 'jinja2', 'skimage', 'rich', 'typer', 'plyfile', 'OpenEXR', 'torch'):\n"
+        "for name in ('PIL', 'jinja2', 'skimage', 'rich', 'cyclopts', 'plyfile', 'OpenEXR', 'torch'):\n"
         "    sys.modules[name] = None\n"
         f"runpy.run_path({str(script)!r}, run_name='__main__')"
     )

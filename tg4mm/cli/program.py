@@ -15,11 +15,10 @@ from cyclopts import CycloptsError
 from tg4mm.capture.options import ConvertOptions, SfmOptions
 from tg4mm.cli import bench, recordings, results
 from tg4mm.cli.generated import application, command, joined_bands, message_of
-from tg4mm.core import events
+from tg4mm.core import __version__, events
 from tg4mm.core.errors import Tg4mmError, one_line, system_says
 from tg4mm.core.extras import EXTRA_OF, EXTRAS_OF_COMMAND, install
 from tg4mm.core.parent import end_with_parent
-from tg4mm.core.version import __version__
 from tg4mm.fit.precompile import enable
 from tg4mm.research.options import DemoOptions, EvaluateOptions
 from tg4mm.run.options import LIST_SETTINGS, TrainOptions

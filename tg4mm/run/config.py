@@ -7,10 +7,9 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from tg4mm.core import untrusted
+from tg4mm.core import __version__, untrusted
 from tg4mm.core.errors import RunError
 from tg4mm.core.values import require
-from tg4mm.core.version import __version__
 from tg4mm.core.work_folder import WorkFolder
 
 FORMAT = "tg4mm"

@@ -8,7 +8,7 @@ from tg4mm.core.splatfile import write_splat
 
 COPY = """
 import sys
-for name in ("torch", "bpy", "plyfile", "PIL", "scipy", "numba", "rich", "typer"):
+for name in ("torch", "bpy", "plyfile", "PIL", "scipy", "numba", "rich", "cyclopts"):
     sys.modules[name] = None
 from tg4mm.core import splatfile
 splat = splatfile.read_splat(sys.argv[1])

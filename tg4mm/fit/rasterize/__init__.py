@@ -5,7 +5,7 @@
 
 from typing import TYPE_CHECKING
 
-from tg4mm.core.lazy import lazily
+from tg4mm.core.extras import lazily
 
 if TYPE_CHECKING:
     from tg4mm.fit.rasterize.api import rasterization

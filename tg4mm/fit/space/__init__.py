@@ -5,7 +5,7 @@ The names are imported when they are first asked for: tg4mm/fit/precompile.py ne
 
 from typing import TYPE_CHECKING
 
-from tg4mm.core.lazy import lazily
+from tg4mm.core.extras import lazily
 
 if TYPE_CHECKING:
     from tg4mm.fit.space.config import SpaceConfig

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture import load_capture
+from tg4mm.core import __version__
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.values import Maybe
-from tg4mm.core.version import __version__
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.research.bench import BenchError
 from tg4mm.run.config import read_json

@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
+from tg4mm.core import __version__
 from tg4mm.core.progress import progress
-from tg4mm.core.version import __version__
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import write_text
 from tg4mm.research.bench.sets import open_set

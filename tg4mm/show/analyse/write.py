@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core import __version__
 from tg4mm.core.files import to_json, write_atomic, write_json
-from tg4mm.core.version import __version__
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.analyse.analysis import Analysis
 from tg4mm.show.analyse.channel import AnalyseError

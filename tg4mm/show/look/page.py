@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture.look import Look
+from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import (
@@ -23,7 +24,6 @@ from tg4mm.core.pages.page import (
     render_page,
 )
 from tg4mm.core.pages.plotstyle import STYLE
-from tg4mm.core.version import __version__
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.regions import composite, region_picture
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
-from tg4mm.core.version import __version__
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.units import Unit, unit_of

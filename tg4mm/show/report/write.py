@@ -8,13 +8,13 @@ from pathlib import Path
 
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.look import LookLine
+from tg4mm.core import __version__
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, drawing, picture, render_page
 from tg4mm.core.progress import progress
-from tg4mm.core.version import __version__
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
 from tg4mm.run.tensor_file import model_hash

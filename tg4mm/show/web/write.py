@@ -13,11 +13,11 @@ from markupsafe import Markup
 
 from tg4mm.capture import load_capture
 from tg4mm.capture.model import Capture
+from tg4mm.core import __version__
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.phasors import peak_displacement
 from tg4mm.core.progress import progress
-from tg4mm.core.version import __version__
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
