@@ -1,6 +1,7 @@
 """Readers of captures: the layouts of datasets, their pictures, points and ground truth."""
 
 import json
+import struct
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from tests.capture.conftest import write_folder, write_tree
 from tests.faults.containers import of_npz, of_png
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text
 from tests.faults.reader import Reader, T
-from tests.faults.readers_datasets import colmap_model
 from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
@@ -93,13 +93,25 @@ def _colmap(name):
         model = root / "sparse" / "0"
         model.mkdir(parents=True)
         if name.endswith(".bin"):
-            colmap_model().write(str(model))
+            _colmap_binary(model)
         for stem, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
             if name.endswith(".txt"):
                 (model / f"{stem}.txt").write_text(text)
         return model / name
 
     return make
+
+
+def _colmap_binary(model):
+    """By hand: COLMAP's own library in the process makes some mutations hang under the memory limit."""
+    (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
+    images, points = struct.pack("<Q", 2), struct.pack("<Q", 2)
+    for i, name in enumerate((b"a/r_2.png", b"b.png")):
+        images += struct.pack("<i7di", i + 1, 1, 0, 0, 0, 0, 0, 4 + i, 1) + name + b"\0"
+        images += struct.pack("<Q2dq", 1, 3.5, 4.5, 7)
+        points += struct.pack("<Q3d3BdQ2i", i, 1.5, 2.5, i, 10, 20, 30, 0.25, 1, 1, 0)
+    (model / "images.bin").write_bytes(images)
+    (model / "points3D.bin").write_bytes(points)
 
 
 def _picture(suffix, deep=False):
