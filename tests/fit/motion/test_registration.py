@@ -155,7 +155,7 @@ def test_motion_before_cameras_that_shake_is_that_before_still_ones(moving):
     assert apart(after, before) < 0.1
     assert elsewhere(after, HZ) < 0.15
     assert after.figures["shake_px"] == pytest.approx(SHAKE_PX, rel=0.1)
-    assert sum("camera shake is taken out: 0." in note for note in after.notes) == 1
+    assert sum("camera shake is removed: 0." in note for note in after.notes) == 1
     assert not any("shake" in note for note in before.notes)
     assert apart(left_in, before) > 0.5
     assert elsewhere(left_in, HZ) > 1

@@ -114,8 +114,8 @@ def test_the_lines_say_it_in_every_unit(result, run):
         assert f"{with_deviation(v.amplitude)} scene units" in row
         assert f"{with_deviation(v.amplitude.times(100))} mm" in row
     assert "the sun was low" in text
-    assert "0.99, 0.9: what two halves" in text
-    assert "damping not to be told" in text
+    assert "0.99, 0.9: agreement of two halves" in text
+    assert "damping not determined" in text
     assert "nearer than 1 Hz" in text
     assert f"--band {result.band[0]:g} {result.band[1]:g}, which --band auto takes" in text
 
@@ -208,7 +208,10 @@ def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     }
     copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
     text = "\n".join(lines_of(result_of(copy)))
-    assert "something changes at 3.4000 ± 0.0020 Hz; how far and which way it moves cannot be told" in text
+    assert (
+        "something changes at 3.4000 ± 0.0020 Hz, but its amplitude and direction cannot be determined"
+        in text
+    )
     assert "no vibration was found" not in text
 
 

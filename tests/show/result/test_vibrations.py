@@ -45,7 +45,7 @@ def test_noise_that_is_known_from_elsewhere_is_in_the_deviation():
 
 @pytest.mark.parametrize(
     ("size", "decay", "said"),
-    [(1.0, 0.0, "stays as strong"), (1.0, -1.0, "grows"), (0.04, 0.0, "noise hides")],
+    [(1.0, 0.0, "stays constant"), (1.0, -1.0, "grows"), (0.04, 0.0, "noise hides")],
 )
 def test_what_is_said_of_its_strength_is_tested(size, decay, said):
     rng = np.random.default_rng(3)

@@ -254,7 +254,7 @@ def _row(m: Material, v: Vibration) -> list[str]:
 
 
 def limits_section(m: Material) -> Section:
-    """What could not be told, of the run and of the sensors."""
+    """What could not be determined, of the run and of the sensors."""
     measured = () if m.measurement is None else m.measurement.notes
     lines = list(
         dict.fromkeys([*m.result.cannot, *measured, *([m.why_no_sensors] if m.why_no_sensors else [])])
@@ -262,8 +262,8 @@ def limits_section(m: Material) -> Section:
     damping = sorted({v.why_no_damping for v in m.result.vibrations if v.why_no_damping})
     lines += [f"damping: {why}" for why in damping if not any(why in line for line in lines)]
     if not lines:
-        return Section("What could not be told", [Text("Nothing that this run knows of.")])
+        return Section("What could not be determined", [Text("Nothing that this run knows of.")])
     items = Markup("").join(Markup("<li>{}</li>").format(line[:1].upper() + line[1:]) for line in lines)
     return Section(
-        "What could not be told", [Text(Markup('<ul class="points">{}</ul>').format(items), plain=True)]
+        "What could not be determined", [Text(Markup('<ul class="points">{}</ul>').format(items), plain=True)]
     )

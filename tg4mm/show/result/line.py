@@ -61,12 +61,12 @@ def why_no_damping(line: Line | None) -> str:
     if line.damping is not None:
         return ""
     words = {
-        "steady": "the vibration stays as strong as it is during the record",
-        "grows": "the vibration grows during the record",
-        "varies": "the vibration gets stronger and weaker during the record",
+        "steady": "the amplitude stays constant during the record",
+        "grows": "the amplitude grows during the record",
+        "varies": "the amplitude rises and falls during the record",
         "begins": "the vibration begins during the record and lasts",
     }
-    return words.get(line.change, "noise hides whether the vibration gets weaker during the record")
+    return words.get(line.change, "noise hides whether the amplitude decays during the record")
 
 
 def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarray) -> np.ndarray:

@@ -21,10 +21,10 @@ from tg4mm.show.result.reading import Reading
 
 _MOST = 4  # things that move by themselves, said one by one
 _WHY_NO_DAMPING = {
-    "steady": "it stays as strong as it is during the record",
-    "grows": "it grows during the record",
-    "varies": "it gets stronger and weaker during the record",
-    "untold": "it is too faint to tell whether it rings down",
+    "steady": "the amplitude stays constant during the record",
+    "grows": "the amplitude grows during the record",
+    "varies": "the amplitude rises and falls during the record",
+    "untold": "it is too faint to show whether it rings down",
 }
 
 
@@ -80,7 +80,7 @@ def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float
         pixels=pixels,
         damping=line.damping,
         damping_deviation=line.damping_deviation,
-        why_no_damping="" if line.damping is not None else _WHY_NO_DAMPING.get(line.change, "no test tells"),
+        why_no_damping="" if line.damping is not None else _WHY_NO_DAMPING.get(line.change, "not tested"),
         band=band,
         begins_s=line.start_s,
     )

@@ -133,7 +133,7 @@ def _nothing(result: Result) -> str:
             "anyway"
         )
     named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
-    return f"something changes at {named} Hz; how far and which way it moves cannot be told"
+    return f"something changes at {named} Hz, but its amplitude and direction cannot be determined"
 
 
 def _vibration(v: Vibration, result: Result) -> list[str]:
@@ -148,7 +148,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
         lengths.append(f"{with_deviation(millimetres.times(1000 if fine else 1))} {'µm' if fine else 'mm'}")
     where = ", ".join(f"{c:.3g}" for c in v.place)
     near = f"({where})" if v.place_px is None else f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
-    damping = f"not to be told: {v.why_no_damping}"
+    damping = f"not determined: {v.why_no_damping}"
     if v.damping is not None:
         percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
         damping = f"ratio {with_deviation(percent)} %"
@@ -170,7 +170,7 @@ def _noise(result: Result) -> list[str]:
     if result.agreement:
         shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
         more = " …" if len(result.agreement) > _MOST else ""
-        lines.append(_row("reliability", f"{shown}{more}: what two halves of the data agree on, of 1"))
+        lines.append(_row("reliability", f"{shown}{more}: agreement of two halves of the data, at most 1"))
     return lines
 
 

@@ -221,8 +221,8 @@ def _notes(observations: Observations, active: np.ndarray, pixels: float) -> lis
     if not active[POSE].any():
         return []
     if len(observations.frames) == 1:
-        found = f"the camera shakes by {pixels:.2g} px (rms), which" if pixels else "camera shake"
-        return [f"{found} is taken out; a motion of the whole picture as one cannot be told from it"]
+        size = f" of {pixels:.2g} px (rms)" if pixels else ""
+        return [f"common motion of the complete picture, which is removed as camera shake{size}"]
     return [
-        "camera shake is taken out" + (f": {pixels:.2g} px (rms), each camera by itself" if pixels else "")
+        "camera shake is removed" + (f": {pixels:.2g} px (rms), for each camera separately" if pixels else "")
     ]
