@@ -70,7 +70,7 @@ def effects(rng: np.random.Generator) -> dict[str, Effect]:
         "none": Effect(),
         "stabilisation": Effect(
             shift=lambda t: np.cos(2 * np.pi * drift_hz * t + phases).sum(1) / 6**0.5,
-            said="camera (itself moved|shakes)",
+            said="camera (itself moved|shake)",
         ),
         "focus hunts": Effect(zoom=hunting, said="grows and shrinks"),
         "focus pumps": Effect(
