@@ -223,9 +223,5 @@ class ConvertOptions:
         "points.",
     )
     timesteps: list[int] | None = option(
-        None,
-        "Timesteps to write. [default: all]",
-        metavar="A-B,C,…",
-        given=str | None,
-        into=parse_timesteps,
+        None, "Timesteps to write. [default: all]", metavar="A-B,C,…", given=str | None, into=parse_timesteps
     )

@@ -173,12 +173,7 @@ def band_option(about: str) -> Any:
 def settings_option(about: str) -> Any:
     """Return the option --set."""
     return option(
-        dict,
-        about,
-        name="--set",
-        metavar="KEY=VALUE",
-        given=tuple[str, ...],
-        into=parse_settings_texts,
+        dict, about, name="--set", metavar="KEY=VALUE", given=tuple[str, ...], into=parse_settings_texts
     )
 
 

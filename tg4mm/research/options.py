@@ -119,9 +119,7 @@ class BenchOptions:
         metavar="NAME=DIR",
     )
     alphas: str | None = option(
-        None,
-        "Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]",
-        metavar="A,A,…",
+        None, "Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]", metavar="A,A,…"
     )
     lpips_weights: tuple[Path, ...] = lpips_option()
     md_vqa: Path | None = option(None, "Checkout of MD-VQA with its weights; MD-VQA is omitted without it.")

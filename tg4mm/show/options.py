@@ -156,8 +156,7 @@ class RenderOptions(MagnifyOptions):
     out: Path = option(REQUIRED, "Folder for the pictures; finished pictures are not repeated.")
     suppressed: bool = option(False, "With phase: remove all motion outside the bands, as in 3DMM.")
     amplitude_percentile: float = option(
-        0.0,
-        "With phase: keep the phase where a sub-band's amplitude is below this percentile, as in 3DMM.",
+        0.0, "With phase: keep the phase where a sub-band's amplitude is below this percentile, as in 3DMM."
     )
     split: Split | None = option(None, "Cameras of the dataset. [default: test]")
     cameras: Path | None = option(None, "Cameras of a transforms.json file (NeRF or nerfstudio).")
@@ -261,10 +260,7 @@ class AnalyseOptions(AveragingOptions):
         metavar="I|II|III|IV",
     )
     reference: Path | None = option(
-        None,
-        "CSV of an accelerometer or a hammer: transfer functions to it.",
-        name="--with",
-        metavar="FILE",
+        None, "CSV of an accelerometer or a hammer: transfer functions to it.", name="--with", metavar="FILE"
     )
     column: str | None = option(None, "Of --with. [default: the only one]", name="--input", metavar="COLUMN")
     sync: str | None = option(
