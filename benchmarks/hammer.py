@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from tg4mm.show.analyse.analysis import analyse
-from tg4mm.show.analyse.table import format_analysis
+from tg4mm.show.analyse.write import format_analysis
 from tg4mm.show.options import AnalyseOptions
 
 OPTIONS: dict[str, Any] = {"out": Path}
@@ -69,9 +69,9 @@ def run(options: Any) -> dict[str, Any]:
         ),
     )  # fmt: skip
     print(format_analysis(found))
-    lag = found.transfers[0].lag_s
+    lag = found["transfers"][0].lag_s
     rows = [("lag, s", lag.value, lag.deviation, LAG_S)]
-    for method in found.modes:
+    for method in found["modes"]:
         for k, hz in enumerate(frequencies()):
             near = [m for m in method.modes if abs(m.frequency_hz.value - hz) < 0.05 * hz]
             for m in near[:1]:
@@ -79,7 +79,7 @@ def run(options: Any) -> dict[str, Any]:
                     (f"{method.method} {k + 1}, Hz", m.frequency_hz.value, m.frequency_hz.deviation, hz)
                 )
                 rows.append((f"{method.method} {k + 1}, ζ", m.damping.value, m.damping.deviation, DAMPING[k]))
-    t0 = found.transfers[0]
+    t0 = found["transfers"][0]
     for hz in (10.0, 40.0):
         k = int(np.abs(t0.freqs_hz - hz).argmin())
         s = 2j * np.pi * t0.freqs_hz[k]

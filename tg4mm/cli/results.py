@@ -269,15 +269,13 @@ def analyse(options: AnalyseCommand) -> None:
     if o.orders and o.speed is None and o.tacho is None:
         raise Tg4mmError("--order belongs to --speed or --tacho")
     from tg4mm.show.analyse.analysis import analyse as analysed
-    from tg4mm.show.analyse.spectra import averaging_of
-    from tg4mm.show.analyse.table import format_analysis
-    from tg4mm.show.analyse.write import work_folder, write_analysis
+    from tg4mm.show.analyse.write import format_analysis, work_folder, write_analysis
 
     folder = work_folder(o.out)
     folder.check()
     found = analysed(o.measured, options)
     with folder.held("writes an analysis there"):
-        write_analysis(found, o.out, averaging_of(o))
+        write_analysis(found, o.out)
     print(f"{format_analysis(found)}{o.out}")
 
 

@@ -41,12 +41,14 @@ def test_everything_of_a_csv_file(film, tmp_path, capsys):
     assert (rms["unit"], float(rms["value"])) == ("mm/s", pytest.approx(level["rms"]["value"]))
     assert float(rms["deviation"]) > 0
     assert (out / "psd.csv").exists()
+    bands = list(csv.DictReader((out / "third_octaves.csv").open()))
+    assert {r["quantity"] for r in bands} == {"displacement", "velocity", "acceleration"}
     assert {p.name for p in (out / "plots").iterdir()} >= {"tip_x.png", "stabilisation_SSI-cov.png"}
     assert any(p.name.startswith("orbit") for p in (out / "plots").iterdir())
     assert (
         main(["analyse", str(film), "--out", str(out), "--channel", "tip/x"]) == 0
     )  # anew, without the rest
-    assert {p.name for p in (out / "plots").iterdir()} == {"tip_x.png"}
+    assert {p.name for p in (out / "plots").iterdir()} == {"tip_x.png", "third_octaves_tip_x.png"}
     assert not (out / "stabilisation.csv").exists()
 
 

@@ -1,54 +1,53 @@
-"""Plots of an analysis: spectrum with confidence and waterfall of channels, orbits, transfers, stabilisation."""
+"""Plots of the engineering quantities: each maker yields names and figures of one quantity's results."""
 
-import io
-import re
 from collections.abc import Iterator, Sequence
-from functools import partial
-from itertools import pairwise
-from pathlib import Path
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
 
-from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.plotstyle import COLOURS, STYLE
-from tg4mm.show.analyse.analysis import Analysis
+from tg4mm.core.pages.plotstyle import COLOURS
 from tg4mm.show.analyse.channel import Channel
+from tg4mm.show.analyse.modal import Modes
+from tg4mm.show.analyse.octaves import ThirdOctave
 from tg4mm.show.analyse.orders import OrderTrack
 from tg4mm.show.analyse.quantities import converted
+from tg4mm.show.analyse.record import Record
 from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
+from tg4mm.show.analyse.transfer import Curve, Transfer
+
+Figures = Iterator[tuple[str, Any]]
 
 
-def write_plots(found: Analysis, out: Path, averaging: Averaging) -> None:
-    """OUT/plots/*.png; those of an earlier analysis go."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    folder, made = out / "plots", set()
-    folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
-        for name, figure in _figures(plt, found, averaging):
-            data = io.BytesIO()
-            figure.savefig(data, format="png", dpi=120)
-            plt.close(figure)
-            path = folder / (re.sub(r"[^\w.-]+", "_", name) + ".png")
-            write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
-            made.add(path)
-    for old in set(folder.glob("*.png")) - made:
-        old.unlink()
-
-
-def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[str, Any]]:
-    for channel, density in zip(found.channels, found.densities, strict=True):
-        yield channel.name, _spectrum(plt, channel, density, averaging)
-    for a, b in pairwise(found.channels):
+def spectra(plt: Any, record: Record, found: Sequence[Density]) -> Figures:
+    """Yield each channel's spectrum, and the orbit of each pair of one sensor's axes."""
+    for channel, density in zip(record.channels, found, strict=True):
+        yield channel.name, _spectrum(plt, channel, density, record.averaging)
+    for a, b in pairwise(record.channels):
         if a.name.rpartition("/")[0] and a.name.rpartition("/")[0] == b.name.rpartition("/")[0]:
             yield f"orbit {a.name.rpartition('/')[0]} {a.name[-5:]} {b.name[-5:]}", _orbit(plt, a, b)
-    for name in dict.fromkeys(o.channel for o in found.orders):
-        yield f"orders {name}", _orders(plt, [o for o in found.orders if o.channel == name])
-    for t in found.transfers:
+
+
+def third_octaves(plt: Any, record: Record, found: Sequence[ThirdOctave]) -> Figures:
+    """Yield the bands of each channel, as its own quantity."""
+    own = {c.name: c.quantity for c in record.channels}
+    for name, group in groupby((b for b in found if b.quantity == own[b.channel]), lambda b: b.channel):
+        bands = list(group)
+        figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+        hz, rms, deviation = np.array([(b.midband_hz, b.rms.value, b.rms.deviation) for b in bands]).T
+        low = np.array([b.band_hz[0] for b in bands])
+        axes.bar(
+            low, rms, np.array([b.band_hz[1] for b in bands]) - low, align="edge", color=COLOURS[0], alpha=0.6
+        )
+        axes.errorbar(hz, rms, np.nan_to_num(deviation), fmt="none", color=COLOURS[1], lw=1, capsize=3)
+        axes.set(xscale="log", xlabel="frequency, Hz", ylabel=f"rms, {bands[0].unit}")
+        axes.set_title(f"{name}: 1/3-octave bands; bars: one standard deviation", loc="left")
+        yield f"third octaves {name}", figure
+
+
+def transfers(plt: Any, record: Record, found: Sequence[Transfer]) -> Figures:
+    """Yield size, phase and coherence of each transfer function."""
+    for t in found:
         figure, (size, phase, coherence) = plt.subplots(
             3, 1, figsize=(9, 7), sharex=True, layout="constrained"
         )
@@ -66,7 +65,11 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
         coherence.plot(t.freqs_hz, t.coherence)
         coherence.set(ylabel="coherence", xlabel="frequency, Hz", ylim=(0, 1.05))
         yield f"transfer {t.response}", figure
-    for c in found.curves:
+
+
+def curves(plt: Any, record: Record, found: Sequence[Curve]) -> Figures:
+    """Yield each instrument's curve with the channel's."""
+    for c in found:
         figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
         axes.plot(c.times_s, c.instrument, color=COLOURS[1], lw=1.6, label=c.reference)
         axes.plot(c.times_s, c.values, color=COLOURS[0], lw=0.8, label=c.channel)
@@ -79,7 +82,11 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
         )
         axes.legend()
         yield f"reference {c.channel}", figure
-    for m in found.modes:
+
+
+def stabilisation(plt: Any, record: Record, found: Sequence[Modes]) -> Figures:
+    """Yield the stabilisation diagram of each method."""
+    for m in found:
         figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
         for stable, colour, text in ((0, "#bbbbbb", "not stable"), (1, COLOURS[2], "stable")):
             own = m.diagram[m.diagram[:, 2] == stable]
@@ -90,6 +97,12 @@ def _figures(plt: Any, found: Analysis, averaging: Averaging) -> Iterator[tuple[
         axes.set_title(f"stabilisation, {m.method}", loc="left")
         axes.legend()
         yield f"stabilisation {m.method}", figure
+
+
+def orders(plt: Any, record: Record, found: Sequence[OrderTrack]) -> Figures:
+    """Yield the amplitudes of each channel's orders."""
+    for name in dict.fromkeys(o.channel for o in found):
+        yield f"orders {name}", _orders(plt, [o for o in found if o.channel == name])
 
 
 def _orders(plt: Any, tracks: Sequence[OrderTrack]) -> Any:

@@ -164,10 +164,7 @@ def levels_of(
         # which of many nearly equal peaks is the highest.
         sure = np.hypot(squares.std(0, ddof=1), bias * [1, 1, 0.5, 0.5])
         found = np.sqrt(np.maximum(found**2 - bias, [0, 0, 0, 1]))
-        # Two deviations below the value, its square is lower by two of its own deviations; for a strong vibration
-        # each is sure / (2 found).
-        lower = np.sqrt(np.maximum(found**2 - 2 * sure, 0))
-        deviation = np.where(lower > 0, (found - lower) / 2, np.sqrt(sure / 2))
+        deviation = root_deviation(found, sure)
         deviation[:3] = np.hypot(deviation[:3], channel.share * found[:3])
     values = [Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)]
     peak, whole, rms, crest = values
@@ -183,6 +180,16 @@ def levels_of(
         channel.name, quantity, unit, band_of(channel, band), peak, whole, rms, crest, db, f"{reference:g} {unit}",
         Value(rms.value / G, rms.deviation / G) if in_g else None,
     )  # fmt: skip
+
+
+def root_deviation(value: np.ndarray, of_square: np.ndarray) -> np.ndarray:
+    """Return the standard deviations of roots, of which the squares have the deviations `of_square`.
+
+    Two deviations below the value, its square is lower by two of its own deviations; for a strong vibration each is
+    of_square / (2 value).
+    """
+    lower = np.sqrt(np.maximum(value**2 - 2 * of_square, 0))
+    return np.asarray(np.where(lower > 0, (value - lower) / 2, np.sqrt(of_square / 2)))
 
 
 def _figures(values: np.ndarray) -> np.ndarray:

@@ -64,6 +64,8 @@ def averaging_of(options: AveragingOptions) -> Averaging:
 class Density:
     """One-sided, unit² / Hz; in 95 records of 100 the truth lies between low and high, frequency by frequency."""
 
+    channel: str
+    unit: str
     freqs_hz: np.ndarray  # [F]
     density: np.ndarray  # [F]
     low: np.ndarray  # [F]
@@ -82,7 +84,10 @@ def density_of(channel: Channel, averaging: Averaging | None = None, confidence:
     tail = (1 - confidence) / 2
     low, high = freedom / chi2.isf(tail, freedom), freedom / chi2.ppf(tail, freedom)
     noise = 2 * channel.noise**2 / channel.rate
-    return Density(freqs, power, power * low, power * high, noise, averaging.count(channel), freedom)
+    return Density(
+        channel.name, f"({channel.unit})²/Hz", freqs, power, power * low, power * high, noise,
+        averaging.count(channel), freedom,
+    )  # fmt: skip
 
 
 def waterfall_of(

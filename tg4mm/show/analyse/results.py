@@ -1,0 +1,238 @@
+"""The table of engineering quantities: what computes each, what `tg4mm analyse` prints of it, its CSV file, its plots.
+
+A new quantity is one entry of QUANTITIES: analysis.json, the printed tables, CSV files and plots all come from it.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.digits import value_with_deviation
+from tg4mm.show.analyse import plots
+from tg4mm.show.analyse.channel import ORDER
+from tg4mm.show.analyse.compare import Change
+from tg4mm.show.analyse.modal import Modes, from_transfers, operational
+from tg4mm.show.analyse.octaves import ThirdOctave, third_octaves_of
+from tg4mm.show.analyse.orders import OrderTrack, orders_of
+from tg4mm.show.analyse.quantities import Levels, Value, levels_of
+from tg4mm.show.analyse.record import Record
+from tg4mm.show.analyse.spectra import Density, density_of
+from tg4mm.show.analyse.transfer import Curve, Phase, Transfer, curve_of, phases_of
+from tg4mm.show.analyse.zones import Zone, zone_of
+
+Rows = Iterable[Sequence[Any]]
+
+
+def _nothing(_: Any) -> Rows:
+    return ()
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An engineering quantity; heads without a row are left out."""
+
+    name: str  # of its results in analysis.json
+    compute: Callable[[Record], Iterable[Any]]
+    printed: tuple[str, ...] = ()  # head of the printed table
+    lines: Callable[[Any], Rows] = _nothing  # of the printed table, texts of one result
+    file: str = ""  # CSV file
+    columns: tuple[str, ...] = ()
+    rows: Callable[[Any], Rows] = _nothing  # of the CSV file, texts and numbers of one result
+    plot: Callable[[Any, Record, Sequence[Any]], Iterator[tuple[str, Any]]] | None = None  # names and figures
+
+
+def _levels(record: Record) -> Iterator[Levels]:
+    for channel in record.channels:
+        for quantity in record.quantities(channel):
+            yield levels_of(channel, quantity, record.options.band)
+
+
+def _level_lines(v: Levels) -> Rows:
+    db = "" if np.isnan(v.db.value) else f"{_both(v.db)} dB re {v.db_reference}".removesuffix(" 1")
+    yield (
+        v.channel, v.quantity, _both(v.peak), _both(v.peak_to_peak), f"{_both(v.rms)} {v.unit}".removesuffix(" 1"),
+        _both(v.crest), _range(v.band_hz), f"{_both(v.rms_g)} g rms" if v.rms_g is not None else db,
+    )  # fmt: skip
+
+
+def _level_rows(v: Levels) -> Rows:
+    for name in ("peak", "peak_to_peak", "rms", "crest", "db", "rms_g"):
+        if (own := getattr(v, name)) is not None:
+            yield v.channel, v.quantity, v.unit, *v.band_hz, name, own.value, own.deviation
+
+
+def _zones(record: Record) -> list[Zone]:
+    machine = record.options.machine
+    return [] if machine is None else [zone_of(c, machine) for c in record.moving]
+
+
+def _third_octaves(record: Record) -> Iterator[ThirdOctave]:
+    for channel in record.channels:
+        for quantity in record.quantities(channel):
+            yield from third_octaves_of(channel, quantity)
+
+
+def _phase_lines(p: Phase) -> Rows:
+    yield p.channel, p.reference, _both(p.frequency_hz), _both(p.ratio), _degrees(p.phase)
+
+
+def _transfer_lines(t: Transfer) -> Rows:
+    k = int(np.abs(t.h1).argmax())
+    largest = _both(Value(float(abs(t.h1[k])), float(t.deviation[k])))
+    yield (
+        t.response, t.reference, _both(t.lag_s), str(t.averages), f"{largest} {t.unit}", f"{t.freqs_hz[k]:.4g}",
+        f"{t.coherence[k]:.3f}",
+    )  # fmt: skip
+
+
+def _transfer_rows(t: Transfer) -> Rows:
+    columns = (
+        t.freqs_hz, abs(t.h1), t.deviation, np.angle(t.h1), t.phase_deviation, abs(t.h2), np.angle(t.h2), t.coherence,
+    )  # fmt: skip
+    for values in zip(*columns, strict=True):
+        yield t.response, t.reference, t.unit, *values
+
+
+def _curves(record: Record) -> list[Curve]:
+    clock = record.clock
+    if clock is None or clock.quantity not in ORDER or not record.moving:
+        return []
+    return [curve_of(record.moving[0], clock, record.lag, record.options.band)]
+
+
+def _curve_lines(c: Curve) -> Rows:
+    difference = f"{c.difference_rms:.3g} {c.unit}"
+    yield c.channel, c.reference, _range(c.band_hz), _both(c.ratio), difference, f"{c.correlation:.4f}"
+
+
+def _curve_rows(c: Curve) -> Rows:
+    for t, value, other in zip(c.times_s, c.values, c.instrument, strict=True):
+        yield c.channel, c.reference, c.unit, f"{t:.9g}", value, c.deviation, other
+
+
+def _modes(record: Record) -> Iterator[Modes]:
+    if record.options.modes:
+        yield operational(record.moving, record.options.band)
+        if record.transfers:
+            yield from_transfers(record.transfers, record.options.band)
+
+
+def _mode_lines(m: Modes) -> Rows:
+    for mode in m.modes:
+        percent = Value(100 * mode.damping.value, 100 * mode.damping.deviation)
+        mac = "" if mode.mac is None else f"{mode.mac:.3f}"
+        yield m.method, _both(mode.frequency_hz), _both(percent), mac
+
+
+def _orders(record: Record) -> Iterator[OrderTrack]:
+    if record.speed is not None:
+        for c in record.moving:
+            yield from orders_of(c, record.speed_at(c), record.options.orders, record.averaging)
+
+
+def _order_lines(o: OrderTrack) -> Rows:
+    largest = "–", "–"
+    if np.isfinite(o.amplitudes).any():
+        k = int(np.nanargmax(o.amplitudes))
+        value = Value(float(o.amplitudes[k]), float(o.deviations[k]))
+        largest = f"{_both(value)} {o.unit}", f"{o.speed_rpm[k]:.5g}"
+    low, high = f"{o.speed_rpm.min():.5g}", f"{o.speed_rpm.max():.5g}"
+    speed = low if low == high else f"{low} to {high}"
+    yield o.channel, f"{o.order:g}", speed, f"{_both(o.amplitude)} {o.unit}", _degrees(o.phase), *largest
+
+
+def _order_rows(o: OrderTrack) -> Rows:
+    for values in zip(o.times_s, o.speed_rpm, o.amplitudes, o.deviations, strict=True):
+        yield o.channel, o.unit, o.order, *values
+
+
+def _change_lines(c: Change) -> Rows:
+    after = f"{_both(c.after)} {c.unit if c.unit != '1' else ''}".rstrip()
+    yield c.where, c.figure, _both(c.before), after, f"{c.score:+.1f}", "changed" if c.changed else ""
+
+
+def _density_rows(d: Density) -> Rows:
+    for values in zip(d.freqs_hz, d.density, d.low, d.high, strict=True):
+        yield d.channel, d.unit, *values, d.noise
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{values[0]:.3g} to {values[1]:.4g}"
+
+
+def _degrees(phase: Value) -> str:
+    return f"{np.degrees(phase.value):+.1f} ± {np.degrees(phase.deviation):.1f}"
+
+
+def _both(value: Value) -> str:
+    if np.isnan(value.value):
+        return "–"
+    if not np.isfinite(value.deviation):
+        return f"{value.value:.4g}"
+    return value_with_deviation(value.value, value.deviation)
+
+
+QUANTITIES = (
+    Quantity(
+        "levels", _levels,
+        ("channel", "", "peak", "peak to peak", "rms", "crest factor", "Hz", ""), _level_lines,
+        "levels.csv", ("channel", "quantity", "unit", "low_hz", "high_hz", "figure", "value", "deviation"), _level_rows,
+    ),
+    Quantity(
+        "zones", _zones,
+        ("channel", "velocity, mm/s rms", "class", "zone (ISO 20816-1)"),
+        lambda z: [(z.channel, _both(z.rms), z.machine, z.zone)],
+    ),
+    Quantity(
+        "third_octaves", _third_octaves,
+        file="third_octaves.csv",
+        columns=("channel", "quantity", "unit", "midband_hz", "low_hz", "high_hz", "rms", "deviation"),
+        rows=lambda b: [
+            (b.channel, b.quantity, b.unit, b.midband_hz, *b.band_hz, b.rms.value, b.rms.deviation)
+        ],
+        plot=plots.third_octaves,
+    ),
+    Quantity(
+        "phases", lambda record: phases_of(record.channels, record.channels[0]),
+        ("channel", "against", "Hz", "ratio", "phase, deg"), _phase_lines,
+    ),
+    Quantity(
+        "transfers", lambda record: record.transfers,
+        ("response", "input", "lag, s", "averages", "largest |H1|", "at, Hz", "coherence there"), _transfer_lines,
+        "transfer.csv",
+        (
+            "response", "input", "unit", "frequency_hz", "h1", "h1_deviation", "h1_phase_rad", "phase_deviation_rad",
+            "h2", "h2_phase_rad", "coherence",
+        ),
+        _transfer_rows, plots.transfers,
+    ),
+    Quantity(
+        "curves", _curves,
+        ("channel", "instrument", "Hz", "channel / instrument", "difference, rms", "correlation"), _curve_lines,
+        "reference.csv", ("channel", "instrument", "unit", "time_s", "value", "deviation", "instrument_value"),
+        _curve_rows, plots.curves,
+    ),
+    Quantity(
+        "modes", _modes,
+        ("modes by", "frequency, Hz", "damping, %", "MAC with FDD"), _mode_lines,
+        "stabilisation.csv", ("method", "order", "frequency_hz", "stable"),
+        lambda m: ((m.method, *row) for row in m.diagram), plots.stabilisation,
+    ),
+    Quantity(
+        "orders", _orders,
+        ("channel", "order", "rpm", "amplitude", "phase, deg", "largest in a segment", "at rpm"), _order_lines,
+        "orders.csv", ("channel", "unit", "order", "time_s", "speed_rpm", "amplitude", "deviation"),
+        _order_rows, plots.orders,
+    ),
+    Quantity(
+        "changes", lambda record: record.changes[0],
+        ("changed", "", "before", "after", "difference / ±", ""), _change_lines,
+    ),
+    Quantity(
+        "psd", lambda record: [density_of(c, record.averaging) for c in record.channels],
+        file="psd.csv", columns=("channel", "unit", "frequency_hz", "density", "low", "high", "noise"),
+        rows=_density_rows, plot=plots.spectra,
+    ),
+)  # fmt: skip
