@@ -104,7 +104,7 @@ def test_pictures_of_clips_tell_amplitude_and_phase_in_three_directions(tmp_path
     ball = result["ball"]
     peak = ball.spectrum.peaks[0]
     assert ball.labels == ("x", "y", "z")
-    assert any("clock of its own" in note for note in result.notes)
+    assert any("clocks are independent" in note for note in result.notes)
     assert [s.labels for s in ball.clips] == [("right", "up", "sight")] * 6
     assert peak.frequency_hz == pytest.approx(HZ, abs=0.03)
     assert np.abs(peak.phasor - along * np.exp(0.4j)).max() < 0.1 * np.abs(along).max()

@@ -78,7 +78,7 @@ def measured(path, texture, wrong):
 def test_a_region_is_not_held_by_the_modes_around_it(tmp_path):
     found, amplitude = measured(tmp_path, texture=0.1, wrong=0.0)
     assert amplitude[:2] == pytest.approx([0.15, 0.15], rel=0.1)
-    assert not any("can hardly be told" in note for note in found.notes)
+    assert not any("is hardly visible" in note for note in found.notes)
 
 
 def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path):
@@ -92,4 +92,4 @@ def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path):
     # six draws gave -0.14 to 0.15 for 0.15 along the edge, 1.6 of what is stated in the rms and 2.2 at most
     assert error[0] < 4 * both[0]
     assert deviation[0] > 1.2 * noise[0]  # noise alone says less
-    assert any("edge: motion along right can hardly be told" in note for note in found.notes)
+    assert any("edge: motion along right is hardly visible" in note for note in found.notes)

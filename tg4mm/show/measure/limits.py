@@ -29,8 +29,8 @@ def _of_region(result: SensorResult) -> list[str]:
     size = float(np.linalg.norm(motion.whole - np.median(motion.whole, 0), axis=1).max())
     if (other := motion.other_share) > _OTHER:
         out.append(
-            f"{result.name}: {100 * other:.0f} % of what changes its pictures most is not explained by a motion of "
-            f"{size:.2g} px: something passes, a light changes, or parts move differently; its numbers may be of that"
+            f"{result.name}: {100 * other:.0f} % of its largest changes are not explained by a motion of "
+            f"{size:.2g} px: something passes, light changes, or parts move differently, and its numbers may show it"
         )
     elif size > 1 and not motion.is_iterated:
         out.append(
@@ -50,16 +50,16 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append(f"a flat capture shows only motion across the line of sight, {where}")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(
-            "sensors of one camera: along its line of sight, which it hardly sees, a waveform has a much larger ±"
+            "a single camera hardly shows motion along its line of sight: there waveforms have a much larger ±"
         )
     if len(scene.clocks) > 1:
         out.append(
-            "every camera has a clock of its own: peaks are of all cameras together, for a steady vibration; a "
-            "waveform is one camera's, which hardly sees motion along its line of sight"
+            "the cameras' clocks are independent: peaks combine all cameras, assuming a steady vibration; a "
+            "waveform is that of one camera, which hardly shows motion along its line of sight"
         )
     if scene.is_moving:
         out.append(
-            "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
+            "slow motion, and common motion of the scene: both are removed as motion of the moving camera"
         )
     if hz := scene.fit.undetermined_hz:
         named = ", ".join(f"{f:.4g}" for f in hz)
@@ -69,7 +69,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         )
     if len(scene.means) and not scene.fit.uncertainty:
         out.append(
-            "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"
+            "the run has no uncertainty of its Gaussians: every ± covers noise only, and shapes include noise"
         )
     for result in results:
         out += _of_region(result)
@@ -77,20 +77,20 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             size, share, deviation, other = found
             if other > _OTHER:
                 out.append(
-                    f"{result.name}: {100 * other:.0f} % of what changes its pictures most is no motion of {size:.2g} "
-                    "px but something that passes, or a light: its numbers may be of that"
+                    f"{result.name}: {100 * other:.0f} % of its largest changes are not explained by a motion of "
+                    f"{size:.2g} px: something passes, or light changes, and its numbers may show it"
                 )
             elif share > max(_LACKING, 2 * deviation):
                 out.append(
-                    f"{result.name} moves by up to {size:.2g} px, further than its picture changes in proportion to: "
-                    f"the largest motions come out {100 * share:.0f} % too small"
+                    f"{result.name} moves by up to {size:.2g} px, beyond the linear range of its picture: "
+                    f"the largest motions are underestimated by {100 * share:.0f} %"
                 )
         for series in result.all_series:
             is_hidden = (series.false_share > _HIDDEN) & series.is_resolved
             if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
                 where = f" in {series.clock}" if series.clock else ""
                 out.append(
-                    f"{result.name}: motion along {', '.join(hidden)}{where} can hardly be told: most of what the "
+                    f"{result.name}: motion along {', '.join(hidden)}{where} is hardly visible: most of what the "
                     "scene at rest would show of it is not in the pictures"
                 )
         longest = max(len(s.times_s) for s in result.all_series)

@@ -77,7 +77,7 @@ def _hidden(result: SensorResult, orbit: Orbit) -> list[str]:
     for other in orbit.hidden:
         pixels = result.pixels(other.direction)
         size = value_with_deviation(other.amplitude * pixels, other.deviation * pixels)
-        out.append(f"not told along {direction_text(other.direction, result.labels)}: {size} px")
+        out.append(f"not determined along {direction_text(other.direction, result.labels)}: {size} px")
     return out
 
 
@@ -86,7 +86,7 @@ def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:
     doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
     doubts += [] if peak.line is None else _changes(peak.line)
     if (tone := peak.asked) is not None:
-        doubts.append(f"asked for, {tone.band[0]:g} to {tone.band[1]:g} Hz: {tone.periods:.2g} periods")
+        doubts.append(f"given band, {tone.band[0]:g} to {tone.band[1]:g} Hz: {tone.periods:.2g} periods")
     if loss is not None and (loss.why or loss.gain < _WHOLE):
         doubts.append(
             loss.why or f"corrected: compression let {loss.gain:.2f} ± {loss.deviation:.2f} of it through"
