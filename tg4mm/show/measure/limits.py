@@ -50,7 +50,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append(f"a flat capture shows only motion across the line of sight, {where}")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(
-            "a single camera hardly shows motion along its line of sight: there waveforms have a much larger ±"
+            "one camera hardly shows motion along its line of sight: there waveforms have a much larger ±"
         )
     if len(scene.clocks) > 1:
         out.append(
