@@ -114,7 +114,7 @@ def test_it_is_never_below_one_and_unknown_for_few_cameras_and_one_fold(seen):
     assert gain_of(few, np.stack([field, field])).ratio == 1
 
 
-def test_half_of_a_correction_may_be_wrong():
+def test_a_correction_may_be_wrong_by_itself():
     field = np.ones((1, 3, DOF), np.float32)
-    np.testing.assert_allclose(Gain(1.4, 0.1).squares(field), 3 * (0.2**2 + 0.1**2), rtol=1e-6)
+    np.testing.assert_allclose(Gain(1.4, 0.1).squares(field), 3 * (0.4**2 + 0.1**2), rtol=1e-6)
     assert not Gain().squares(field).any()

@@ -25,7 +25,6 @@ _SMOOTHING_PX = 1.5  # standard deviation
 _LARGEST = 3.0  # what is smaller than the pictures show by more was hardly found
 _ROUNDS = 24  # of means over neighbours: a place is some hundred Gaussians
 _MOVING, _SHARE = 90.0, 0.2  # of this percentile over Gaussians: where half of the gain applies
-_OF_CORRECTION = 0.5  # what of the correction is taken for its deviation, since one gain serves all places
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class Gain:
     places: np.ndarray = field(default_factory=lambda: np.ones(1, np.float32))  # [N], or [1] for all
 
     def squares(self, fields: np.ndarray) -> np.ndarray:
-        """[N] squares of the error of fields [R, N, 6] by the gain: its deviation, and half of the correction."""
-        share = self.deviation**2 + (_OF_CORRECTION * (self.ratio - 1)) ** 2
+        """[N] squares of the error of fields [R, N, 6] by the gain: its deviation, and the correction."""
+        share = self.deviation**2 + (self.ratio - 1) ** 2  # one gain serves all places: it may be right at none
         return share * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])
 
 

@@ -1,4 +1,4 @@
-"""What few cameras do not show of the motion: samples of the posterior's part that comes from the prior.
+"""What the pictures do not show of the motion: samples of the posterior's part that comes from the prior.
 
 A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹ (σ² JᵀJ + τ² P) A⁻¹,
 A = JᵀJ + P. The first part is noise, which two halves of the data tell (`split_half.py`). The second is motion that the
@@ -10,8 +10,9 @@ How large motion is, τ², is read off the fit: x·P x is τ² times the number 
 tr A⁻¹JᵀJ (MacKay 1992), and that number is found with noise of variance 1. So unseen motion is taken to be as large and
 as smooth as the seen.
 
-What is seen less is found after more iterations. The draws are solved for to a smaller residual than the motion itself:
-stopped early they would say that what hardly changes the pictures is known.
+With few cameras, what is seen less is found after more iterations. The draws are solved for to a smaller residual than
+the motion itself: stopped early they would say that what hardly changes the pictures is known. With many cameras a few
+iterations tell (after 8 and after 30 the draws were alike to 3 %).
 """
 
 from collections.abc import Callable, Sequence
@@ -51,6 +52,8 @@ def unseen_motion(
     n_timesteps: int,
     seed: int = 0,
     update: Callable[[int], None] | None = None,
+    n_draws: int = DRAWS,
+    iterations: int = ITERATIONS,
 ) -> Unseen:
     """For the operator of one uncoupled field and all R fields x [R, 4N, 3] that were found."""
     rng = np.random.default_rng(seed)
@@ -58,10 +61,10 @@ def unseen_motion(
     white = _white_pictures(operator, rng)
     freedom_sides = operator.right_hand_sides(white)
     root = stiffness_root(operator.graph)
-    draws = np.stack([_prior_draw(operator, root, rng) for _ in range(DRAWS)])
+    draws = np.stack([_prior_draw(operator, root, rng) for _ in range(n_draws)])
     sides = np.concatenate([freedom_sides, draws])
     solution = pcg(
-        operator, sides, ITERATIONS, _TOLERANCE,
+        operator, sides, iterations, _TOLERANCE,
         update=lambda i, r: update(i) if update is not None else None,
     )  # fmt: skip
     products = np.einsum("rpc,rpc->r", freedom_sides, solution.theta[:_FOR_FREEDOM], dtype=np.float64)

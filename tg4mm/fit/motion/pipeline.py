@@ -14,7 +14,7 @@ from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
 from tg4mm.fit.motion.attenuation import Gain, gain_of
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
-from tg4mm.fit.motion.few_view_posterior import coarser
+from tg4mm.fit.motion.few_view_posterior import coarser, unseen_motion
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton, linear_px
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, pixel_weights, select_noise, select_smoothness
 from tg4mm.fit.motion.jacobian.pixels import false_changes
@@ -39,6 +39,8 @@ from tg4mm.fit.motion.whole_pixels import LinearSolution, iterated
 
 _SUPPORTS = 2  # fits within a support, at most
 _ROUNDS = 2  # of corrections by the mean picture: a share that is lacking is lacking to its cube then
+_DRAWS, _DRAW_ITERATIONS = 4, 8  # of motion that many cameras do not show: a fifth of the time of the fit
+_DRAWN_PIXELS = 720_000  # of all views together
 _JUDGED = 10  # views whose residual tells errors of the model
 
 
@@ -243,12 +245,22 @@ def _uncertainty(
     if len(estimate.folds) < 2:
         return None
     if len(problem.views) >= LEAST or model.observations.is_flat:
-        found = split_half_uncertainty(estimate, model.n_frames)
+        unseen = _unseen(model, hyper, gradients) if model.iterates else None
+        found = split_half_uncertainty(estimate, model.n_frames, unseen)
         return with_ground(found, model.ground_squares(), model.n_frames)
     small = coarser(problem, model.observations.frames)
     operator = small.on_cpu(small.everything, hyper.smoothness_weight)
     of_one_field = replace(operator, mixing=None)
     return few_view_uncertainty(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
+
+
+def _unseen(model: TemporalModel, hyper: Hyperparameters, gradients: np.ndarray) -> np.ndarray:
+    """[N, 3, 3]: covariance of the motion that the pictures of many synchronous cameras do not show."""
+    problem = model.problem
+    small = coarser(problem, model.observations.frames, _DRAWN_PIXELS // len(problem.views))
+    operator = small.on_cpu(small.everything, hyper.smoothness_weight)
+    settings = {"seed": model.config.seed, "n_draws": _DRAWS, "iterations": _DRAW_ITERATIONS}
+    return unseen_motion(operator, gradients, model.n_frames, **settings).covariance
 
 
 def _result(

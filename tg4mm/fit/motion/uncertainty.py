@@ -1,7 +1,7 @@
 """How uncertain the motion of every Gaussian is: noise, by two folds of the data, and errors that both share.
 
-What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Two things tell of
-them, both read off the result. The residual of the pictures: noise hardly adds up over a block of pixels, errors
+What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Motion that the prior
+smoothed away is drawn (`few_view_posterior.py`). Two more things tell of errors, both read off the result. The residual of the pictures: noise hardly adds up over a block of pixels, errors
 of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
 of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that
 at a joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
@@ -28,6 +28,11 @@ from tg4mm.fit.motion.split_half import deviation, mean_over_neighbours
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
 _OF_VARIANCE = 2.5  # of the variance over 32 Gaussians
+_OF_UNSEEN = 2.0  # of the variance of draws that many cameras do not show; alone, maximum likelihood gave 3.0, beside
+# the attenuation's part 1.2
+# Deviation along the sight of a single camera over the motion across: of directions that are equally likely in space
+# 95 % have at most twice this ratio, 2k / √(1 + 4k²).
+_ALONG_TO_ACROSS = 1.5
 _FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
 _TINY = float(np.finfo(np.float32).tiny)
 
@@ -56,11 +61,18 @@ class Uncertainty:
     notes: list[str] = field(default_factory=list)
 
 
-def split_half_uncertainty(estimate: MotionEstimate, n_timesteps: int) -> Uncertainty:
-    """From two folds of the data, and the residual of both; of many cameras that is all."""
+def split_half_uncertainty(
+    estimate: MotionEstimate, n_timesteps: int, unseen: np.ndarray | None = None
+) -> Uncertainty:
+    """From two folds of the data, the residual of both, and what the pictures do not show.
+
+    unseen [N, 3, 3]: covariance of draws of motion, mean over time (`Unseen`); None: it was not drawn.
+    """
     a, b = estimate.folds[..., :3]
     noise = deviation(a, b, estimate.knn).astype(np.float64) ** 2
     variance = noise + _model_error(estimate)
+    if unseen is not None:
+        variance += _OF_UNSEEN * n_timesteps * np.trace(unseen, axis1=1, axis2=2)
     arrays = {
         name: np.sqrt(v / n_timesteps).astype(np.float32)
         for name, v in (("displacement", variance), ("noise", noise))
@@ -92,7 +104,10 @@ def few_view_uncertainty(
     each = np.einsum("rnc,rnd->ncd", difference, difference) / (4 * n_timesteps)
     noise = mean_over_neighbours(each, estimate.knn)
     model = _model_error(estimate) / (3 * n_timesteps)
-    covariance = (noise + unseen.covariance + model[:, None, None] * np.eye(3)).astype(np.float32)
+    covariance = noise + unseen.covariance + model[:, None, None] * np.eye(3)
+    if len(estimate.cameras) == 1:
+        covariance += _unknown_direction(estimate, covariance, n_timesteps)
+    covariance = covariance.astype(np.float32)
     variance = np.trace(covariance, axis1=1, axis2=2)
     power = max(float((estimate.fields[..., :3].astype(np.float64) ** 2).sum()) / n_timesteps, 1e-30)
     of_noise = np.trace(noise, axis1=1, axis2=2)
@@ -117,6 +132,21 @@ def few_view_uncertainty(
         "a second camera from the side would show it"
     )
     return Uncertainty(arrays | own, figures, [note])
+
+
+def _unknown_direction(estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int) -> np.ndarray:
+    """[N, 3, 3]: what `covariance` [N, 3, 3] lacks along the sight of a single camera, scene units squared.
+
+    The camera shows motion across its sight. If no direction in space is more likely than another, motion along it has
+    the deviation `_ALONG_TO_ACROSS` times that across: pictures from one place change so little with the rest
+    (by 10⁻⁵ of the energy, of a body a fifth as deep as it is far away) that they do not correct this.
+    """
+    along, _ = along_and_across(estimate.cameras[0], estimate.gaussians.means.numpy())
+    fields = estimate.fields[..., :3].astype(np.float64)
+    across = (fields**2).sum((0, 2)) - (np.einsum("rnc,nc->rn", fields, along) ** 2).sum(0)
+    least = _ALONG_TO_ACROSS**2 * mean_over_neighbours(across, estimate.knn) / n_timesteps
+    lacking = np.maximum(least - np.einsum("nc,ncd,nd->n", along, covariance, along), 0)
+    return lacking[:, None, None] * along[:, :, None] * along[:, None, :]
 
 
 def _along_viewing_rays(
