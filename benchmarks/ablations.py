@@ -56,6 +56,13 @@ ABLATIONS: dict[str, tuple[Row, ...]] = {
         # 0 stands for "found"; 1e-6 is as good as none: the smallest weight that was ever of use is 5.
         *(Row(w, {"motion.smoothness_weight": w}) for w in ("1e-6", "5", "50", "500", "5000")),
     ),
+    "parts": (
+        Row("all"),
+        Row("every camera's own rotation is taken out", {"motion.nuisance": "all"}),
+        Row("smoothness weight 3000", {"motion.smoothness_weight": "3000"}),
+        Row("no sinusoids", {"motion.sinusoids": "false"}),
+        Row("attenuation is left", {"motion.attenuation": "false"}),
+    ),
     "views": tuple(Row(f"{n} cameras", data=f"--views {n}") for n in (3, 5, 10, 15, 20, 30)),
     "timesteps": tuple(Row(f"{n} timesteps", data=f"--timesteps {n}") for n in (6, 12, 18, 24, 30)),
     "noise": (

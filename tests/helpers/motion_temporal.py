@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.nuisance.first_look import first_look
 from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
@@ -25,7 +26,8 @@ _nothing = _Nothing()
 
 def components(observations: Observations, most: int = 6) -> TargetImages:
     nuisances = no_nuisance(observations)
-    return principal_components(observations, first_look(observations, nuisances), nuisances, most)
+    look, config = first_look(observations, nuisances), MotionConfig(components=most)
+    return principal_components(observations, look, nuisances, config)
 
 
 def moving_pictures(

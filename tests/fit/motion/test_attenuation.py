@@ -1,6 +1,6 @@
 """What least squares leaves out where the Jacobian is wrong is found by the other half's pictures."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ class Model:
     folds: list[Fold]
     pictures: list[np.ndarray]
     observations: Flat = Flat()
+    config: MotionConfig = field(default_factory=MotionConfig)
     separates: bool = True
 
     def images(self, v):
@@ -112,6 +113,8 @@ def test_it_is_never_below_one_and_unknown_for_few_cameras_and_one_fold(seen):
     assert gain_of(model, field[None]).ratio == 1
     few = replace(model, problem=Problem.of(views[:4], gaussians, MotionConfig(), "cpu"))
     assert gain_of(few, np.stack([field, field])).ratio == 1
+    off = replace(model, config=MotionConfig(attenuation=False))
+    assert gain_of(off, 0.5 * np.stack([field, field])).ratio == 1
 
 
 def test_a_correction_may_be_wrong_by_itself():

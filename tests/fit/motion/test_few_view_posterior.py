@@ -69,6 +69,21 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained):
     assert _share_within_two(error, said) > 0.85
 
 
+def test_motion_towards_the_camera_may_be_as_large_as_directions_in_space_allow(trained):
+    """Of random directions 95 % have less than 2 × 1.5 times as much along the sight as across."""
+    run, _, camera = trained
+    part, found = run.load_part(UNCERTAINTY)[0], run.load_motion()
+    along = along_and_across(camera, run.load_space().means.numpy())[0]
+    moves = [displacement_at(found, t) for t in range(found.n_timesteps)]
+    across2 = np.mean([(d**2).sum(1) - np.einsum("nc,nc->n", d, along) ** 2 for d in moves], 0)
+    moving = across2 > 0.5 * across2.max()
+    said = part["along_sight"].numpy()[moving]
+    assert (said > 1.2 * np.sqrt(across2[moving])).mean() > 0.9
+    directions = np.random.default_rng(0).normal(size=(10_000, 3))
+    ratio = np.abs(directions[:, 2]) / np.linalg.norm(directions[:, :2], axis=1)
+    assert 0.94 < (ratio < 2 * 1.5).mean() < 0.96
+
+
 def test_motions_drawn_from_the_prior_lie_where_it_says(posed, trained):
     """Motion and fit are then all as they are taken to be, but for noise, of which the covariance has none: 95 %
     within two deviations. Along the sight a draw has a few large coordinates alone, so there are several.

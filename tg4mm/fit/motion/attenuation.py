@@ -37,14 +37,17 @@ class Gain:
 
     def squares(self, fields: np.ndarray) -> np.ndarray:
         """[N] squares of the error of fields [R, N, 6] by the gain: its deviation, and the correction."""
-        share = self.deviation**2 + (self.ratio - 1) ** 2  # one gain serves all places: it may be right at none
+        share = (
+            self.deviation**2 + (self.ratio - 1) ** 2
+        )  # one gain serves all places: it may be right at none
         return share * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])
 
 
 def gain_of(model: TemporalModel, folds: np.ndarray) -> Gain:
     """Return the gain of fields [2, R, N, 6] of two halves of six cameras or more; one where it is not known."""
     if (
-        len(folds) < 2
+        not model.config.attenuation
+        or len(folds) < 2
         or len(model.problem.views) < LEAST
         or not model.separates
         or model.observations.is_flat

@@ -43,6 +43,13 @@ class MotionConfig:
     appearance: bool = setting(
         True, "fit changes of colour (gloss, shadows) that motion does not explain; they are magnified, too"
     )
+    sinusoids: bool = setting(
+        True,
+        "fit a vibration that stands out of the noise as a sinusoid, not as principal components over time",
+    )
+    attenuation: bool = setting(
+        True, "make up for what least squares leaves out of the motion, by the other half of the pictures"
+    )
     nuisance: str = setting(
         "auto",
         "what is removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "

@@ -1,11 +1,12 @@
 """How uncertain the motion of every Gaussian is: noise, by two folds of the data, and errors that both share.
 
 What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Motion that the prior
-smoothed away is drawn (`few_view_posterior.py`). Two more things tell of errors, both read off the result. The residual of the pictures: noise hardly adds up over a block of pixels, errors
-of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
-of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that
-at a joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
-calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
+smoothed away is drawn (`few_view_posterior.py`). Two more things tell of errors, both read off the result. The residual
+of the pictures: noise hardly adds up over a block of pixels, errors of the model do, and that block's mean over the
+slope of the picture is the displacement that it could be; a small part of it is. And what the motion varies by from one
+Gaussian to those around it: the prior has them move alike, so that at a joint, an edge or a contact what is one side's
+and what the other's is mostly its guess. How much either counts was calibrated on generated scenes, whose motion is
+known (docs/method.md, "Uncertainty").
 """
 
 import math
@@ -28,7 +29,9 @@ from tg4mm.fit.motion.split_half import deviation, mean_over_neighbours
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
 _OF_VARIANCE = 2.5  # of the variance over 32 Gaussians
-_OF_UNSEEN = 2.0  # of the variance of draws that many cameras do not show; alone, maximum likelihood gave 3.0, beside
+_OF_UNSEEN = (
+    2.0  # of the variance of draws that many cameras do not show; alone, maximum likelihood gave 3.0, beside
+)
 # the attenuation's part 1.2
 # Deviation along the sight of a single camera over the motion across: of directions that are equally likely in space
 # 95 % have at most twice this ratio, 2k / √(1 + 4k²).
@@ -138,8 +141,8 @@ def _unknown_direction(estimate: MotionEstimate, covariance: np.ndarray, n_times
     """[N, 3, 3]: what `covariance` [N, 3, 3] lacks along the sight of a single camera, scene units squared.
 
     The camera shows motion across its sight. If no direction in space is more likely than another, motion along it has
-    the deviation `_ALONG_TO_ACROSS` times that across: pictures from one place change so little with the rest
-    (by 10⁻⁵ of the energy, of a body a fifth as deep as it is far away) that they do not correct this.
+    the deviation `_ALONG_TO_ACROSS` times that across. Pictures from one place change too little with the rest to
+    correct this (docs/method.md, "Uncertainty").
     """
     along, _ = along_and_across(estimate.cameras[0], estimate.gaussians.means.numpy())
     fields = estimate.fields[..., :3].astype(np.float64)

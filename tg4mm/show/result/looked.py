@@ -135,7 +135,10 @@ def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibrati
         f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
     )
     if "along_sight" in reading.uncertainty and vibrations:
-        out.append("motion towards the only camera: its amplitude is underestimated, by more than the ±")
+        out.append(
+            "motion towards the only camera: its amplitude is underestimated; the ± of lengths covers up to three "
+            "times the motion across"
+        )
     if "noise" not in reading.uncertainty and vibrations:
         out.append(
             f"the uncertainty of amplitudes: the preset {reading.run.preset} with these settings does not estimate it"

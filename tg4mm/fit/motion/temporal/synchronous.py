@@ -51,7 +51,7 @@ class Synchronous(TemporalModel):
     ) -> "Synchronous":
         """What the cameras saw, less what is no motion of the scene, in few components."""
         seen = look_at(gaussians, observations, config, device, checkpoint)
-        targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
+        targets = principal_components(seen.observations, seen.look, seen.nuisances, config)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         return Synchronous(
             seen.gaussians, seen.observations, seen.problem(config, device), targets, folds, config,
@@ -108,20 +108,20 @@ class Synchronous(TemporalModel):
 
 
 def principal_components(
-    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], most: int
+    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], config: MotionConfig
 ) -> TargetImages:
     """Time courses of vibrations, and principal components of what the changes of all synchronous cameras hold besides.
 
     The courses are known (`Observations.courses`) or sinusoids that stand out of the noise. A vibration of a small part
     of a large picture is no principal component: there the noise of all pixels is stronger. Of the components there
-    are at most `most`. What the active nuisance columns explain of a frame is taken out first.
+    are at most as many as the settings say. What the active nuisance columns explain of a frame is taken out first.
     """
     gram = np.zeros_like(look.grams[0])
     for v, nuisance in enumerate(nuisances):
         gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
     pixels = effective_pixels(look.total)
     courses = observations.courses
-    if courses is None and not observations.is_flat:
+    if courses is None and config.sinusoids and not observations.is_flat:
         courses = sinusoidal_courses(gram, pixels, observations.frames[0].times_s)
     known = orthonormal(courses, gram)
     known_energy = np.einsum("kt,ts,ks->k", known, gram, known)
@@ -131,7 +131,7 @@ def principal_components(
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
     rank = rank_of(energy)
     count = kept_components(energy, rank, pixels, least=0 if len(known) else 1)
-    if count > most:
+    if count > (most := config.components):
         warnings.warn(
             f"{count} temporal components exceed the noise, motion.components keeps the strongest {most}",
             stacklevel=2,
