@@ -259,8 +259,9 @@ def _unseen(model: TemporalModel, hyper: Hyperparameters, gradients: np.ndarray)
     problem = model.problem
     small = coarser(problem, model.observations.frames, _DRAWN_PIXELS // len(problem.views))
     operator = small.on_cpu(small.everything, hyper.smoothness_weight)
-    settings = {"seed": model.config.seed, "n_draws": _DRAWS, "iterations": _DRAW_ITERATIONS}
-    return unseen_motion(operator, gradients, model.n_frames, **settings).covariance
+    return unseen_motion(
+        operator, gradients, model.n_frames, model.config.seed, n_draws=_DRAWS, iterations=_DRAW_ITERATIONS
+    ).covariance
 
 
 def _result(
