@@ -26,8 +26,8 @@ _LENGTH = tuple[str, float, float, str, float, float, float]
 def keep_duplicates_option() -> Any:
     """Return the option --keep-duplicates."""
     about = (
-        "Keep frames that repeat the one before them. [default: a video's duplicate frames are left out, where they "
-        "are recognised, and the others have the times at which they were taken]"
+        "Keep frames that repeat the one before them. [default: recognised duplicate frames of a video are left out, "
+        "and the others keep their true times]"
     )
     return option(False, about)
 
@@ -76,7 +76,7 @@ class RecordingConfig:
     readout_s: float | None = option(
         None,
         "Rolling shutter of fixed cameras: milliseconds from a picture's first row to its last, 8 to 25 of most "
-        "phones. [default: all rows are taken to be read at once]",
+        "phones. [default: global shutter]",
         name="--readout",
         metavar="MS",
         into=_seconds,
@@ -100,7 +100,7 @@ class RecordingConfig:
     keep_duplicates: bool = keep_duplicates_option()
     synchronous: bool = option(
         False,
-        "One signal started all cameras of a rig. [default: every camera has a clock of its own; offsets are found "
+        "One signal started all cameras of a rig. [default: independent clocks, whose offsets are found "
         "from a steady vibration]",
     )
 

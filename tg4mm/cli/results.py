@@ -441,7 +441,7 @@ def _check_export(options: ExportOptions) -> None:
         raise Tg4mmError(f"{' and '.join(wrong)} {verb} to --format {', '.join(formats)}; {reason}")
     if o.format is Format.html and o.low_pass is LowPass.none:
         raise Tg4mmError(
-            "--low-pass none: not for html, which draws with a low-pass of its own; leave it out"
+            "--low-pass none: not for html, which applies the low-pass when drawing; leave it out"
         )
     check_paired(o.alpha or [0.0], o.bands)
     _ = o.temporal_filter  # raises

@@ -46,13 +46,13 @@ class TrainOptions:
     )
     region: str | None = option(
         None,
-        "Where motion may be, in pixels of the one fixed camera: a PNG, white there, or a polygon's corners: --set "
-        "motion.region. [default: everywhere]",
+        "Where motion is allowed, for one fixed camera: a PNG, white there, or a polygon's corners in pixels (--set "
+        "motion.region). [default: everywhere]",
         metavar="FILE | X,Y X,Y …",
     )
     mask: str | None = option(
         None,
-        "What counts in that camera's pictures, for the scene at rest and its motion: --set space.mask. [default: "
+        "The valid part of that camera's pictures, for the scene at rest and its motion (--set space.mask). [default: "
         "everything]",
         metavar="FILE | X,Y X,Y …",
     )

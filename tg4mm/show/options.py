@@ -111,8 +111,7 @@ class LookOptions:
     )
     readout: float | None = option(
         None,
-        "Rolling shutter: milliseconds from a picture's first row to its last. [default: all rows are taken to be read "
-        "at once]",
+        "Rolling shutter: milliseconds from a picture's first row to its last. [default: global shutter]",
         metavar="MS",
     )
     start: float = option(0.0, "Where to begin in the video.", name="--from", unit="seconds")
@@ -224,8 +223,7 @@ class MeasureOptions:
     )
     readout: float | None = option(
         None,
-        "Of a video: milliseconds from a picture's first row to its last (rolling shutter). [default: all rows are "
-        "taken to be read at once]",
+        "Of a video: milliseconds from a picture's first row to its last (rolling shutter). [default: global shutter]",
         metavar="MS",
     )
 
@@ -462,8 +460,8 @@ class ProcessOptions(RecordingConfig):
     )
     all_files: bool = option(
         False,
-        "Keep the magnified video's pictures (magnified/), write plots as SVG, too, and the whole scene to page.html, "
-        "which else is at most 10 MB.",
+        "Keep the magnified video's pictures (magnified/), write plots as SVG, too, and all of the scene to page.html, "
+        "which otherwise has at most 10 MB.",
     )
     settings: Mapping[str, str] = settings_option(
         "Override one setting, e.g. space.iterations=3000; may be repeated. tg4mm train --list-settings lists them."
