@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses
 from tg4mm.capture.codec.loss import LOST
 from tg4mm.capture.codec.trial import gain_of, shifts_of
+from tg4mm.capture.tracking.template import slope as slope_of
 
 WIDTH, HEIGHT, FRAMES, FPS = 240, 136, 150, 30
 PLATE = slice(30, 100), slice(40, 150)
@@ -60,7 +61,7 @@ class Film:
         blobs = gaussian_filter(rng.normal(size=(HEIGHT, WIDTH, 3)), (2, 2, 0))
         base = 128 + 35 * blobs / blobs.std()
         slope = np.zeros_like(base)
-        slope[PLATE] = np.gradient(base, axis=1)[PLATE]
+        slope[PLATE] = slope_of(base, 1)[PLATE]
         with av.open(str(path), "w") as container:
             stream = container.add_stream(self.codec, rate=FPS)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
@@ -84,7 +85,8 @@ def tried(seed: int) -> tuple[float, float, float, float]:
         with av.open(str(path)) as container:
             luma = np.stack([f.to_ndarray()[: f.height] for f in container.decode(video=0)])
         true = Tone(drawn.hz, np.array([drawn.amplitude + 0j, 0]))
-        gain, error = gain_of(shifts_of(luma, REGION.astype(np.float32)), [true], 0, np.arange(FRAMES) / FPS)
+        times = np.arange(FRAMES) / FPS
+        gain, error = gain_of(shifts_of(luma, [REGION.astype(np.float32)], times)[0], [true], 0, times)
         measured = Tone(drawn.hz, true.phasor * gain)
         (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
     print(

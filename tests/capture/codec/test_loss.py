@@ -11,6 +11,7 @@ from tg4mm.capture.codec import Loss, Tone, before_compression, codec_losses, is
 from tg4mm.capture.codec.probe import probe
 from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.capture.planes import Orientation
+from tg4mm.capture.tracking.template import slope as slope_of
 
 FPS, N, AMPLITUDE = 30.0, 120, 0.04
 REGION = np.zeros((120, 160), bool)
@@ -20,7 +21,7 @@ REGION[36:84, 46:114] = True
 def film(path, hz, codec, noise=3.0, **options):
     """Noisy pictures whose middle moves to the right by AMPLITUDE pixels at `hz`, zero to peak."""
     rng, base = np.random.default_rng(0), texture()
-    slope = np.gradient(base, axis=1)
+    slope = slope_of(base, 1)
     slope[:24], slope[96:], slope[:, :30], slope[:, 130:] = 0, 0, 0, 0
     moved = [base - AMPLITUDE * np.cos(2 * np.pi * hz * k / FPS) * slope for k in range(N)]
     frames = [np.clip(m + rng.normal(0, noise, m.shape), 0, 255).astype(np.uint8) for m in moved]
@@ -30,7 +31,8 @@ def film(path, hz, codec, noise=3.0, **options):
 def measured(path, hz):
     """The amplitude that is left, pixels, and its standard error."""
     made = probe(path, 0.0, N)
-    u, times = shifts_of(made.luma, REGION.astype(np.float32)), np.arange(N) / FPS
+    times = np.arange(N) / FPS
+    (u,) = shifts_of(made.luma, [REGION.astype(np.float32)], times)
     gain, error = gain_of(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
     return gain * AMPLITUDE, error * AMPLITUDE
 

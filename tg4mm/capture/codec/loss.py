@@ -27,9 +27,6 @@ SCATTER, BESIDE = 1.15, 0.05
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
-LINEAR_PX = (
-    0.6  # amplitude up to which the test's pictures and its single Lucas-Kanade step are linear in the motion
-)
 FRESH_PIXELS, FRESH_NOISE = (
     0.15,
     0.1,
@@ -150,17 +147,11 @@ def _tested(
                 break
             length = int(np.clip(needed, length, len(times)))
         for k, result in zip(group, results, strict=True):
-            found[k] = [
-                _told(gain, float(np.hypot(SCATTER * error, BESIDE)), float(np.linalg.norm(tone.phasor)))
-                for (gain, error), tone in zip(result, tones[k], strict=True)
-            ]
+            found[k] = [_told(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
     return found
 
 
-def _told(gain: float, deviation: float, size_px: float) -> Loss:
-    """Return the loss of a tone of this amplitude; beyond the test's linear range its gain only widens the ±."""
-    if gain >= LOST and size_px > LINEAR_PX:
-        return Loss(1.0, float(np.hypot(deviation, 1 - gain)))
+def _told(gain: float, deviation: float) -> Loss:
     if gain >= LOST:
         return Loss(gain, deviation)
     kept = max(gain, 0.0)

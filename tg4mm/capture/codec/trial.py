@@ -9,11 +9,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from tg4mm.capture.codec.probe import Probe, rate_options
+from tg4mm.capture.tracking.region import region_motions
+from tg4mm.capture.tracking.registration import Box, resampled
 from tg4mm.capture.video import BETWEEN, av_module, file_url
 
 _NOISE_PX = 8.0  # over which the key frames' noise is averaged
 _AROUND_PX = 12  # about a region, that moves with it in the test: a codec decides by blocks of 16 pixels
 _EDGE_PX = 2.0  # over which that motion fades
+_TRACE = 1e-3  # of a mask: less is none
 _UNEVEN = 0.01  # of a frame
 
 
@@ -37,17 +40,19 @@ def through(
     most = 255 if made.pixels == "yuv420p" else 1023
     rng, is_new = np.random.default_rng(seed), np.diff(times, prepend=-1) > 0
     mean, height = made.planes.mean(0, dtype=np.float32), made.luma.shape[1]
-    down, right = np.gradient(mean[:height])
+    luma = mean[:height]
     noise = _noise(made, mean)
     moves = [np.stack([_series(own, times, axis) for axis in (0, 1)], 1) for own in tones]
     soft = [gaussian_filter(mask, _EDGE_PX) for mask in _grown(masks)]
+    boxes = [_box_of(mask) for mask in soft]
 
     def pictures() -> Iterator[np.ndarray]:
         for k in range(len(times)):
             if is_new[k]:
                 shown = mean + noise * rng.standard_normal(mean.shape, dtype=np.float32)
-                for u, mask in zip(moves, soft, strict=True):
-                    shown[:height] -= mask * (u[k, 0] * right + u[k, 1] * down)
+                for u, mask, box in zip(moves, soft, boxes, strict=True):
+                    moved = resampled(luma[None], -u[None, None, k], box)[0]
+                    shown[box] += mask[box] * (moved - luma[box])
             yield np.clip(np.rint(shown), 0, most).astype(made.planes.dtype)
 
     with tempfile.TemporaryDirectory() as folder:
@@ -57,8 +62,14 @@ def through(
     used = is_new & ~is_between if without_between else is_new
     return [
         [gain_of(u, own, j, times[used]) for j in range(len(own))]
-        for own, u in ((own, shifts_of(seen[used], mask)) for own, mask in zip(tones, masks, strict=True))
+        for own, u in zip(tones, shifts_of(seen[used], masks, times[used]), strict=True)
     ]
+
+
+def _box_of(mask: np.ndarray) -> Box:
+    """The rows and columns in which a mask is not 0."""
+    rows, columns = (np.flatnonzero((mask > _TRACE).any(axis)) for axis in (1, 0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -110,16 +121,15 @@ def _decoded(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([luma for luma, _ in frames]), np.array([between for _, between in frames])
 
 
-def shifts_of(seen: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """[F, 2] pixels right and down of a region about its mean picture, by least squares (Lucas & Kanade 1981)."""
-    inside = mask > 0.5
-    mean = seen.mean(0, dtype=np.float32)
-    down, right = np.gradient(mean)
-    slopes = np.stack([right[inside], down[inside]])
-    slopes -= slopes.mean(1, keepdims=True)
-    changes = seen[:, inside].astype(np.float32) - mean[inside]
-    changes -= changes.mean(1, keepdims=True)
-    return np.linalg.lstsq((slopes @ slopes.T).astype(np.float64), -(slopes @ changes.T), rcond=None)[0].T
+def shifts_of(seen: np.ndarray, masks: Sequence[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
+    """Motion [F, 2] of each region in pictures [F, H, W] at times [F], pixels right and down."""
+    scale = 255 / np.iinfo(seen.dtype).max if seen.dtype == np.uint8 else 255 / 1023
+
+    def grey(box: Box) -> np.ndarray:
+        return seen[:, *box] * np.float32(scale)
+
+    found = region_motions([grey], [(mask > 0.5).astype(np.float32) for mask in masks], times)
+    return [motion.whole for motion in found]
 
 
 def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:

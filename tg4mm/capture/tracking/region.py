@@ -7,11 +7,11 @@ read one after another are brought to the time at which the region as a whole is
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from tg4mm.capture.tracking.bands import bands_of
 from tg4mm.capture.tracking.registration import EDGE, ROUNDS, TAPS, Box, offsets_within, refined, spread
 from tg4mm.capture.tracking.template import Solved, Template, Turn
 from tg4mm.core.even_clock import later
@@ -20,7 +20,6 @@ from tg4mm.core.memory import mapped_zeros
 LARGE_PX = 1 / 3  # motion of most frames from which it is iterated
 UNEXPLAINED = 0.12  # share of the change that a small motion leaves, from which whole pixels are sought
 REACHES = 8, 24  # pixels that whole offsets are sought within
-BANDS = 64  # of a picture's rows, each taken as read at once
 _MARGIN = EDGE + TAPS + REACHES[-1]  # pixels around a region
 _MOST = 150_000_000  # pixels of all frames of a region that is iterated: a larger one bends
 _LEVELS = 256  # steps of a grey level that pictures are kept in
@@ -123,20 +122,19 @@ class RowClock:
         region: Region, mean: np.ndarray, times_s: np.ndarray, readout_s: float, height: int
     ) -> "RowClock":
         """mean [h, w] of the inner box; height: of the picture."""
-        edges = np.linspace(0, height, min(BANDS, height) + 1).astype(int) - region.top
         rows, bands, known = region.index // mean.shape[1], [], []
         slope = (np.array(np.gradient(mean)) ** 2).sum(0).ravel()
         told = slope[region.index] * region.root**2
         delays = np.zeros(len(mean))
-        for first, last in pairwise(edges):
-            delay = readout_s * (((first + last) / 2 + region.top) / height - 0.5)
-            delays[max(first, 0) : max(last, 0)] = delay
+        for band in bands_of(readout_s, height):
+            first, last = (edge - region.top for edge in (band.rows.start, band.rows.stop))
+            delays[max(first, 0) : max(last, 0)] = band.delay_s
             counts = [int((root > 0).sum()) for root in region.root]
             ends = [
                 slice(*np.searchsorted(own[:n], [first, last])) for own, n in zip(rows, counts, strict=True)
             ]
             if any(own.stop > own.start for own in ends):
-                bands.append((delay, ends))
+                bands.append((band.delay_s, ends))
                 known.append(sum(float(told[k, own].sum()) for k, own in enumerate(ends)))
         weights = np.maximum(known, 1e-12 * max(max(known), 1e-30))
         whole = float(np.average([delay for delay, _ in bands], weights=weights))

@@ -8,7 +8,6 @@ the frames are resampled at the motion found so far, and `template.Template` giv
 from collections.abc import Sequence
 from typing import Protocol
 
-import numba
 import numpy as np
 from scipy import fft
 from scipy.signal import fftconvolve
@@ -110,58 +109,12 @@ def resampled(pictures: np.ndarray, shift: np.ndarray, inner: Box) -> np.ndarray
 
     By a sinc under a Hann window. Beyond the edge a picture is continued by its edge.
     """
+    from tg4mm.capture.tracking.kernels import resample  # numba takes a second, and small motion needs none
+
     rows, columns = (range(n)[part] for n, part in zip(pictures.shape[1:], inner, strict=True))
     out = np.empty((len(pictures), len(rows), len(columns)), np.float32)
-    _resample(pictures, np.ascontiguousarray(shift, np.float64), rows.start, columns.start, out)
+    resample(pictures, np.ascontiguousarray(shift, np.float64), rows.start, columns.start, TAPS, out)
     return out
-
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def _resample(pictures: np.ndarray, shift: np.ndarray, top: int, left: int, out: np.ndarray) -> None:
-    count, height, width = out.shape
-    last_row, last_column = pictures.shape[1] - 1, pictures.shape[2] - 1
-    down, right = np.empty(2 * TAPS + 1, np.float32), np.empty(2 * TAPS + 1, np.float32)
-    line = np.empty(width + 2 * TAPS, np.float32)
-    for f in range(count):
-        for i in range(height):
-            row = min(i, shift.shape[1] - 1)
-            if i == row:
-                x, y = round(shift[f, row, 0]), round(shift[f, row, 1])
-                _taps(shift[f, row, 0] - x, right)
-                _taps(shift[f, row, 1] - y, down)
-            line[:] = 0
-            for a in range(2 * TAPS + 1):
-                source = min(max(top + i + y + a - TAPS, 0), last_row)
-                weight = down[a]
-                if weight != 0:
-                    first = left + x - TAPS
-                    if first >= 0 and first + width + 2 * TAPS - 1 <= last_column:
-                        own = pictures[f, source, first : first + width + 2 * TAPS]
-                        for j in range(width + 2 * TAPS):
-                            line[j] += weight * own[j]
-                        continue
-                    for j in range(width + 2 * TAPS):
-                        line[j] += weight * pictures[f, source, min(max(first + j, 0), last_column)]
-            row_out = out[f, i]
-            row_out[:] = 0
-            for a in range(2 * TAPS + 1):
-                weight = right[a]
-                for j in range(width):
-                    row_out[j] += weight * line[j + a]
-
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def _taps(at: float, out: np.ndarray) -> None:
-    """Weights of the pixels about a point that lies a fraction of a pixel, −½ … ½, after the middle one."""
-    total = 0.0
-    for k in range(2 * TAPS + 1):
-        away = k - TAPS - at
-        sinc = 1.0 if abs(away) < 1e-9 else np.sin(np.pi * away) / (np.pi * away)
-        value = sinc * np.cos(np.pi * away / (2 * TAPS + 2)) ** 2
-        out[k] = value
-        total += value
-    for k in range(2 * TAPS + 1):
-        out[k] /= total
 
 
 def spread(series: np.ndarray) -> float:

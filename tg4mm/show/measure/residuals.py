@@ -13,12 +13,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.pictures import over_white
+from tg4mm.capture.tracking.bands import bands_of
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import LEAST, chessboard
-from tg4mm.show.measure.rows import bands_of, by_band, to_middle
+from tg4mm.show.measure.rows import by_band, to_middle
 from tg4mm.show.measure.sides import HALVES
 
 AT_ONCE = 8  # frames
@@ -66,7 +67,7 @@ def leftover(
 
     series [B, R, F]: of `by_band`.
     """
-    rows, bands = view.frames.rows, bands_of(view.frames, len(view.mean))
+    rows, bands = view.frames.rows, bands_of(view.frames.readout_s, len(view.mean))
     for first in range(0, len(rows), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         raw = observations.pictures.strips(rows[some].tolist())

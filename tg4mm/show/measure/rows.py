@@ -5,39 +5,18 @@ region are brought to the region's mean time by interpolation of these numbers, 
 few rows is not interpolated at all.
 """
 
-from dataclasses import dataclass
-from itertools import pairwise
-
 import numpy as np
 
+from tg4mm.capture.tracking.bands import bands_of
 from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.observations import PosedFrames
-
-BANDS = 64  # of a picture: near half the frame rate phases inside one differ by 1.4° at most, if a readout is a frame
-
-
-@dataclass(frozen=True)
-class Band:
-    """Rows that count as read at one time."""
-
-    rows: slice
-    delay_s: float  # after the time of the frame, which is that of its middle row
-
-
-def bands_of(frames: PosedFrames, height: int) -> list[Band]:
-    """Of a picture of so many rows, from top to bottom; one where all rows are read at once."""
-    if not frames.readout_s:
-        return [Band(slice(0, height), 0.0)]
-    edges = np.linspace(0, height, min(BANDS, height) + 1).astype(int)
-    return [
-        Band(slice(int(a), int(b)), frames.readout_s * ((a + b) / 2 / height - 0.5))
-        for a, b in pairwise(edges)
-    ]
 
 
 def by_band(frames: PosedFrames, height: int, series: np.ndarray) -> np.ndarray:
     """[B, R, F]: functions of the frames' times [R, F] at the times of every band."""
-    return np.stack([later(frames.times_s, series, band.delay_s) for band in bands_of(frames, height)])
+    return np.stack(
+        [later(frames.times_s, series, band.delay_s) for band in bands_of(frames.readout_s, height)]
+    )
 
 
 def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndarray) -> None:
@@ -45,7 +24,7 @@ def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndar
 
     rows [N]: pixels from the upper edge.
     """
-    for band in bands_of(frames, height):
+    for band in bands_of(frames.readout_s, height):
         last = np.inf if band.rows.stop == height else band.rows.stop
         first = -np.inf if band.rows.start == 0 else band.rows.start
         some = np.flatnonzero((rows >= first) & (rows < last))
