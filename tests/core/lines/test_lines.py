@@ -229,3 +229,14 @@ def test_noise_alone_makes_a_line_in_few_records(colour):
     rng = np.random.default_rng(12)
     found = sum(bool(find_lines(noise(rng, 240, 2, colour), np.arange(240) / FPS).lines) for _ in range(150))
     assert found <= 7  # 1 % of 150, and chance
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+@pytest.mark.parametrize("hz", [6.3, 10.9])
+def test_a_line_of_varying_strength_is_found_between_b_frames(hz, every):
+    for seed in range(3):
+        t, rng = np.arange(300) / 30, np.random.default_rng(seed)
+        strength = 1 + 0.4 * np.cos(2 * np.pi * 0.23 * t + seed)
+        values = 0.24 * strength * np.cos(2 * np.pi * hz * t + 0.4) + rng.normal(0, 0.02, 300)
+        (line,) = find_lines(values, t, between=np.arange(300) % every != 0).lines
+        assert line.hz == pytest.approx(hz, abs=5 * line.hz_deviation + 0.002)

@@ -184,13 +184,19 @@ def without_between(
             return None
         kept += [] if beside else [k]
     lines = [shapes[k] for k in kept]
-    begun = [replace(s, start=int(np.searchsorted(forward, s.start))) for s in lines]
+    begun = [_part_of(s, forward) for s in lines]
     found = refined(begun, part.t, part.y, part.ends)
     levels = part.levels(found, solved(found, part.t, part.y)[1])
     differ = _differ(record, lines, between, [levels[part.bin_of(s.hz, len(levels))] for s in found])
     if not differ and len(lines) < len(shapes):
         return None
     return part, found, differ
+
+
+def _part_of(shape: Shape, forward: np.ndarray) -> Shape:
+    """The shape in those samples of its record alone."""
+    modulation = None if shape.modulation is None else shape.modulation[forward]
+    return replace(shape, start=int(np.searchsorted(forward, shape.start)), modulation=modulation)
 
 
 def _mirrored(t: np.ndarray, hz: float) -> bool:
