@@ -5,7 +5,6 @@ import pytest
 
 from benchmarks.calibration.film import Layer, Mode, texture
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, knocks
-from tg4mm.capture.look.ringing import fitted
 from tg4mm.capture.look.scene import find_masks
 from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
 from tg4mm.capture.tracking.template import Grid, Template
@@ -85,17 +84,6 @@ def test_a_knock_is_a_step_that_stays():
     bumped = still.copy()
     bumped[50:54] += 3
     assert knocks(bumped) == []
-
-
-def test_a_hit_is_one_though_few_pictures_keep_small_motion():
-    rng, t = np.random.default_rng(5), np.arange(200) / FPS
-    x = t - 2.2
-    hit = np.where(x >= 0, np.exp(-0.5 * x) * np.sin(2 * np.pi * 3.1 * x), 0.0)
-    few = np.arange(200) % 16 == 0
-    line = fitted(hit + 0.1 * rng.normal(size=200), t, 3.1, 0.01, whole=few)
-    assert line.kind == "begins"
-    assert line.start_s == pytest.approx(2.2, abs=0.05)
-    assert abs(line.decay - 0.5) < 3 * line.decay_deviation
 
 
 def test_key_frames_with_more_noise_do_not_look_like_something_that_passes():

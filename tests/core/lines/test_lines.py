@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.modulated_lines import scored, told_apart
-from tg4mm.core.lines import find_lines, fit_lines
+from tg4mm.core.lines import find_lines, fit_line_near, fit_lines
 
 FPS = 30.0
 
@@ -240,3 +240,52 @@ def test_a_line_of_varying_strength_is_found_between_b_frames(hz, every):
         values = 0.24 * strength * np.cos(2 * np.pi * hz * t + 0.4) + rng.normal(0, 0.02, 300)
         (line,) = find_lines(values, t, between=np.arange(300) % every != 0).lines
         assert line.hz == pytest.approx(hz, abs=5 * line.hz_deviation + 0.002)
+
+
+@pytest.mark.parametrize(
+    ("change", "begin", "decay"), [("untold", 0.0, 0.0), ("decays", 0.0, 0.5), ("begins", 2.2, 0.5)]
+)
+def test_the_line_near_a_frequency_is_the_simplest_that_does_whatever_lies_beside_it(change, begin, decay):
+    rng, t = np.random.default_rng(5), np.arange(200) / FPS
+    since = t - begin
+    own = np.where(since >= 0, np.exp(-decay * np.maximum(since, 0)) * np.sin(2 * np.pi * 3.1 * since), 0.0)
+    beside = 0.5 * np.cos(2 * np.pi * 7.7 * t)
+    line = fit_line_near(own + beside + 0.1 * rng.normal(size=200), t, 3.15, 0.15, 0.1)
+    assert abs(line.hz - 3.1) < 3 * line.hz_deviation + 0.01
+    assert line.change in (change, "steady" if change == "untold" else change)
+    assert (line.start_s is None) == (begin == 0)
+    assert abs(line.decay_per_s - decay) <= 3 * np.sqrt(line.covariance[1, 1])
+    if begin:
+        assert line.start_s == pytest.approx(begin, abs=0.05)
+
+
+def test_of_a_record_too_long_for_all_filters_lines_are_the_peaks_of_the_spectrum():
+    """Ten seconds of an accelerometer: three tones, one of them a hundredth of the strongest, and nothing else."""
+    rng, t = np.random.default_rng(6), np.arange(20_000) / 2000
+    true = ((12.34, 1.0), (180.02, 0.1), (611.7, 0.03))
+    values = sum(a * np.cos(2 * np.pi * f * t + f) for f, a in true) + 0.2 * rng.normal(size=len(t))
+    lines = find_lines(values, t).lines
+    assert len(lines) == 3
+    for line, (hz, size) in zip(lines, true, strict=True):
+        assert abs(line.hz - hz) < 4 * line.hz_deviation
+        assert abs(line.amplitude[0] - size) < 4 * line.amplitude_deviation[0]
+    assert not find_lines(rng.normal(size=(len(t), 2)), t).lines
+
+
+@pytest.mark.parametrize(("n", "cycles"), [(12, 3.3), (30, 2.5), (93, 2.5)])
+def test_a_loud_tone_in_few_periods_is_found_though_its_side_lobes_are_everywhere(n, cycles):
+    t = np.arange(n) / n
+    for seed in range(5):
+        values = 10 * np.cos(2 * np.pi * cycles * t + seed) + np.random.default_rng(seed).normal(size=n)
+        (line,) = find_lines(values, t, ends=(0.99, n / 2 - 0.75)).lines
+        assert abs(line.hz - cycles) < 0.1
+
+
+def test_noise_of_few_samples_makes_a_line_in_one_record_of_a_hundred():
+    found = [
+        bool(find_lines(np.random.default_rng([n, k]).normal(size=(n, d)), np.arange(n)).lines)
+        for n in (12, 24, 48)
+        for d in (1, 3)
+        for k in range(40)
+    ]
+    assert sum(found) <= 9  # of 240: 2.4 expected, 10 or more once in 3,000 times

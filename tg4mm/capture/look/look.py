@@ -1,7 +1,7 @@
 """A look at a recording: one pass over its pictures, then lines over the background, twice."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,12 +146,12 @@ def _moved(search: Search) -> np.ndarray:
 
 def _line(search: Search, line: Line) -> LookLine:
     where: Placed = placed(search, line)
-    vibration, grid, told = line.vibration, search.scene.grid, _told(search, line)
+    grid, told = search.scene.grid, _reported(search, line)
     cells = where.moving if len(where.moving) else where.region
-    start = vibration.start_s
     return LookLine(
-        *(told.hz, told.hz_deviation, where.amplitude_px, where.deviation_px, told.change),
-        *(told.damping, told.damping_deviation, start, float(search.times[0]) if start is None else start),
+        *(told.hz, told.hz_deviation, where.amplitude_px, where.deviation_px),
+        told.change,
+        *(told.damping, told.damping_deviation, told.start_s, told.from_s),
         *(
             (float(where.direction[0]), float(where.direction[1])),
             where.phase_rad,
@@ -167,47 +167,23 @@ def _line(search: Search, line: Line) -> LookLine:
     )
 
 
-@dataclass(frozen=True)
-class _Told:
-    hz: float
-    hz_deviation: float
-    change: str
-    damping: float | None = None
-    damping_deviation: float | None = None
+def _reported(search: Search, line: Line) -> CoreLine:
+    """Return the line with all tests of `tg4mm.core.lines`; a steady one where the codec may have made its change.
 
-
-def _told(search: Search, line: Line) -> _Told:
-    """Estimate frequency and change of a line from its shape's series by `tg4mm.core.lines`.
-
-    The search's own values are kept where the decay that it found is too short for that. Where the codec may have
-    caused the change, the line is reported as steady.
+    A decay is taken from the pictures that keep small motion, as what others lose would pass for damping.
     """
+    own, scene = line.vibration, search.scene
     series, seen = search.series_of(line)
-    told = _with_change(search, line, series, seen)
-    decay = 2 * np.pi * told.hz * (told.damping or 0.0)
-    if 0 < decay * search.scene.duration < search.scene.coded_change:
-        steady = fit_lines(series[seen], search.times[seen], [line.vibration.hz]).lines[0]
-        return _Told(steady.hz, steady.hz_deviation, "untold")
-    return told
-
-
-def _with_change(search: Search, line: Line, series: np.ndarray, seen: np.ndarray) -> _Told:
-    own, duration = line.vibration, search.scene.duration
-    if own.decay:
-        half = max(1 / duration, own.decay / np.pi)
-        rows = seen & ~search.scene.between if search.scene.treats_apart else seen
-        found = find_lines(
-            series[rows], search.times[rows], ends=(max(own.hz - half, 1 / duration), own.hz + half), most=1
-        )
-        if found.lines and found.lines[0].damping is not None:
-            return _of(found.lines[0])
-        change = "begins" if own.start_s is not None else "decays"
-        return _Told(own.hz, own.hz_deviation, change, own.damping, own.damping_deviation)
-    return _of(fit_lines(series[seen], search.times[seen], [own.hz]).lines[0])
-
-
-def _of(line: CoreLine) -> _Told:
-    return _Told(line.hz, line.hz_deviation, line.change, line.damping, line.damping_deviation)
+    reported = steady = fit_lines(series[seen], search.times[seen], [own.hz]).lines[0]
+    if own.decay_per_s:
+        rows = seen & ~scene.between if scene.treats_apart else seen
+        half = max(1 / scene.duration, own.decay_per_s / np.pi)
+        ends = max(own.hz - half, 1 / scene.duration), own.hz + half
+        found = find_lines(series[rows], search.times[rows], ends=ends, most=1).lines
+        reported = found[0] if found and found[0].damping is not None else own
+    if 0 < reported.decay_per_s * scene.duration < scene.coded_change:
+        return replace(steady, decay_per_s=0.0, change="untold")
+    return reported
 
 
 def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list[LookLine]) -> Look:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tg4mm.capture.look.ringing import Vibration
+from tg4mm.core.lines import envelope, tone
 from tg4mm.core.regions import Region
 
 Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
@@ -51,7 +51,7 @@ class LookLine:
         start = float(times_s[0]) if self.start_s is None else self.start_s
         ratio = self.damping or 0.0
         decay = 2 * np.pi * self.hz * ratio / np.sqrt(max(1 - ratio**2, 1e-9))
-        return Vibration(self.hz, decay, start).columns(times_s).T
+        return np.asarray((envelope(times_s, decay, start, self.start_s)[:, None] * tone(times_s, self.hz)).T)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class Placed:
     amplitude_px: float
     deviation_px: float
     direction: np.ndarray  # [2] right and down, unit
-    phase_rad: float  # of a cosine from the line's start on
+    phase_rad: float  # of a cosine by the record's own clock
     centre_px: tuple[float, float]
     region: np.ndarray  # indices of the grid's cells that the amplitude is of
     moving: np.ndarray  # indices of the grid's cells that show the line
@@ -245,10 +245,10 @@ class _Placing:
             weight = of_theirs / (variance + of_theirs)
             amplitude = weight * others + (1 - weight) * theirs / keeps
             variance = 1 / (1 / variance + 1 / of_theirs)
-        if vibration.decay:  # its decay and its start are not known exactly
+        if vibration.decay_per_s:  # its decay and its start are not known exactly
             variance *= 2
             if vibration.start_s is not None:
-                variance += (amplitude * vibration.decay * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
+                variance += (amplitude * vibration.decay_per_s * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
         inexact = float(self._inexact()[region].mean())
         relative = np.linalg.norm(
             [RIM if is_rim else GAIN_ERROR, inexact, _PREDICTED * self._predicted_lack()]

@@ -8,10 +8,11 @@ import numpy as np
 from scipy import ndimage
 
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, usual_in, whole_shift
-from tg4mm.capture.look.spectra import step, tone, tones_of
+from tg4mm.capture.look.spectra import step, tones_of
 from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 from tg4mm.capture.tracking.template import Grid
+from tg4mm.core.lines import tone
 
 _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the usual misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time

@@ -14,12 +14,12 @@ from scipy import stats
 from tg4mm.capture.look.model import Smallest
 from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, Spectra, beam_floor, shape_of
 from tg4mm.capture.look.pools import Pool, pools_of
-from tg4mm.capture.look.ringing import Vibration, fitted
 from tg4mm.capture.look.scene import PATTERNS, Scene
-from tg4mm.capture.look.spectra import LOG2, explained, spectrum
+from tg4mm.capture.look.spectra import spectrum
+from tg4mm.core.lines import Line as Vibration
+from tg4mm.core.lines import fit_line_near
 
 MOST = 24  # lines
-_NEAR_BINS, _NEAR_SHARE = 12, 0.08  # neighbourhood that noise is told from, bins or share of the rate
 _WANDER_BINS = 6  # neighbourhood that a line must explain
 _LEFT, _LEFT_SHARE = 2.5, 0.15  # what may stay there, times the noise or of half the statistic
 _SUPPORT = 7.0  # statistic of the place without its strongest cell: one of 140 of noise is above
@@ -37,7 +37,7 @@ class Line:
     cut: float  # the statistic that noise alone exceeds once in a hundred recordings
     pool: int
     shape: Shape
-    noise: float  # variance of the shape's series
+    noise: float  # standard deviation of the shape's series
     taken: list[np.ndarray] = field(default_factory=list)  # of each pool [B, M]: coefficients of `columns`
     plain: list[np.ndarray] = field(default_factory=list)  # of each pool [2, M]: cosine and sine
 
@@ -103,10 +103,13 @@ class Search:
         row = self.bin_of(peak.hz)
         shape = shape_of(peak, pool.floor[row])
         series, seen = shape.series(pool.residual, pool.seen)
-        vibration, noise = self._fitted(series, seen, peak, row)
-        wander = self._wander(series, seen, vibration) / beam_floor(pool, shape, row)
+        width = scene.duration if peak.window is None else peak.window * scene.duration
+        floor = beam_floor(pool, shape, row)
+        noise = float(np.sqrt(len(self.times) / 4 * floor))
+        vibration = fit_line_near(series[seen], self.times[seen], peak.hz, 1 / width, noise)
+        wander = self._wander(series, seen, vibration) / floor
         statistic = peak.statistic
-        if peak.window is not None or vibration.decay:
+        if peak.window is not None or vibration.decay_per_s:
             statistic = max(statistic, _statistic(pool, peak.place, row, vibration, self.times))
         key = round(peak.hz * scene.duration)
         self._tries[key] = self._tries.get(key, 0) + 1
@@ -127,28 +130,8 @@ class Search:
         self._spectra.clear()
         for each in self.pools:
             each.update(self.times)
-        half = max(1 / scene.duration, 2.5 * vibration.decay / (2 * np.pi))
+        half = max(1 / scene.duration, 2.5 * abs(vibration.decay_per_s) / (2 * np.pi))
         self._open &= np.abs(self.hz - vibration.hz) >= half
-
-    def _fitted(self, series: np.ndarray, seen: np.ndarray, peak: Peak, row: int) -> tuple[Vibration, float]:
-        """The vibration, and the noise's variance beside it: first of all that is there, then of what it leaves."""
-        near = np.abs(self.hz - self.hz[row]) < max(
-            _NEAR_BINS / self.scene.duration, _NEAR_SHARE / self.scene.dt
-        )
-        near &= self.allowed
-        width = None if peak.window is None else 1 / (peak.window * self.scene.duration)
-        left, noise = series, 0.0
-        for share in (1.0, float(seen.mean())):
-            power = np.abs(spectrum(left[:, None], self.times)[1][near, 0]) ** 2
-            noise = len(self.times) / 4 * float(np.median(power)) / LOG2 / share
-            vibration = fitted(series[seen], self.times[seen], peak.hz, noise, width, self._whole(seen))
-            columns = vibration.columns(self.times)
-            left = (series - columns @ np.linalg.lstsq(columns[seen], series[seen], rcond=None)[0]) * seen
-        return vibration, noise
-
-    def _whole(self, seen: np.ndarray) -> np.ndarray | None:
-        """Of the pictures seen, those that keep small motion; None where all do alike."""
-        return ~self.scene.between[seen] if self.scene.treats_apart else None
 
     def _wander(self, series: np.ndarray, seen: np.ndarray, vibration: Vibration) -> float:
         """Mean power of what the line leaves around itself."""
@@ -171,10 +154,10 @@ class Search:
 
     def _is_near(self, vibration: Vibration) -> bool:
         """Whether a line is there already: nearer than both can be told apart."""
-        resolution = 1 / self.scene.duration
+        resolution, rate = 1 / self.scene.duration, abs(vibration.decay_per_s)
         others = (line.vibration for line in self.lines)
         return any(
-            abs(vibration.hz - o.hz) < max(resolution, (vibration.decay + o.decay) / np.pi) for o in others
+            abs(vibration.hz - o.hz) < max(resolution, (rate + abs(o.decay_per_s)) / np.pi) for o in others
         )
 
     def _raise(self, peak: Peak, hz: float, factor: float, alone: bool = False) -> None:
@@ -244,8 +227,8 @@ class Search:
         own = {line.pool for line in self.lines}
         for line in [*self.lines, *self.lines]:
             series, seen = self.series_of(line)
-            known, hz = line.noise, line.vibration.hz
-            line.vibration = fitted(series[seen], self.times[seen], hz, known, None, self._whole(seen))
+            hz, width = line.vibration.hz, 1 / self.scene.duration
+            line.vibration = fit_line_near(series[seen], self.times[seen], hz, width, line.noise)
             self._take_off(own)
         self._take_off()
 
@@ -273,5 +256,6 @@ def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list
 
 def _statistic(pool: Pool, place: int, row: int, vibration: Vibration, times_s: np.ndarray) -> float:
     basis = vibration.columns(times_s)
-    both = (2 * place, 2 * place + 1)
-    return sum(explained(pool.residual[:, m], basis) / (len(times_s) / 2 * pool.floor[row, m]) for m in both)
+    both = [2 * place, 2 * place + 1]
+    explained = ((np.linalg.qr(basis)[0].T @ pool.residual[:, both]) ** 2).sum(0)
+    return float((explained / (len(times_s) / 2 * pool.floor[row, both])).sum())

@@ -1,7 +1,9 @@
-"""Spectra of many series at once, their noise floors, and the lines of a single series."""
+"""Spectra of many series at once and their noise floors; what nuisance leaves of a series, and its lines."""
 
 import numpy as np
-from scipy import ndimage, optimize, stats
+from scipy import ndimage
+
+from tg4mm.core.lines import find_lines
 
 PAD = 2  # bins a resolution cell
 LOG2 = float(np.log(2))  # median of |noise|² over its mean, for a complex Gaussian
@@ -9,6 +11,7 @@ _MEDIAN_SCATTER = 2.08  # variance of log(median of n independent exponentials) 
 _LEAST_SHAPE = 0.2  # of the common shape: deeper notches come from what was subtracted
 _ALIKE = 20  # columns from which a common shape is told
 _UNEVEN = 0.01  # of a step
+_CHANCE = 1e-3  # of one false line in a series that is no shift
 
 
 def step(times_s: np.ndarray) -> float:
@@ -90,62 +93,9 @@ def without(series: np.ndarray, nuisance: np.ndarray, seen: np.ndarray | None = 
     return out
 
 
-def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
-    """[F, 2]: cosine and sine."""
-    angle = 2 * np.pi * hz * times_s
-    return np.stack([np.cos(angle), np.sin(angle)], 1)
-
-
-def explained(series: np.ndarray, columns: np.ndarray) -> float:
-    """The energy of series [F] that two columns [F, 2] explain."""
-    products, by_series = columns.T @ columns, columns.T @ series
-    a, b, c = products[0, 0], products[0, 1], products[1, 1]
-    determinant = a * c - b * b
-    if determinant <= 1e-9 * a * c:
-        return 0.0
-    p, q = by_series
-    return float((c * p * p - 2 * b * p * q + a * q * q) / determinant)
-
-
-def refined(series: np.ndarray, times_s: np.ndarray, hz: float) -> float:
-    """The frequency of the largest tone of series [F] within .6 / duration of hz, inside (0, half the rate)."""
-    duration = times_s[-1] - times_s[0]
-    half, top = 0.6 / duration, 0.5 / step(times_s) - 0.3 / duration
-    hz = min(hz, top - 0.01 / duration)
-    bounds = (max(hz - half, 0.2 / duration), min(hz + half, top))
-    found = optimize.minimize_scalar(
-        lambda f: -explained(series, tone(times_s, f)),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": 1e-5 * half},
-    )
-    return float(found.x)
-
-
 def tones_of(
-    series: np.ndarray, times_s: np.ndarray, nuisance: np.ndarray, most: int = 4, chance: float = 1e-3
+    series: np.ndarray, times_s: np.ndarray, nuisance: np.ndarray, most: int = 4
 ) -> list[tuple[float, float, float]]:
-    """Frequency, its ± (Hz) and amplitude of the lines of one series [F]: F-tests against its local floor.
-
-    chance: of one false line in the series.
-    """
-    found: list[tuple[float, float, float]] = []
-    left = without(series[:, None], nuisance)
-    dt = step(times_s)
-    duration = times_s[-1] - times_s[0] + dt
-    for _ in range(most):
-        hz, amplitudes = spectrum(left, times_s)
-        power = np.abs(amplitudes) ** 2
-        floor, freedom = noise_floor(power)
-        ratio = (power / floor)[:, 0]
-        ratio[(hz < 2 / duration) | (hz > 0.5 / dt - 0.25 / duration)] = 0
-        k = int(np.argmax(ratio))
-        if stats.f.sf(ratio[k], 2, freedom[k]) * len(hz) > chance:
-            break
-        at = refined(left[:, 0], times_s, float(hz[k]))
-        columns = tone(times_s, at)
-        fit = np.linalg.lstsq(columns, left[:, 0], rcond=None)[0]
-        amplitude = float(np.hypot(*fit))
-        found.append((at, float(np.sqrt(3 * floor[k, 0]) / np.pi / (amplitude * duration)), amplitude))
-        left = left - (columns @ fit)[:, None]
-    return found
+    """Frequency, its ± (Hz) and amplitude of the lines of one series [F] beside nuisance [F, P], strongest first."""
+    found = find_lines(without(series[:, None], nuisance), times_s, most=most, chance=_CHANCE).lines
+    return [(line.hz, line.hz_deviation, float(line.amplitude[0])) for line in found]

@@ -3,25 +3,37 @@
 A line enters as the simplest that does: steady; decaying or growing where that explains more, by a likelihood-ratio
 test; beginning in the record where that does. So what rings down is one line, not several steady ones beside each
 other. Where a stronger line lies near, a change of that (`modulation.py`) competes with a new line. Two that are nearer
-than 1 / duration need a test of their own.
+than 1 / duration need a test of their own. Of a long record, an accelerometer's, lines are the peaks of its spectrum.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.signal import find_peaks
+from scipy.stats import chi2, gamma
 from scipy.stats import f as f_distribution
 
-from tg4mm.core.lines.model import Shape, refined, solved
+from tg4mm.core.lines.model import AROUND, TREND, Shape, level, refined, samples, solved, spectra
 from tg4mm.core.lines.modulation import modulated, reach, unknowns
-from tg4mm.core.lines.record import LEAST_CHANGE, Line, Lines, Record, covariances, nothing, wald
-from tg4mm.core.lines.search import candidates, without_between
+from tg4mm.core.lines.record import (
+    LEAST_CHANGE,
+    LEAST_CYCLES,
+    LONG,
+    Line,
+    Lines,
+    Record,
+    covariances,
+    nothing,
+    wald,
+)
+from tg4mm.core.lines.search import LEAST_PERIODS, Candidate, candidates, strongest, without_between
 
-_CHANCE = 0.01  # that noise alone makes a line in a record
 _TRIED = 6.0  # independent frequencies, decays and beginnings to each sample
 _EACH, _BESIDE = 4, 6  # samples for each line, and beside them
 _SURE = 1e-3  # chance of a decay, or a beginning, that is none
+# bins of a spectrum that one line's side lobes fill; times what noise makes a line be that they hide in a longer one
+_FEW_BINS, _CLEAR = 24, 4.0
 _LEAST_SIZE = 0.02  # of the strongest line: side lobes that noise left, harmonics of what is not linear
 
 
@@ -32,20 +44,22 @@ def find_lines(
     ends: tuple[float, float] | None = None,
     most: int = 8,
     between: np.ndarray | None = None,
+    chance: float = 0.01,
 ) -> Lines:
     """The lines of values [T] or [T, D] at times [T] in seconds, which need not be even.
 
     noise: standard deviation of each component's samples [D] that is known from elsewhere; the residual's own counts
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
-    rate less half of 1 / duration if not given. Components share frequencies and decays. Noise alone makes a line in
-    one record of a hundred. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
+    rate less half of 1 / duration if not given. Components share frequencies and decays. chance: that noise alone makes
+    a line in the record. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
     from both sides: lines are looked for in all, and what they are is taken from the others.
     """
-    record = Record.of(values, times_s, noise, ends)
+    record = Record.of(values, times_s, noise, ends, chance)
     if record is None:
         return nothing(values)
-    shapes: list[Shape] = []
-    for _ in range(2 * most):
+    is_long = len(record.t) > LONG
+    shapes = _peaks(record, most) if is_long else []
+    for _ in range(0 if is_long else 2 * most):
         more = _with_next(record, shapes)
         if more is None or len(more) > min(most, (len(record.t) - _BESIDE) // _EACH):
             break
@@ -65,6 +79,21 @@ def find_lines(
         found = replace(found, lines=lines, residual=left - sum(line.at(record.t) for line in lines))
     strong = sorted(found.lines, key=lambda line: -line.strength)
     return replace(found, lines=tuple(strong))
+
+
+def _peaks(record: Record, most: int) -> list[Shape]:
+    """Return steady lines at the strongest peaks of a long record's spectrum, through Hann's window."""
+    window = np.hanning(len(record.t))[:, None]
+    power = np.abs(spectra(record.y * window, record.t)) ** 2 / (window**2).mean()
+    ratio = (power / np.maximum(level(power), record.least())).sum(1)
+    hz = np.arange(1, len(power) + 1) / (samples(record.t) * float(np.median(np.diff(record.t))))
+    power = power.sum(1)
+    is_peak = ratio > gamma.isf(record.chance / len(power), record.y.shape[1])
+    is_peak &= (hz > record.ends[0]) & (hz < record.ends[1])
+    at = [k for k in find_peaks(power)[0] if is_peak[k]]
+    at = sorted(at, key=lambda k: -power[k])[:most]
+    shapes = [Shape(float(hz[k])) for k in at if power[k] > _LEAST_SIZE**2 * power[at[0]]]
+    return refined(shapes, record.t, record.y, record.ends) if shapes else []
 
 
 def _is_among(line: Line, lines: Sequence[Line], record: Record) -> bool:
@@ -97,6 +126,27 @@ def fit_lines(
     return record.result(_settled(record, refined(shapes, record.t, record.y, record.ends)))
 
 
+def fit_line_near(values: np.ndarray, times_s: np.ndarray, hz: float, half_hz: float, noise: float) -> Line:
+    """Return the line of one series [T] within `half_hz` of a frequency at which there is one, whatever lies beside it.
+
+    It is steady, rings down from the first sample on, or begins in the record: the simplest that explains the series,
+    whose noise has a standard deviation of `noise`. Its own errors are those of what it leaves, as everywhere.
+    Raises ValueError for fewer than 12 samples.
+    """
+    ends = max(hz - half_hz, LEAST_CYCLES / float(np.ptp(times_s))), hz + half_hz
+    record = Record.of(values, times_s, noise, ends)
+    if record is None:
+        raise ValueError(f"{len(times_s)} samples are too few for a line")
+    level = np.broadcast_to(noise**2 / record.back[0] ** 2, (1, 1))
+    options = [[Shape(hz)]]
+    for c in candidates(record.y, record.t, level, (), ends, 0.0):
+        if c.statistic > 0 and c.shape.decay >= 0:
+            own = replace(c.shape, is_free=c.shape.decay != 0)
+            options.append([_begun(record, [], own) if own.start else own])
+    options = [refined(option, record.t, record.y, ends) for option in options]
+    return record.result(_simplest(record, options, level)).lines[0]
+
+
 def projected(lines: Sequence[Line], values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     """[K, D] phasors of lines [K] in values [T, D], by least squares beside a slow trend; shapes as they are."""
     shapes = [_shape_of(line, np.asarray(times_s, np.float64)) for line in lines]
@@ -115,10 +165,15 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     residual = solved(shapes, record.t, record.y)[1]
     floor, freedom = record.floor(residual, shapes)
     width, tried = record.y.shape[1], _TRIED * len(record.t)
-    least = width * float(f_distribution.isf(_CHANCE / tried, 2 * width, freedom))
+    least = width * float(f_distribution.isf(record.chance / tried, 2 * width, freedom))
     found = candidates(residual, record.t, floor, shapes, record.ends, least)
-    if max((c.statistic for c in found), default=0.0) < least:
+    if not found:
         return None
+    if max(c.statistic for c in found) < least:
+        hidden = strongest(residual, record.t, floor, shapes, record.ends)
+        if not hidden.hz or not _explains(record, shapes, hidden, tried):
+            return None
+        found = [Candidate(hidden, 1.0)]
     options = []
     for c in (c for c in found if c.statistic > 0):
         own = replace(c.shape, is_free=c.shape.decay != 0)
@@ -128,6 +183,17 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     more = _beginnings(record, _simplest(record, options))
     more = _cheapest(record, [more, *_changing(record, shapes, more)])
     return None if unknowns(more) == unknowns(shapes) and len(more) == len(shapes) else more
+
+
+def _explains(record: Record, shapes: list[Shape], shape: Shape, tried: float) -> bool:
+    """Whether a line stands out of what it leaves: its own side lobes may be all that there is besides."""
+    more = refined([*shapes, shape], record.t, record.y, record.ends)
+    phasors, residual = solved(more, record.t, record.y)
+    levels, width = record.levels(more, residual), 2 * record.y.shape[1]
+    strength = wald(phasors[-1], covariances(record, more, phasors, levels)[-1])
+    freedom = max(2 * min(len(levels), 2 * AROUND + 1) - TREND - 3 * len(more), 1)
+    least = width * float(f_distribution.isf(record.chance / tried, width, freedom))
+    return strength > (1 if len(levels) <= _FEW_BINS else _CLEAR) * least
 
 
 def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[list[Shape]]:
@@ -186,16 +252,20 @@ def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
 def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
     """With the first sample that explains most, about that of the block."""
     reach = max(len(record.t) // 24, 2)
-    starts = range(max(shape.start - reach, 1), min(shape.start + reach, len(record.t) - 8))
+    earliest = int(np.searchsorted(record.t, record.t[0] + LEAST_PERIODS / shape.hz))
+    starts = range(max(shape.start - reach, earliest), min(shape.start + reach, len(record.t) - 8))
     sizes = [(solved([*shapes, replace(shape, start=k)], record.t, record.y)[1] ** 2).sum() for k in starts]
     return replace(shape, start=starts[int(np.argmin(sizes))]) if sizes else shape
 
 
-def _simplest(record: Record, options: list[list[Shape]]) -> list[Shape]:
-    """Steady, decaying, beginning: the first that no later one explains significantly more than."""
+def _simplest(record: Record, options: list[list[Shape]], levels: np.ndarray | None = None) -> list[Shape]:
+    """Steady, decaying, beginning: the first that no later one explains significantly more than.
+
+    levels [F, D] of the noise; those that the best option leaves if not given.
+    """
     left = [solved(o, record.t, record.y)[1] for o in options]
     best = int(np.argmin([(r**2).sum() for r in left]))
-    levels = record.levels(options[best], left[best])
+    levels = record.levels(options[best], left[best]) if levels is None else levels
     at = record.bin_of(options[best][-1].hz, len(levels))
 
     def misfit(k: int) -> float:
@@ -241,7 +311,7 @@ def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
     own = covariances(record, shapes, phasors, levels)
     strength = np.array([wald(p, c) for p, c in zip(phasors, own, strict=True)])
     size = np.array([np.linalg.norm(p) for p in phasors])
-    least = chi2.isf(_CHANCE / (_TRIED * len(record.t)), 2 * record.y.shape[1])
+    least = chi2.isf(record.chance / (_TRIED * len(record.t)), 2 * record.y.shape[1])
     at_end = np.array([min(abs(s.hz - e) for e in record.ends) < 1e-6 * record.ends[1] for s in shapes])
     doubtful = at_end | (strength < least) | (size < _LEAST_SIZE * size.max())
     resolution = 1 / (float(np.ptp(record.t)) * len(record.t) / (len(record.t) - 1))

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from tg4mm.core.lines.model import Shape, design, slopes, solved
-from tg4mm.core.lines.record import Record
+from tg4mm.core.lines.record import LONG, Record
 
 _SLOWEST = 0.45  # of the line's frequency: sidebands further off are lines, half its frequency one of them
 _SHARE = 0.125  # cosines to each sample, at most
@@ -27,7 +27,9 @@ _STEPS = 4  # of the noise's level and the number of cosines in turn
 
 
 def reach(record: Record, shape: Shape) -> float:
-    """Hz to either side of a line that its modulation may have sidebands at."""
+    """Hz to either side of a line that its modulation may have sidebands at; 0 in a long record."""
+    if len(record.t) > LONG:
+        return 0.0
     step = float(np.median(np.diff(record.t)))
     lasting = float(record.t[-1] - record.t[shape.start])
     most = _SHARE * (len(record.t) - shape.start) / (2 * max(lasting, step))

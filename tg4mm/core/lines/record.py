@@ -25,6 +25,22 @@ from tg4mm.core.lines.model import (
 )
 
 
+def tone(times_s: np.ndarray, hz: float) -> np.ndarray:
+    """[T, 2]: cosine and sine."""
+    angle = 2 * np.pi * hz * times_s
+    return np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def envelope(
+    times_s: np.ndarray, decay_per_s: float, from_s: float, start_s: float | None = None
+) -> np.ndarray:
+    """[T]: exp(−decay (t − from_s)), 0 before `start_s`."""
+    since = times_s - from_s
+    if start_s is None:
+        return np.asarray(np.exp(-decay_per_s * since))
+    return np.where(times_s >= start_s - 1e-9, np.exp(-decay_per_s * np.maximum(since, 0)), 0.0)
+
+
 @dataclass(frozen=True)
 class Line:
     """u_d(t) = e(t) Re[phasor_d exp(i 2π f t)] with the envelope e(t) = exp(−decay (t − from_s)), 0 before `start_s`.
@@ -89,8 +105,11 @@ class Line:
 
     def envelope(self, times_s: np.ndarray) -> np.ndarray:
         """[T], 1 at most in the record."""
-        e = np.exp(-self.decay_per_s * (times_s - self.from_s))
-        return e if self.start_s is None else np.where(times_s >= self.start_s, e, 0.0)
+        return envelope(times_s, self.decay_per_s, self.from_s, self.start_s)
+
+    def columns(self, times_s: np.ndarray) -> np.ndarray:
+        """[T, 2]: cosine and sine of the record's own clock times the envelope."""
+        return self.envelope(times_s)[:, None] * tone(times_s, self.hz)
 
     def at(self, times_s: np.ndarray) -> np.ndarray:
         """[T, D] the line's own part of the series."""
@@ -107,6 +126,7 @@ class Line:
 
 LEAST_CYCLES = 1.5  # of the record: slower is drift
 FEWEST = 12  # samples from which there can be a line
+LONG = 2000  # samples from which on neither slow changes nor beginnings of lines are looked for
 # of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
 LEAST_CHANGE = 0.1
 _ALIKE = 6  # components up to which their correlation is taken out
@@ -134,10 +154,15 @@ class Record:
     back: np.ndarray  # [D, D] y @ back are the values
     known: np.ndarray  # [D] least standard deviation of the values
     ends: tuple[float, float]
+    chance: float = 0.01  # that noise alone makes a line in it
 
     @staticmethod
     def of(
-        values: np.ndarray, times_s: np.ndarray, noise: np.ndarray | float, ends: tuple[float, float] | None
+        values: np.ndarray,
+        times_s: np.ndarray,
+        noise: np.ndarray | float,
+        ends: tuple[float, float] | None,
+        chance: float = 0.01,
     ) -> "Record | None":
         y = np.asarray(values, np.float64).reshape(len(values), -1)
         t = np.asarray(times_s, np.float64)
@@ -149,7 +174,7 @@ class Record:
         duration = float(np.ptp(t)) + step
         ends = ends or (LEAST_CYCLES / duration, 0.5 / step - 0.5 / duration)
         least = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
-        return Record(t, y, np.eye(y.shape[1]), least, ends).whitened(())
+        return Record(t, y, np.eye(y.shape[1]), least, ends, chance).whitened(())
 
     def whitened(self, shapes: Sequence[Shape]) -> "Record":
         """With the noise that these lines leave in new units: a strong line hides it before it is found."""
@@ -162,7 +187,7 @@ class Record:
         taken = np.zeros(len(power))
         for s in shapes:
             taken[self.bin_of(s.hz, len(power))] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
-        return np.maximum(around(power, taken + self._by_modulation(shapes, len(power))), self._least())
+        return np.maximum(around(power, taken + self._by_modulation(shapes, len(power))), self.least())
 
     def _by_modulation(self, shapes: Sequence[Shape], n_bins: int) -> np.ndarray:
         """[F] share of each bin's power that the shapes' modulations took away with them."""
@@ -190,11 +215,11 @@ class Record:
         """
         power = np.abs(spectra(residual, self.t)) ** 2
         if len(power) < FEWEST and (self.known > 0).all():
-            return np.broadcast_to(self._least(), power.shape), _KNOWN
+            return np.broadcast_to(self.least(), power.shape), _KNOWN
         left = np.maximum(1 - self._by_modulation(shapes, len(power)), 0.5)
-        return np.maximum(level(power / left[:, None]), self._least()), degrees(len(power))
+        return np.maximum(level(power / left[:, None]), self.least()), degrees(len(power))
 
-    def _least(self) -> np.ndarray:
+    def least(self) -> np.ndarray:
         """[D] of a level: what is known, and rounding."""
         known = np.einsum("ij,i->j", np.linalg.inv(self.back) ** 2, self.known**2)
         return np.asarray(np.maximum(known, _TINY * (self.y**2).mean(0) + 1e-300))

@@ -27,7 +27,10 @@ _OVERSAMPLED = 4  # frequencies to each 1 / duration
 _DECAYS = 0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0  # e-foldings over the record
 _GROWTHS = -1.5, -4.0
 _BLOCKS = 32  # beginnings that are tried
-_LEAST_SAMPLES, _LEAST_PERIODS = 8.0, 1.0  # of a filter's energy
+_LEAST_SAMPLES, LEAST_PERIODS = (
+    8.0,
+    1.0,
+)  # of a filter's energy; periods also of the record before a beginning
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,13 @@ def candidates(
     if not len(look.hz):
         return []
     return [look.all_along([0.0]), look.all_along([*_DECAYS[1:], *_GROWTHS]), look.beginning()]
+
+
+def strongest(
+    residual: np.ndarray, t: np.ndarray, levels: np.ndarray, lines: Sequence[Shape], ends: tuple[float, float]
+) -> Shape:
+    """Return the steady line of most power, whether or not it stands out; arguments as of `candidates`."""
+    return _Look.of(residual, t, levels, lines, ends, 0.0).all_along([0.0]).shape
 
 
 @dataclass(frozen=True)
@@ -101,16 +111,14 @@ class _Look:
 
     def all_along(self, rates: Sequence[float]) -> Candidate:
         """Over the whole record. rates: e-foldings over it."""
-        span, best = float(np.ptp(self.t)), Candidate(Shape(0.0), 0.0)
-        for rate in rates:
-            shape = Shape(0.0, rate / span)
-            e = shape.envelope(self.t)
-            sums = self.turned @ (self.residual * e[:, None])
-            best = best.or_better(self._highest(sums, float((e**2).sum()), shape), self.least)
-        return best
+        shapes = [Shape(0.0, rate / float(np.ptp(self.t))) for rate in rates]
+        envelopes = np.stack([shape.envelope(self.t) for shape in shapes], 1)  # [T, R]
+        weighted = (self.residual[:, None] * envelopes[..., None]).reshape(len(self.t), -1)
+        sums = (self.turned @ weighted).reshape(len(self.hz), len(shapes), -1)
+        return self._highest(sums.transpose(1, 0, 2), (envelopes**2).sum(0), shapes)
 
     def beginning(self) -> Candidate:
-        """What begins at the first sample of a block and decays, or lasts."""
+        """What begins at the first sample of a block, a period or more after the record's, and decays or lasts."""
         t, best = self.t, Candidate(Shape(0.0), 0.0)
         edges = np.unique(np.linspace(0, len(t), _BLOCKS + 1).astype(int))
         rates = np.array(_DECAYS) / float(np.ptp(t))
@@ -124,28 +132,31 @@ class _Look:
             fresh = (self.turned[:, own] @ weighted).reshape(len(self.hz), len(rates), -1)
             sums = fresh.transpose(1, 0, 2) + carried[:, None, None] * sums
             energies = (e**2).sum(1) + carried**2 * energies
-            for k, energy in enumerate(energies):
-                shape = Shape(0.0, float(rates[k]), int(first))
-                best = best.or_better(self._highest(sums[k], float(energy), shape), self.least)
+            shapes = [Shape(0.0, float(rate), int(first)) for rate in rates]
+            best = best.or_better(self._highest(sums, energies, shapes), self.least)
         return best
 
-    def _highest(self, sums: np.ndarray, energy: float, shape: Shape) -> Candidate:
-        """Of one filter's sums [F, D]; the frequency is that of the power's own peak nearby."""
-        power = np.abs(sums) ** 2 / energy
-        lasts = energy * self.step
-        allowed = (self.hz * lasts >= _LEAST_PERIODS) & (
-            self.away > (0.5 if lasts > 0.5 * np.ptp(self.t) else 1) / lasts
-        )
-        if energy < _LEAST_SAMPLES or not allowed.any():
-            return Candidate(shape, 0.0)
-        statistic = np.where(allowed, (power / self.level).sum(1), 0.0)
-        total = (power / self.level.mean(0)).sum(1)
+    def _highest(self, sums: np.ndarray, energies: np.ndarray, shapes: Sequence[Shape]) -> Candidate:
+        """The best of R filters by sums [R, F, D] and energies [R], at the peak of the power nearby."""
+        power = np.abs(sums) ** 2 / energies[:, None, None]
+        lasts, before = energies[:, None] * self.step, self.t[shapes[0].start] - self.t[0]
+        allowed = (self.hz * lasts >= LEAST_PERIODS) & (energies[:, None] >= _LEAST_SAMPLES)
+        allowed &= self.away > np.where(lasts > 0.5 * np.ptp(self.t), 0.5, 1) / lasts
+        if before:
+            allowed &= self.hz * before >= LEAST_PERIODS
+        if not allowed.any():
+            return Candidate(shapes[0], 0.0)
+        statistic = np.where(allowed, (power / self.level).sum(2), 0.0)
+        total = (power / self.level.mean(0)).sum(2)
         stands_out = statistic >= self.least
-        at = int((np.where(stands_out, total, 0) if stands_out.any() else statistic).argmax())
+        best = int((np.where(stands_out, total, 0) if stands_out.any() else statistic).argmax())
+        k, at = divmod(best, len(self.hz))
         first = max(at - _OVERSAMPLED, 0)
-        peak = first + int((power[first : at + _OVERSAMPLED + 1] / self.level[at]).sum(1).argmax())
-        hz = float(self.hz[peak if allowed[peak] else at])
-        return Candidate(Shape(hz, shape.decay, shape.start), float(statistic[at]), float(total[at]))
+        near = power[k, first : at + _OVERSAMPLED + 1]
+        peak = first + int((near / self.level[at]).sum(1).argmax())
+        hz = float(self.hz[peak if allowed[k, peak] else at])
+        shape = replace(shapes[k], hz=hz)
+        return Candidate(shape, float(statistic[k, at]), float(total[k, at]))
 
 
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -2,22 +2,21 @@
 
 A capture seldom holds whole periods. Then a sinusoid leaks into all bins of a Fourier transform, so a band around it
 holds only a part, and the mean over time is not the motion's zero. A trend leaks likewise. So the components are fitted
-by sinusoids, a constant and, where it helps, a slow trend: frequencies by variable projection (Golub & Pereyra 1973),
-one more at a time at the highest peak of the residual's periodogram, as in matching pursuit with all of them refined.
-Where bins do as well (whole periods, or nothing tonal) there are none.
+by sinusoids, a constant and, where it helps, a slow trend; their frequencies are the lines of `tg4mm.core.lines`. Where
+bins do as well (whole periods, or nothing tonal) there are none.
 
 Sinusoids are fitted at the times of the frames, which need not be even: phones drop frames. Bins are of the even clock
 that such times lie on; what sinusoids leave is interpolated to it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import least_squares
 
+from tg4mm.core.lines import FEWEST, find_lines
 from tg4mm.core.lines.band import tone_in
 
 
@@ -41,21 +40,6 @@ def constant_and_trend(times_s: np.ndarray) -> np.ndarray:
 def residual(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Series y [F, S] less their least-squares fit by functions of time x [F, P]."""
     return np.asarray(y - x @ np.linalg.lstsq(x, y, rcond=None)[0])
-
-
-def far_from(grid: np.ndarray, taken: np.ndarray, least: float) -> np.ndarray:
-    """[M] bool: which frequencies of a grid are at least so far from all that are `taken` [K]."""
-    return np.asarray((np.abs(grid[:, None] - taken) >= least).all(1))
-
-
-def refined(
-    misfit: Callable[[np.ndarray], np.ndarray], start: np.ndarray, step: float, **ends: float
-) -> np.ndarray:
-    """Frequencies moved by at most `step` to the least squares of `misfit` (variable projection).
-
-    `ends`: tolerances, and the largest number of steps, as `scipy.optimize.least_squares` takes them.
-    """
-    return np.asarray(least_squares(misfit, start, bounds=(start - step, start + step), **ends).x)
 
 
 ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
@@ -176,12 +160,12 @@ def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.n
 TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
 _MOST = 8  # sinusoids
 _WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
-_PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak
 # that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
 _EVIDENCE = 10.0
 _APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
+_STANDS_OUT = 6.0  # times the root of what noise of a sample has: a line's power from which it is found
+_LEADING, _NOTHING = 6, 1e-6  # components that lines are looked for in, the strongest; of the strongest
 _ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
-_OVERSAMPLED = 8
 _ROUNDED = 1e-3  # of a frame: files round times to so much
 
 
@@ -238,16 +222,18 @@ class Sinusoids:
 def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:
     """The sinusoids that real series [R, F], weighted by their power, share; the mean over time is removed first.
 
-    None where Fourier bins describe them as well.
+    They are the lines of `tg4mm.core.lines`. None where Fourier bins describe the series as well.
     """
     y = (series - series.mean(1, keepdims=True)).T
     clock = clock or Clock.of(len(y))
     power = float((y**2).sum())
     none = Sinusoids(np.zeros(0))
-    if len(y) < _OVERSAMPLED or not power > 0:
+    if len(y) < FEWEST or not power > 0:
         return none
-    sinusoids, with_trend = _greedy(y, clock, trend=False), _greedy(y, clock, trend=True)
-    unexplained, trend_unexplained = sinusoids.residual_power(y, clock), with_trend.residual_power(y, clock)
+    plain = Sinusoids(_cycles(y, clock))
+    with_trend = replace(plain, trend=True)
+    unexplained, trend_unexplained = plain.residual_power(y, clock), with_trend.residual_power(y, clock)
+    sinusoids = plain
     if _is_better(trend_unexplained, unexplained, power, len(y)):
         sinusoids, unexplained = with_trend, trend_unexplained
     every = clock.even(y)
@@ -257,60 +243,24 @@ def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:
     return _on_bins(sinusoids) if _is_better(unexplained, bins_unexplained, power, len(y)) else none
 
 
+def _cycles(y: np.ndarray, clock: Clock) -> np.ndarray:
+    """[J] lines of series [F, R], ascending, apart from each other and from half the frame rate."""
+    ends = 1 - _ON_BIN, clock.length / 2 - _APART
+    left, strength, _ = np.linalg.svd(y, full_matrices=False)
+    leading = (left * strength)[:, : min(_LEADING, int((strength > _NOTHING * strength[0]).sum()))]
+    noise = np.sqrt(_WEAKEST * (strength**2).sum()) / _STANDS_OUT
+    cycles = np.zeros(0)
+    for line in find_lines(leading, clock.shares, noise, ends, _MOST).lines:
+        if not len(cycles) or np.abs(cycles - line.hz).min() >= _APART:
+            cycles = np.append(cycles, line.hz)
+    return np.sort(cycles)
+
+
 def _is_better(unexplained: float, others: float, power: float, n_frames: int) -> bool:
     """Whether one description leaves less of the power than another of no fewer parameters does, by BIC."""
     if others - unexplained <= _WEAKEST * power:
         return False
     return n_frames * np.log(others / max(unexplained, 1e-300)) > _EVIDENCE
-
-
-def _greedy(y: np.ndarray, clock: Clock, trend: bool) -> Sinusoids:
-    """One sinusoid after the other, all refined each time, until no peak is left."""
-    sinusoids, power = Sinusoids(np.zeros(0), trend), float((y**2).sum())
-    residuals = sinusoids.residual(y, clock)
-    while len(sinusoids.cycles) < min(_MOST, (len(y) - 2) // 4):
-        before = float((residuals**2).sum())
-        peak = _highest_peak(clock.even(residuals), sinusoids.cycles)
-        if peak is None or before <= _WEAKEST * power:
-            break
-        more = _refined(y, clock, np.append(sinusoids.cycles, peak), trend)
-        residuals = more.residual(y, clock)
-        gain = before - float((residuals**2).sum())
-        if not _are_apart(more.cycles, clock.length) or gain < max(
-            _WEAKEST * power, _needed(y, sinusoids) * before
-        ):
-            break
-        sinusoids = more
-    return sinusoids
-
-
-def _needed(y: np.ndarray, sinusoids: Sinusoids) -> float:
-    """The part of the residual power that a sinusoid must explain to be more than chance."""
-    return min(_PEAK / (len(y) - 2 - 2 * len(sinusoids.cycles)), 0.9)
-
-
-def _highest_peak(residuals: np.ndarray, taken: np.ndarray) -> float | None:
-    """The periodogram's highest peak, of [T, R], in bins; None if no frequency is far enough from those `taken`."""
-    n = len(residuals) * _OVERSAMPLED
-    height = (np.abs(np.fft.rfft(residuals, n, axis=0)) ** 2).sum(1)
-    cycles = np.arange(len(height)) / _OVERSAMPLED
-    allowed = (cycles >= 1) & (cycles <= len(residuals) / 2 - _APART) & far_from(cycles, taken, _APART)
-    return float(cycles[np.where(allowed, height, -1).argmax()]) if allowed.any() else None
-
-
-def _refined(y: np.ndarray, clock: Clock, cycles: np.ndarray, trend: bool) -> Sinusoids:
-    """All frequencies refined by nonlinear least squares, by at most a bin."""
-    scale = float(np.sqrt((y**2).sum()))
-
-    def misfit(cycles: np.ndarray) -> np.ndarray:
-        return Sinusoids(cycles, trend).residual(y, clock).ravel() / scale
-
-    return Sinusoids(np.sort(refined(misfit, cycles, 1, xtol=1e-10, ftol=1e-12)), trend)
-
-
-def _are_apart(cycles: np.ndarray, n_timesteps: int) -> bool:
-    ends = np.array([1 - _ON_BIN - _APART, *cycles, n_timesteps / 2])
-    return bool((np.diff(ends) >= _APART).all())
 
 
 def _on_bins(sinusoids: Sinusoids) -> Sinusoids:

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import median_filter
-from scipy.signal import find_peaks, periodogram
 
 from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
-from tg4mm.core.lines import Line, fit_lines
+from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.untrusted import read_json
 from tg4mm.show.analyse.tables import AnalyseError, read_table
 from tg4mm.show.analyse.universal import SUFFIXES, waveforms
@@ -38,10 +36,6 @@ _SECONDS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}  # of a column of times; else i
 _LOG = logging.getLogger("tg4mm")
 _TIMES = {"t", "time", "times", "seconds"}
 _FEWEST = 16  # samples
-_AROUND = 51  # frequencies of a spectrum whose median is the noise at the middle one
-_CHANCE = 0.01  # that noise alone makes a line in a record
-_CYCLES, _MOST = 2, 8  # of a line in a record; lines
-_LEAST_POWER = 4e-4  # of the strongest line: what is weaker may be its side lobe
 _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
 
 
@@ -74,17 +68,8 @@ class Channel:
 
     @cached_property
     def lines(self) -> tuple[Line, ...]:
-        """Fitted at the frequencies that stand out of the record's spectrum, the strongest eight at most."""
-        freqs, power = periodogram(self.values, self.rate, "hann", detrend="constant")
-        level = median_filter(power, _AROUND, mode="nearest") / np.log(2)
-        level = np.maximum(level, 2 * np.nan_to_num(self.noise) ** 2 / self.rate)
-        least = np.log(len(freqs) / _CHANCE)
-        at = [k for k in find_peaks(power)[0] if power[k] > least * level[k] and k >= _CYCLES]
-        strongest = sorted(at, key=lambda k: -power[k])
-        at = [k for k in strongest if power[k] > _LEAST_POWER * power[strongest[0]]][:_MOST]
-        if not at or len(self.values) < 4 * len(at) + 8:
-            return ()
-        return fit_lines(self.values, self.times_s, freqs[at], np.nan_to_num(self.noise)).lines
+        """The strongest eight at most, strongest first."""
+        return find_lines(self.values, self.times_s, np.nan_to_num(self.noise)).lines
 
 
 def unit_of(quantity: str, base: str) -> str:

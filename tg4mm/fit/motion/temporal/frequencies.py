@@ -5,12 +5,13 @@ over regions and clocks. A peak that stands out of the other frequencies is a fr
 series and taken out, and the next is looked for in the residual. All frequencies found are then refined together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
-from tg4mm.fit.motion.spectrum import far_from, polynomials, refined, residual, sinusoids
+from tg4mm.fit.motion.spectrum import polynomials, residual, sinusoids
 
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
@@ -185,3 +186,18 @@ def _cramer_rao(records: Sequence[_Record], hz: np.ndarray) -> np.ndarray:
             information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(r.times_s)) ** 2
         out.append(np.sqrt(3 / (np.pi**2 * max(information, 1e-12))))
     return np.array(out)
+
+
+def far_from(grid: np.ndarray, taken: np.ndarray, least: float) -> np.ndarray:
+    """[M] bool: which frequencies of a grid are at least so far from all that are `taken` [K]."""
+    return np.asarray((np.abs(grid[:, None] - taken) >= least).all(1))
+
+
+def refined(
+    misfit: Callable[[np.ndarray], np.ndarray], start: np.ndarray, step: float, **ends: float
+) -> np.ndarray:
+    """Frequencies moved by at most `step` to the least squares of `misfit` (variable projection).
+
+    `ends`: tolerances, and the largest number of steps, as `scipy.optimize.least_squares` takes them.
+    """
+    return np.asarray(least_squares(misfit, start, bounds=(start - step, start + step), **ends).x)
