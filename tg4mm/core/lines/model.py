@@ -157,6 +157,7 @@ AROUND = 6  # bins to either side of a line whose residual tells its noise
 _WIDEST, _NARROWEST = 40, 8  # bins to either side that tell the level where lines are looked for
 _TRIMMED = 0.2  # of the bins, the strongest: lines that are still there
 _ROUNDING = 1e-14  # of the power
+_CLIPS, _ENOUGH = 8, 20  # times that peaks are left out of the noise; frequencies that a parabola needs
 
 
 def gridded(values: np.ndarray, t: np.ndarray, length: int) -> np.ndarray:
@@ -189,7 +190,10 @@ def level(power: np.ndarray) -> np.ndarray:
     half = int(np.clip(len(power) // 6, min(_NARROWEST, len(power) // 2), _WIDEST))
     out = np.empty_like(floor)
     for d in range(power.shape[1]):
-        fall = _fall(floor[:, d], bins)
+        few = len(power) < 3 * _NARROWEST
+        fall = (
+            floor[:, d].mean() if few else np.exp(log_floor(floor[:, d], bins, np.ones(len(power), bool))[0])
+        )
         padded = np.pad(floor[:, d] / fall, half, mode="reflect") if half else floor[:, d] / fall
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
         kept = max(int(np.ceil((1 - _TRIMMED) * windows.shape[1])), 1)
@@ -210,17 +214,22 @@ def _trimmed_mean(share: float) -> float:
     return float(1 + (1 - share) * np.log(1 - share) / share)
 
 
-def _fall(power: np.ndarray, bins: np.ndarray) -> np.ndarray:
-    """[F] a parabola through the logarithm over log frequency, peaks clipped."""
-    if len(power) < 3 * _NARROWEST:
-        return np.full(len(power), float(power.mean()))
-    x, y = np.log(bins), np.log(power)
-    kept = np.ones(len(y), bool)
-    for _ in range(6):
-        fitted = np.polyval(np.polyfit(x[kept], y[kept], 2), x)
-        spread = 1.4826 * float(np.median(np.abs(y - fitted)[kept]))
-        kept = y - fitted < max(2 * spread, 1e-6)
-    return np.asarray(np.exp(fitted))
+def log_floor(power: np.ndarray, hz: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the log of the noise's power [M], a parabola over log frequency, and the robust deviation from it.
+
+    It is fitted to the `allowed` frequencies [M] bool. Peaks are clipped: what lies more than two deviations above is
+    left out, and the rest is fitted again.
+    """
+    x, y = np.log(hz / hz[0]), np.log(np.maximum(power, _ROUNDING * power.max() + 1e-300))
+    kept, spread = allowed, 0.0
+    fitted = np.full(len(y), float(np.median(y[allowed])))
+    for k in range(_CLIPS):
+        if k:
+            fitted = np.polyval(np.polyfit(x[kept], y[kept], 2 if kept.sum() > _ENOUGH else 0), x)
+        above = y - fitted
+        spread = 1.4826 * float(np.median(np.abs(above[kept])))
+        kept = allowed & (above < max(2 * spread, 1e-6))
+    return fitted, spread
 
 
 def around(power: np.ndarray, taken: np.ndarray) -> np.ndarray:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tg4mm.core.lines.model import log_floor
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.spectrum import all_but_weakest
-from tg4mm.fit.motion.temporal.frequencies import log_floor
 
 _MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
 _NEAR_NYQUIST = 0.8

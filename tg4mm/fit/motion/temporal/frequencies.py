@@ -5,12 +5,13 @@ over regions and clocks. A peak that stands out of the other frequencies is a fr
 series and taken out, and the next is looked for in the residual. All frequencies found are then refined together.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from tg4mm.core.lines.model import log_floor
 from tg4mm.fit.motion.spectrum import polynomials, residual, sinusoids
 
 MOST = 6
@@ -19,7 +20,6 @@ _CAP = 300.0  # of a series' power over its noise: a few that move much do not h
 _STANDS_OUT = 5.0  # robust deviations of the noise's logarithm above it
 LEAST = 1.3  # times the noise: weaker peaks are noise, however smooth its spectrum is
 _LOUD = 10.0  # times the noise: such a peak has side lobes all over a short record, and is taken out to see the noise
-_CLIPS = 8  # times that peaks are left out of the noise
 _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
 _THIRDS = 3
 _STRONG = 64  # series of one clock with the most power: they decide where frequencies are refined to
@@ -86,7 +86,7 @@ def find_frequencies(
     hz, strongest = np.zeros(0), 0.0
     spectrum = _spectrum(records, hz, grid)
     while len(hz) < MOST:
-        allowed = far_from(grid, hz, _APART / duration)
+        allowed = (np.abs(grid[:, None] - hz) >= _APART / duration).all(1)
         if not allowed.any():
             break
         peak = int(np.where(allowed, spectrum, -1).argmax())
@@ -106,24 +106,6 @@ def find_frequencies(
             break
         hz, spectrum = more, after
     return Frequencies(hz, np.hypot(_cramer_rao(records, hz), _scatter(records, hz, 1 / duration)))
-
-
-def log_floor(spectrum: np.ndarray, grid: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
-    """[M] log of the noise's spectrum, a parabola over log frequency, and the robust deviation from it.
-
-    Of the `allowed` frequencies [M] bool. Peaks are clipped: what lies more than two deviations above is left out, and
-    the rest is fitted again.
-    """
-    x, y = np.log(grid / grid[0]), np.log(np.maximum(spectrum, 1e-12))
-    kept, spread = allowed, 0.0
-    fitted = np.full(len(y), float(np.median(y[allowed])))
-    for k in range(_CLIPS):
-        if k:
-            fitted = np.polyval(np.polyfit(x[kept], y[kept], 2 if kept.sum() > 20 else 0), x)
-        above = y - fitted
-        spread = 1.4826 * float(np.median(np.abs(above[kept])))
-        kept = allowed & (above < max(2 * spread, 1e-6))
-    return fitted, spread
 
 
 def _power(y: np.ndarray, t: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -150,7 +132,8 @@ def _refined(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndar
     def misfit(f: np.ndarray) -> np.ndarray:
         return np.concatenate([r.without(f).ravel() for r in strongest]) / scale
 
-    return refined(misfit, hz, step, xtol=1e-9, ftol=1e-10, max_nfev=30)
+    ends = hz - step, hz + step
+    return np.asarray(least_squares(misfit, hz, bounds=ends, xtol=1e-9, ftol=1e-10, max_nfev=30).x)
 
 
 def _scatter(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndarray:
@@ -186,18 +169,3 @@ def _cramer_rao(records: Sequence[_Record], hz: np.ndarray) -> np.ndarray:
             information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(r.times_s)) ** 2
         out.append(np.sqrt(3 / (np.pi**2 * max(information, 1e-12))))
     return np.array(out)
-
-
-def far_from(grid: np.ndarray, taken: np.ndarray, least: float) -> np.ndarray:
-    """[M] bool: which frequencies of a grid are at least so far from all that are `taken` [K]."""
-    return np.asarray((np.abs(grid[:, None] - taken) >= least).all(1))
-
-
-def refined(
-    misfit: Callable[[np.ndarray], np.ndarray], start: np.ndarray, step: float, **ends: float
-) -> np.ndarray:
-    """Frequencies moved by at most `step` to the least squares of `misfit` (variable projection).
-
-    `ends`: tolerances, and the largest number of steps, as `scipy.optimize.least_squares` takes them.
-    """
-    return np.asarray(least_squares(misfit, start, bounds=(start - step, start + step), **ends).x)
