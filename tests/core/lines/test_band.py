@@ -57,7 +57,7 @@ def test_components_share_a_frequency_and_a_still_one_is_zero():
 
 
 def test_records_that_tell_nothing_are_refused():
-    with pytest.raises(Tg4mmError, match="5 samples are too few to tell anything at 1 to 2 Hz"):
+    with pytest.raises(Tg4mmError, match="5 samples are too few for an estimate at 1 to 2 Hz"):
         tone_in(np.zeros(5), np.arange(5) / 10, (1, 2))
     with pytest.raises(Tg4mmError, match="9 Hz is not below half the rate of 10 Hz"):
         tone_in(np.zeros(20), np.arange(20) / 10, (1, 9))

@@ -1,4 +1,4 @@
-"""A tone whose band a person gives, of a record however short: nothing is detected, and the ± says how little is told.
+"""A tone in a given band of a record of any length: nothing is detected, and the ± is as wide as the record is short.
 
     y(t)  =  constant  +  drift(t)  +  Re[m exp(i 2π f t)]  +  noise
 
@@ -38,7 +38,7 @@ class Tone:
 def tone_in(
     values: np.ndarray, times_s: np.ndarray, band: Sequence[float], noise: np.ndarray | float = 0.0
 ) -> Tone:
-    """Of values [T] or [T, D] at times [T] in seconds; band (low, high) in Hz.
+    """Return the tone of values [T] or [T, D] at times [T] in seconds; band (low, high) in Hz.
 
     noise: standard deviation of each component's samples that is known from elsewhere; what lies above the band counts
     where it is larger. Raises Tg4mmError for fewer than 6 samples, and a band above half the rate.
@@ -46,7 +46,7 @@ def tone_in(
     t, y = np.asarray(times_s, np.float64), np.asarray(values, np.float64).reshape(len(times_s), -1)
     low, high = float(band[0]), float(band[1])
     if len(t) < FEWEST:
-        raise Tg4mmError(f"{len(t)} samples are too few to tell anything at {low:g} to {high:g} Hz")
+        raise Tg4mmError(f"{len(t)} samples are too few for an estimate at {low:g} to {high:g} Hz")
     known = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
     t, y, known = _averaged(t, y, known, high)
     duration = float(np.ptp(t)) * len(t) / (len(t) - 1)
@@ -101,7 +101,7 @@ def _averaged(
 def _at_each(
     grid: np.ndarray, t: np.ndarray, y: np.ndarray, low: float, known: float, high: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of one component at frequencies [M]: phasors [M], variances of their parts [M] and log evidence [M]."""
+    """Return phasors [M], variances of their parts [M] and log evidence [M] of one component at frequencies [M]."""
     size = float(((y - y.mean()) ** 2).mean())
     if not size > 0:
         return np.zeros(len(grid), complex), np.full(len(grid), known**2), np.zeros(len(grid))

@@ -1,7 +1,7 @@
-"""Whether a ring-down is one exponential: what its first time constant says otherwise goes into the decay's ±.
+"""Test whether a ring-down is one exponential: a decay that differs in its first time constant widens the decay's ±.
 
-What a video's compression takes of small motion makes the end of a ring-down look weaker than it is, and the damping
-of things depends on how far they move. Neither is noise, so the deviation of a fit does not know of it.
+Video compression attenuates small motion, so the end of a ring-down looks weaker than it is, and the damping of real
+objects depends on amplitude. Neither is noise, so the deviation of a least-squares fit does not include it.
 """
 
 import numpy as np
@@ -14,9 +14,9 @@ _RANGE = 0.25, 4.0  # times the decay
 
 
 def early_decay_variance(shape: Shape, t: np.ndarray, own: np.ndarray, variance: float) -> float:
-    """Variance to be added to `variance` of a decay per second: 0 where both parts agree, or one tells nothing.
+    """Return the variance to add to `variance` of a decay per second: 0 where both parts agree or one is too short.
 
-    own [T, D]: the line itself and what is left beside all lines.
+    own [T, D]: the line plus the residual of all lines.
     """
     if not shape.is_free or shape.decay <= 0:
         return 0.0
@@ -48,7 +48,7 @@ def _columns(hz: float, decay: float, since: np.ndarray) -> np.ndarray:
 
 
 def _information(shape: Shape, since: np.ndarray, whole: np.ndarray, y: np.ndarray) -> float:
-    """What samples at `since` tell of the decay of the line that is fitted to `y` at `whole`, in units of the noise."""
+    """Return the information on the decay in samples at `since` of the line fitted to `y` at `whole`, noise units."""
     weights = np.linalg.lstsq(_columns(shape.hz, shape.decay, whole), y, rcond=None)[0]
     columns = _columns(shape.hz, shape.decay, since)
     basis = np.linalg.qr(columns)[0]

@@ -1,4 +1,4 @@
-"""Which lines there are: one after the other, each tested, all fitted together.
+"""Detection of lines: one after the other, each tested, all fitted together.
 
 A line enters as the simplest that does: steady; decaying or growing where that explains more, by a likelihood-ratio
 test; beginning in the record where that does. So what rings down is one line, not several steady ones beside each
@@ -97,7 +97,7 @@ def _peaks(record: Record, most: int) -> list[Shape]:
 
 
 def _is_among(line: Line, lines: Sequence[Line], record: Record) -> bool:
-    """Whether one of the lines is this one, fitted to a part of its record."""
+    """Whether a line is among those fitted to a part of its record."""
     reach = 1 / float(np.ptp(record.t))
     return any(abs(line.hz - other.hz) < max(reach, 3 * other.hz_deviation) for other in lines)
 
@@ -161,7 +161,7 @@ def _shape_of(line: Line, t: np.ndarray) -> Shape:
 
 
 def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
-    """The shapes and one more, all refined; None where none stands out."""
+    """Return the shapes and one more, all refined; None if none is significant."""
     residual = solved(shapes, record.t, record.y)[1]
     floor, freedom = record.floor(residual, shapes)
     width, tried = record.y.shape[1], _TRIED * len(record.t)
@@ -197,7 +197,7 @@ def _explains(record: Record, shapes: list[Shape], shape: Shape, tried: float) -
 
 
 def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[list[Shape]]:
-    """What may be there in place of the newest of `more`: a change of a stronger line near it, or its mirror image."""
+    """Return alternatives to the newest of `more`: a change of a stronger line near it, or its mirror image."""
     hz, out = more[-1].hz, []
     for k, s in enumerate(shapes):
         if abs(hz - s.hz) > reach(record, s):
@@ -212,7 +212,7 @@ def _changing(record: Record, shapes: list[Shape], more: list[Shape]) -> list[li
 
 
 def _refitted(record: Record, shapes: list[Shape]) -> list[Shape]:
-    """Refined, with the modulations that there are estimated anew beside all else."""
+    """Return the shapes refined, with their modulations estimated again."""
     shapes = refined(shapes, record.t, record.y, record.ends)
     changing = [k for k, s in enumerate(shapes) if s.rates]
     for k in changing:
@@ -221,7 +221,7 @@ def _refitted(record: Record, shapes: list[Shape]) -> list[Shape]:
 
 
 def _cheapest(record: Record, options: list[list[Shape]]) -> list[Shape]:
-    """By Schwarz's criterion: misfit, and log T for each unknown."""
+    """Return the best option by Schwarz's criterion: misfit plus log T for each unknown."""
     if len(options) == 1:
         return options[0]
     left = [solved(o, record.t, record.y)[1] for o in options]
@@ -238,7 +238,7 @@ def _cheapest(record: Record, options: list[list[Shape]]) -> list[Shape]:
 
 
 def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
-    """Those that begin in the record looked at again: what was not yet found beside them may have looked like that."""
+    """Test again lines that begin in the record: another line, not yet found, may have looked like a beginning."""
     for k, s in enumerate(shapes):
         if s.start and len(shapes) > 1:
             others = [*shapes[:k], *shapes[k + 1 :]]
@@ -250,7 +250,7 @@ def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
 
 
 def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
-    """With the first sample that explains most, about that of the block."""
+    """Return the shape with the first sample that explains most, near that of its block."""
     reach = max(len(record.t) // 24, 2)
     earliest = int(np.searchsorted(record.t, record.t[0] + LEAST_PERIODS / shape.hz))
     starts = range(max(shape.start - reach, earliest), min(shape.start + reach, len(record.t) - 8))
@@ -259,7 +259,7 @@ def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
 
 
 def _simplest(record: Record, options: list[list[Shape]], levels: np.ndarray | None = None) -> list[Shape]:
-    """Steady, decaying, beginning: the first that no later one explains significantly more than.
+    """Return the simplest option, steady, decaying or beginning, that no later one improves significantly.
 
     levels [F, D] of the noise; those that the best option leaves if not given.
     """
@@ -280,7 +280,7 @@ def _simplest(record: Record, options: list[list[Shape]], levels: np.ndarray | N
 
 
 def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
-    """All decays tested: free where they stand out of their deviation, held at 0 elsewhere."""
+    """Return the shapes with all decays tested: fitted where they exceed their deviation, else held at 0."""
     if not shapes:
         return shapes
     duration = float(np.ptp(record.t))
@@ -297,7 +297,7 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
 
 
 def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
-    """Settled, the lines that are told."""
+    """Return the significant lines, with their decays tested."""
     shapes = _settled(record, shapes)
     while shapes and (kept := _told(record, shapes)) != shapes:
         shapes = _settled(record, kept)
@@ -305,7 +305,7 @@ def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
 
 
 def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
-    """All but the weakest line that is not told from noise, from leftovers of a stronger one, or from its neighbour."""
+    """Return all but the weakest line that may be noise, a leftover of a stronger line, or part of its neighbour."""
     phasors, residual = solved(shapes, record.t, record.y)
     levels = record.levels(shapes, residual)
     own = covariances(record, shapes, phasors, levels)
@@ -327,7 +327,7 @@ def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
 
 
 def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) -> bool:
-    """Whether a change of a stronger line in its reach explains what line i does."""
+    """Whether a change of a stronger line near line i explains it."""
     for j, s in enumerate(shapes):
         if size[j] > size[i] and abs(shapes[i].hz - s.hz) < reach(record, s):
             alone = [own for k, own in enumerate(shapes) if k != i]
@@ -338,7 +338,7 @@ def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) ->
 
 
 def _are_two(record: Record, shapes: list[Shape], i: int, j: int, levels: np.ndarray) -> bool:
-    """Whether one decaying line in the place of both leaves significantly more than they do."""
+    """Whether one decaying line in place of both leaves a significantly larger residual."""
     rest = [s for k, s in enumerate(shapes) if k not in (i, j)]
     one = refined([*rest, replace(shapes[j], is_free=True)], record.t, record.y, record.ends)
     left = [(solved(o, record.t, record.y)[1] ** 2).sum(0) for o in (one, shapes)]

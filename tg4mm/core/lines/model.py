@@ -1,9 +1,9 @@
-"""Shapes of lines as functions of time, and their least squares by variable projection.
+"""Shapes of lines as functions of time, and their least-squares fit by variable projection.
 
 Frequencies and decays are nonlinear, phasors, a constant and a slow trend linear; these are projected out of each step
 (Golub & Pereyra 1973, in Kaufman's form).
 
-The noise that lines stand in: its level over frequency, and what it does to a least-squares fit.
+The noise around lines: its level over frequency, and the covariance that it gives a least-squares fit.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _STEPS = 25
 
 @dataclass(frozen=True)
 class Shape:
-    """What of a line is not linear."""
+    """The nonlinear parameters of a line."""
 
     hz: float
     decay: float = 0.0  # per second
@@ -36,7 +36,7 @@ class Shape:
     modulation: np.ndarray | None = field(default=None, compare=False)  # [T] complex, of mean 1; None: 1
 
     def from_s(self, t: np.ndarray) -> float:
-        """Where its envelope is 1."""
+        """Return the time at which the envelope is 1."""
         return float(t[self.start] if self.decay >= 0 else t[-1])
 
     def envelope(self, t: np.ndarray) -> np.ndarray:
@@ -51,7 +51,7 @@ class Shape:
         return 0.0 if self.modulation is None else float(np.sqrt((np.abs(self.modulation - 1) ** 2).mean()))
 
     def middle_s(self, t: np.ndarray) -> float:
-        """The middle of its energy."""
+        """Return the centre of the line's energy in time."""
         power = self.envelope(t) ** 2
         return float(power @ t / power.sum())
 
@@ -161,7 +161,7 @@ _CLIPS, _ENOUGH = 8, 20  # times that peaks are left out of the noise; frequenci
 
 
 def gridded(values: np.ndarray, t: np.ndarray, length: int) -> np.ndarray:
-    """[length, D]: values [T, D] put on an even clock, 0 where no sample is."""
+    """Return values [T, D] on an even clock [length, D], 0 where a sample is missing."""
     step = float(np.median(np.diff(t)))
     out = np.zeros((length, values.shape[1]))
     np.add.at(out, np.minimum(np.rint((t - t[0]) / step).astype(int), length - 1), values)
@@ -169,7 +169,7 @@ def gridded(values: np.ndarray, t: np.ndarray, length: int) -> np.ndarray:
 
 
 def samples(t: np.ndarray) -> int:
-    """Of the even clock that the times lie on."""
+    """Return the number of samples of the even clock that the times lie on."""
     return round(float(np.ptp(t)) / float(np.median(np.diff(t)))) + 1
 
 
@@ -202,13 +202,13 @@ def level(power: np.ndarray) -> np.ndarray:
 
 
 def degrees(n_bins: int) -> int:
-    """Of freedom that `level` has, about."""
+    """Return the approximate degrees of freedom of `level`."""
     half = int(np.clip(n_bins // 6, min(_NARROWEST, n_bins // 2), _WIDEST))
     return max(int(2 * (1 - _TRIMMED) * (2 * half + 1)), 2)
 
 
 def _trimmed_mean(share: float) -> float:
-    """Of the weakest `share` of exponentially distributed numbers of mean 1."""
+    """Return the mean of the weakest `share` of exponentially distributed numbers of mean 1."""
     if share >= 1:
         return 1.0
     return float(1 + (1 - share) * np.log(1 - share) / share)

@@ -37,9 +37,9 @@ def reach(record: Record, shape: Shape) -> float:
 
 
 def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | None = None) -> list[Shape]:
-    """The shapes with the modulation of one estimated anew: none where none is told.
+    """Return the shapes with the modulation of one estimated again; none if none is significant.
 
-    seen: Hz from the line, sidebands at this rate are looked at as well.
+    seen: offset in Hz of a pair of sidebands that is tested as well.
     """
     t, plain = record.t, replace(shapes[j], rates=(), pairs=(), modulation=None)
     out = [*shapes[:j], plain, *shapes[j + 1 :]]
@@ -109,7 +109,7 @@ def _best(
 
 
 def unknowns(shapes: Sequence[Shape]) -> int:
-    """Of all modulations."""
+    """Return the number of unknowns of all modulations."""
     return sum(len(s.rates) for s in shapes)
 
 
@@ -152,7 +152,7 @@ def _beside(
 
 
 def _centred(shape: Shape, t: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Without what is the line's own mean amplitude, phase, frequency, and decay where that is free."""
+    """Remove the line's mean amplitude, phase and frequency from a change, and its decay where that is fitted."""
     weights = shape.envelope(t)
     since = t - t[shape.start]
     out = np.zeros(len(t), complex)

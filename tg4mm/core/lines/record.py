@@ -91,7 +91,7 @@ class Line:
 
     @property
     def damping(self) -> float | None:
-        """Ratio of the critical, ζ = decay / √(decay² + (2π f)²); None unless it is told that the line decays."""
+        """Damping ratio ζ = decay / √(decay² + (2π f)²); None unless a test says that the line decays."""
         if self.decay_per_s <= 0:
             return None
         return float(self.decay_per_s / np.hypot(self.decay_per_s, 2 * np.pi * self.hz))
@@ -137,7 +137,7 @@ _KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 @dataclass(frozen=True)
 class Lines:
-    """What `find_lines` and `fit_lines` give."""
+    """The result of `find_lines` and `fit_lines`."""
 
     lines: tuple[Line, ...]  # by falling strength; of `fit_lines` in the order asked for
     residual: np.ndarray  # [T, D] values less the lines, a constant and a slow trend
@@ -147,7 +147,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Record:
-    """Values in units in which their noise is alike and not correlated."""
+    """Values whitened over components: their noise has equal variance and is uncorrelated."""
 
     t: np.ndarray  # [T] s
     y: np.ndarray  # [T, D]
@@ -177,7 +177,7 @@ class Record:
         return Record(t, y, np.eye(y.shape[1]), least, ends, chance).whitened(())
 
     def whitened(self, shapes: Sequence[Shape]) -> "Record":
-        """With the noise that these lines leave in new units: a strong line hides it before it is found."""
+        """Return the record in units of the noise that these lines leave; a strong line hides it before it is found."""
         forth = _whitening(solved(shapes, self.t, self.y)[1] @ self.back, self.t, self.known)
         return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
 
@@ -200,7 +200,7 @@ class Record:
         return taken
 
     def folded(self, hz: float) -> float:
-        """Where a frequency appears in samples of this record's step."""
+        """Return the alias of a frequency below half the sampling rate."""
         step = float(np.median(np.diff(self.t)))
         return float(abs(hz - round(hz * step) / step))
 
@@ -209,9 +209,9 @@ class Record:
         return int(np.clip(round(self.folded(hz) * float(np.ptp(self.t))) - 1, 0, n_bins - 1))
 
     def floor(self, residual: np.ndarray, shapes: Sequence[Shape]) -> tuple[np.ndarray, int]:
-        """[F, D] the same, lines that may still be there left out, and its degrees of freedom.
+        """Return the noise level [F, D], robust to lines that are still there, and its degrees of freedom.
 
-        Of a short record, whose bins a line may fill, what is known of the noise from elsewhere, if anything is.
+        In a short record, whose bins one line may fill, it is the noise known from elsewhere, if any.
         """
         power = np.abs(spectra(residual, self.t)) ** 2
         if len(power) < FEWEST and (self.known > 0).all():
@@ -220,12 +220,12 @@ class Record:
         return np.maximum(level(power / left[:, None]), self.least()), degrees(len(power))
 
     def least(self) -> np.ndarray:
-        """[D] of a level: what is known, and rounding."""
+        """Return the least level [D]: the known noise, and rounding."""
         known = np.einsum("ij,i->j", np.linalg.inv(self.back) ** 2, self.known**2)
         return np.asarray(np.maximum(known, _TINY * (self.y**2).mean(0) + 1e-300))
 
     def result(self, shapes: Sequence[Shape]) -> Lines:
-        """In the values' own units."""
+        """Return the lines in the units of the values."""
         phasors, residual = solved(shapes, self.t, self.y)
         levels = self.levels(shapes, residual)
         own = covariances(self, shapes, phasors, levels)
@@ -322,10 +322,10 @@ def covariances(
 
 
 def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
-    """What a modulation adds to the variance of a line's slopes, (rad / s)² of phase and 1 / s² of log amplitude.
+    """Return the variance that a modulation adds to a line's slopes: (rad / s)² of phase and 1 / s² of log amplitude.
 
-    A slope is what half a cycle over the record, cos(πs), would look like: −24 / π² of it. How strong that is, is told
-    by the next slowest cosines, as if their size fell with 1 / k as a random walk's does.
+    Half a cycle over the record, cos(πs), looks like a slope: −24 / π² of it. Its size is estimated from the next
+    slowest cosines, assuming that sizes fall with 1 / k as those of a random walk do.
     """
     if s.modulation is None:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Where the next line may be: matched filters of every frequency, decay and beginning, over the noise's level.
+"""Find candidates for the next line: matched filters of every frequency, decay and beginning, over the noise level.
 
 A filter's statistic Σ_d |Σ_t r_d e exp(−iωt)|² / (S_d Σ_t e²) is of exponentially distributed parts, one for each
 component, where there is noise alone. Of all that stand out the one with most power is taken: a strong line's leakage
@@ -42,7 +42,7 @@ class Candidate:
     power: float = 0.0
 
     def or_better(self, other: "Candidate", least: float) -> "Candidate":
-        """The one with more power, if its statistic is at least `least`; else the one that stands out more."""
+        """Return the one with more power if that has at least the statistic `least`, else the more significant one."""
         if (self.statistic >= least) != (other.statistic >= least):
             return max(self, other, key=lambda c: c.statistic)
         key = "power" if self.statistic >= least else "statistic"
@@ -57,7 +57,7 @@ def candidates(
     ends: tuple[float, float],
     least: float,
 ) -> list[Candidate]:
-    """The best steady, the best decaying or growing, and the best one that begins in the record, of residual [T, D].
+    """Return the best steady, the best decaying or growing and the best beginning line in a residual [T, D].
 
     levels [F, D] at the bins of the record; least: statistic from which on power decides. A frequency that is nearer to
     one of the lines than half of 1 / duration, than 1 / (the filter's own duration), or than the line is wide, is none.
@@ -77,7 +77,7 @@ def strongest(
 
 @dataclass(frozen=True)
 class _Look:
-    """What all filters of one residual share."""
+    """The parts that all filters of one residual share."""
 
     residual: np.ndarray  # [T, D]
     t: np.ndarray
@@ -176,7 +176,7 @@ _PLACES = 3  # of pictures between two others, at most, that are told apart
 def without_between(
     record: Record, shapes: Sequence[Shape], between: np.ndarray
 ) -> tuple[Record, list[Shape], bool] | None:
-    """The record of the other pictures alone, the lines that are there, and whether the pictures between differ.
+    """Return the record without B-frames, its lines, and whether the B-frames differ from it.
 
     shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot tell
     a line from its mirror image, or from another of which nothing says that one is a sideband.
@@ -211,14 +211,14 @@ def _part_of(shape: Shape, forward: np.ndarray) -> Shape:
 
 
 def _mirrored(t: np.ndarray, hz: float) -> bool:
-    """Whether at times [T] a frequency is hardly told from minus itself: near half the rate of even ones."""
+    """Whether times [T] hardly resolve a frequency from its negative, as even ones do near half their rate."""
     off = np.linspace(-_MIRROR, _MIRROR, 17) / float(np.ptp(t))
     overlap = np.abs(np.exp(4j * np.pi * (hz + off / 2)[:, None] * (t - t[0])).mean(1))
     return bool(overlap.max() > _OVERLAP)
 
 
 def _look_alike(part: Record, a: Shape, b: Shape) -> bool:
-    """Whether the other pictures by themselves cannot tell two lines apart."""
+    """Whether the other pictures alone do not resolve two lines."""
     return abs(part.folded(a.hz) - part.folded(b.hz)) < max(
         1 / float(np.ptp(part.t)), abs(a.decay) / (2 * np.pi)
     )
@@ -227,7 +227,7 @@ def _look_alike(part: Record, a: Shape, b: Shape) -> bool:
 def _differ(
     record: Record, shapes: Sequence[Shape], between: np.ndarray, levels: Sequence[np.ndarray]
 ) -> bool:
-    """Whether any of the lines has another phasor in the pictures between; levels [D] of noise at each.
+    """Whether any line has a different phasor in the B-frames; levels [D] of noise at each.
 
     Two tests share the chance: one gain of all those pictures and components, what a low-pass does; and any phasor for
     each place between two others, as it changes over the record.
