@@ -1,4 +1,4 @@
-"""What a video's compression took from the vibrations that a look found: corrected, or said."""
+"""Attenuation of the found vibrations by video compression: corrected, or reported."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -43,7 +43,7 @@ def look(
     regions: Regions | None = None,
     keep_duplicates: bool = False,
 ) -> Look:
-    """What vibrates in a recording of a fixed camera, what moves by itself, what its light does.
+    """Find vibrations, independently moving objects and changes of light in a recording of a fixed camera.
 
     video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
     recording's (slow motion); a folder needs it. window: the part of a video that is looked at. regions: drawn ones,
@@ -67,17 +67,17 @@ def look(
 
 
 def _is_small(region: Region) -> bool:
-    """Whether it holds few of the cells of a large picture."""
+    """Whether a region covers only a few cells of a large picture."""
     return float(np.ptp(region.corners, axis=0).min()) < _FEW * LARGE_CELL
 
 
 def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
-    """The same of any pictures of one fixed camera, in order."""
+    """Return `look`'s result for any pictures of one fixed camera, in order."""
     return look_at(read_cells(pictures, where))
 
 
 def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
-    """The same of cells' series."""
+    """Return `look`'s result for the series of cells."""
     scene = scene_of(series)
     search = Search(scene)
     if (edges := _edges(search)).any():
@@ -215,7 +215,7 @@ def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list
 
 
 def swings_of(scene: Scene) -> Iterator[Swing]:
-    """What the whole picture does besides its shift: zoom and roll, and the light's level where it changes."""
+    """Yield the whole picture's motion besides its shift, zoom and roll, and the light's level where it changes."""
     for shape, course in zip(scene.shapes, scene.courses.T, strict=True):
         away = course - np.median(course)
         tones = tuple(Tone(*tone) for tone in tones_of(course, scene.times_s, scene.nuisance))

@@ -33,7 +33,7 @@ def marked(
     light: Sequence[Light] = (),
     clipped: np.ndarray | None = None,
 ) -> list[LookLine]:
-    """The same lines, each with why it may be none of its own.
+    """Return the lines, each marked with the reason why it may be an artefact.
 
     patterns: of the codec's kinds of pictures; none: it makes no line of another. taken_off: frequencies in Hz of what
     is taken off the shifts, with all that the record does not tell apart from it, and whose they are. light: its lines.
@@ -108,11 +108,11 @@ def _mark(
 
 
 def _is_inexact(line: LookLine) -> bool:
-    """Whether it is of one cell alone, and large."""
+    """Whether a line is large and measured in one cell alone."""
     is_sure = line.cells.sum() >= _SHOWS and line.amplitude_px > _SURE * line.amplitude_deviation_px
     return bool(line.amplitude_px > _EXACT_PX and line.region.sum() == 1 and not is_sure)
 
 
 def _is_there(line: LookLine, other: LookLine) -> bool:
-    """Whether one is where the other is: what a codec makes of a line, it makes there."""
+    """Whether two lines share a place: a codec's artefacts appear where the motion is."""
     return bool((line.cells & ndimage.binary_dilation(other.cells, BLOCK)).any())

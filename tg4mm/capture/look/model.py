@@ -1,4 +1,4 @@
-"""What a look at a recording finds."""
+"""The result of a look at a recording."""
 
 from dataclasses import dataclass, field
 
@@ -77,7 +77,7 @@ class Tone:
 
 @dataclass(frozen=True)
 class Swing:
-    """What the whole picture does besides its shift; it is taken off."""
+    """The whole picture's motion besides its shift; it is subtracted."""
 
     kind: str  # "zoom" or "roll" about its middle, or "light": its level
     largest: float  # pixels in the corners from their median; of light, relative, from its least to its most
@@ -96,7 +96,7 @@ class Smallest:
 
 @dataclass(frozen=True)
 class Found:
-    """What one pass over a recording of a fixed camera finds; `record.py` writes and reads it."""
+    """The result of one pass over a recording of a fixed camera; `record.py` writes and reads it."""
 
     lines: tuple[LookLine, ...]  # the largest amplitude first, marked ones last
     movers: tuple[Mover, ...]
@@ -145,7 +145,7 @@ class RegionLook:
 
 @dataclass(frozen=True)
 class Look(Found):
-    """The same with every cell's series."""
+    """The result with every cell's series."""
 
     hidden: np.ndarray  # [F, rows, columns] bool: something passes there
     usable: np.ndarray  # [rows, columns] bool: cells with texture that do not move by themselves

@@ -68,7 +68,7 @@ class Candidates:
     spectra: Spectra = field(default_factory=dict)  # of windows: kept by who changes the residuals
 
     def strongest(self) -> Peak | None:
-        """What noise makes once in a hundred recordings, or less often."""
+        """Return the most significant peak, if noise makes one like it in at most one of a hundred recordings."""
         return self._of_record() or self._of_windows()
 
     def _of_record(self) -> Peak | None:
@@ -93,7 +93,7 @@ class Candidates:
         return Peak(j, place, float(self.hz[row]), value, cut, pool.amplitudes[row])
 
     def _of_windows(self) -> Peak | None:
-        """The same test in windows of a quarter and a twelfth of the record, for what dies out early."""
+        """Return the most significant peak in windows of T/4 and T/12, for short vibrations."""
         frames, tests = len(self.times_s), self.tests
         best: tuple[float, Peak] | None = None
         for length in (frames // part for part in _PARTS if frames // part >= _FEWEST):

@@ -1,4 +1,4 @@
-"""Where a line is, how much moves there, and how well that is known.
+"""The place of a line, its amplitude there, and the amplitude's ±.
 
 From the place with the largest sure amplitude the region grows over cells that agree with its amplitude and not with
 rest. Cells on its rim hold some of what is behind and are left out where others remain. The region is one sensor: its
@@ -157,7 +157,7 @@ class _Placing:
         return float(np.einsum("ix,ij,jy,xy->", off, self.products, off, self.weights[cell]))
 
     def _moves(self, cell: int, common: np.ndarray) -> bool:
-        """Whether it agrees with the common motion better than with rest."""
+        """Whether a cell agrees with the common motion better than with rest."""
         return self._distance(cell, common) < self._distance(cell, 0.0)
 
     def _neighbours(self, cell: int, reach: tuple[tuple[int, int], ...]) -> list[int | None]:
@@ -274,7 +274,7 @@ class _Placing:
         return by_phases(angles, statistic[cells], heights, self.line.vibration.hz)
 
     def _meets_image(self) -> bool:
-        """Whether images that a codec makes of the line, at j / p of the rate less its frequency, lie on it."""
+        """Whether the line's images by a codec, at j / p of the rate less its frequency, coincide with it."""
         scene, hz = self.search.scene, self.line.vibration.hz
         own = images(hz, 1 / scene.dt, scene.patterns)
         return min((abs(image - hz) for image in own), default=np.inf) < 2 / scene.duration

@@ -35,7 +35,7 @@ class Pool:
         return len(self.centre)
 
     def update(self, times_s: np.ndarray) -> None:
-        """Spectrum and floor of the residual."""
+        """Recompute the spectrum and the noise floor of the residual."""
         self.amplitudes = spectrum(self.residual, times_s)[1]
         floor, self.freedom = noise_floor(np.abs(self.amplitudes) ** 2)
         self.floor = floor * self.raised

@@ -40,7 +40,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class CellSeries:
-    """What each of C cells shows in each of F pictures."""
+    """Shifts, gains and misfits of C cells in F pictures."""
 
     times_s: np.ndarray  # [F]
     kinds: np.ndarray  # [F] INTRA, FORWARD or BETWEEN
@@ -69,7 +69,7 @@ class CellSeries:
 
 
 def usual_in(series: CellSeries) -> Usual:
-    """What is usual of its misfits."""
+    """Return the usual misfit of its cells."""
     return usual_of(series.misfit, series.covariance, series.grid, series.kinds == INTRA)
 
 

@@ -1,4 +1,4 @@
-"""What a look found as plain values, for a run's log, and back."""
+"""Conversion of a look's result to plain values, for a run's log, and back."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -34,7 +34,7 @@ def to_record(found: Found) -> dict[str, Any]:
 
 
 def from_record(values: Mapping[str, Any]) -> Found:
-    """What `to_record` was given."""
+    """Return the result that `to_record` was given."""
     rows, columns = values["grid"]
 
     def grid(numbers: list[int]) -> np.ndarray:

@@ -111,7 +111,7 @@ def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE)
 
 
 def _watched(pictures: Iterator[Picture], meter: DuplicateMeter, update: Update) -> Iterator[Picture]:
-    """The same pictures, seen by the meter on their way."""
+    """Yield the pictures while updating the meter."""
     for k, picture in enumerate(pictures, 1):
         meter.add(picture.grey, picture.kind == INTRA, picture.kind == BETWEEN)
         yield picture

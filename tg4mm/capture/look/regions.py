@@ -1,4 +1,4 @@
-"""What vibrates in regions that were drawn: the mean shift of each region's cells, and its lines."""
+"""Vibrations of drawn regions: the mean shift of each region's cells, and its lines."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -22,7 +22,7 @@ _SEEN = 0.5  # of a region's information that a picture must show
 
 
 def region_looks(scene: Scene, regions: Iterable[Region]) -> tuple[RegionLook, ...]:
-    """Of every region. Raises RegionError where no cell lies in it, or none has texture."""
+    """Return the result for every region. Raises RegionError where no cell lies in it, or none has texture."""
     return tuple(_looked(scene, region) for region in regions)
 
 
@@ -101,7 +101,7 @@ def _line(line: Line, axes: np.ndarray, region: Region, cells: np.ndarray) -> Lo
 
 
 def with_lines(looks: tuple[RegionLook, ...], lines: tuple[LookLine, ...]) -> tuple[RegionLook, ...]:
-    """The same with all their lines, one region after the other, replaced."""
+    """Return the results with all lines, one region after the other, replaced."""
     out, at = [], 0
     for one in looks:
         out.append(replace(one, lines=lines[at : at + len(one.lines)]))

@@ -98,7 +98,7 @@ def by_light(rows: np.ndarray, times_s: np.ndarray) -> Readout | None:
 
 
 def with_rows(found: _Some, readout_s: float) -> _Some:
-    """The same where a picture is read over `readout_s`: phases by the clock of its middle row."""
+    """Return the result for a picture read over `readout_s`: phases are by the clock of its middle row."""
     height = found.size[1]
     lines = tuple(
         replace(
@@ -111,7 +111,7 @@ def with_rows(found: _Some, readout_s: float) -> _Some:
 
 
 def readout_of(found: Found) -> Readout | None:
-    """What rows say of the readout: by light, else the weighted mean of the lines without a mark that tell."""
+    """Return the readout from light, else the weighted mean over lines without a mark; None if unknown."""
     if found.light_readout is not None:
         return found.light_readout
     told = [
@@ -129,7 +129,7 @@ def readout_of(found: Found) -> Readout | None:
 
 
 def row_note(found: Found) -> str:
-    """What phases at different heights are worth, and the option that would explain them; empty where all is well."""
+    """Return a note on phases at different heights and the option that would explain them; empty if consistent."""
     told = readout_of(found)
     if told is None or abs(told.seconds - found.rows_s) < max(_LEAST_S, 2 * told.deviation_s):
         return ""

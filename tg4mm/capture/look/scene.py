@@ -1,4 +1,4 @@
-"""What the cells' series say before any line is sought: what moves by itself, what passes, light, the background."""
+"""Analysis of the cells' series before lines are sought: independent motion, occlusion, light, the background."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -139,7 +139,7 @@ class Scene:
 
     @property
     def treats_apart(self) -> bool:
-        """Whether B pictures lack detail, and enough others are there."""
+        """Whether B-frames lack detail and there are enough other frames."""
         return self.lost > _LOST and int((~self.between).sum()) > _FEWESTOTHERS and bool(self.between.any())
 
 
@@ -262,7 +262,7 @@ def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
 
 
 def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Light]]:
-    """What is no vibration in every cell, and the lines of light.
+    """Return the columns of every cell's nuisance and the lines of light.
 
     Light is a gain of each cell, beside its shift, and is not taken off. But bands of light that run over the picture
     have a slope in each cell, which looks like a shift.

@@ -69,7 +69,7 @@ class Search:
         return int(np.argmin(np.abs(self.hz - hz)))
 
     def smallest(self) -> tuple[Smallest, ...]:
-        """What a steady line must have to pass the test, of each size of place."""
+        """Return the least amplitude of a steady line that passes the test, for each size of place."""
         out = []
         for pool in self.pools:
             cut = 2 * stats.f.isf(CHANCE / max(self._tests, 1), 4, pool.freedom[self.allowed])
@@ -134,7 +134,7 @@ class Search:
         self._open &= np.abs(self.hz - vibration.hz) >= half
 
     def _wander(self, series: np.ndarray, seen: np.ndarray, vibration: Vibration) -> float:
-        """Mean power of what the line leaves around itself."""
+        """Return the mean power of the residual around a line's frequency."""
         columns = self.columns(vibration)
         left = (series - columns @ np.linalg.lstsq(columns[seen], series[seen], rcond=None)[0]) * seen
         around = (np.abs(self.hz - vibration.hz) < _WANDER_BINS / self.scene.duration) & self.allowed
@@ -142,7 +142,7 @@ class Search:
         return float(power.mean() / seen.mean()) if len(power) else np.inf  # fitted outside what is searched
 
     def _is_image(self, hz: float, statistic: float) -> bool:
-        """Of a much stronger line, by the codec's pattern of pictures: j rate / n ± f for every n-th picture."""
+        """Whether hz is an image of a much stronger line by the codec's frame pattern: j rate / n ± f for period n."""
         return any(
             line.statistic > _IMAGE_SURE * statistic
             and any(
@@ -153,7 +153,7 @@ class Search:
         )
 
     def _is_near(self, vibration: Vibration) -> bool:
-        """Whether a line is there already: nearer than both can be told apart."""
+        """Whether a line that was found is nearer than the two can be resolved."""
         resolution, rate = 1 / self.scene.duration, abs(vibration.decay_per_s)
         others = (line.vibration for line in self.lines)
         return any(
@@ -161,7 +161,7 @@ class Search:
         )
 
     def _raise(self, peak: Peak, hz: float, factor: float, alone: bool = False) -> None:
-        """What wanders is noise: that much higher around this frequency and place, or at the place alone."""
+        """Raise the noise floor by a factor around a frequency and place, or at the place alone."""
         around = np.flatnonzero((np.abs(self.hz - hz) < _WANDER_BINS / self.scene.duration) & self.allowed)
         here = self.pools[peak.pool]
         for pool in self.pools:
@@ -173,7 +173,7 @@ class Search:
             pool.floor[np.ix_(around, columns)] *= factor
 
     def _support(self, peak: Peak, vibration: Vibration, row: int) -> float:
-        """The line's statistic in the place's cells less the strongest, or beside a single one."""
+        """Return the line's statistic in a place's cells without the strongest, or around a single cell."""
         cells, here = self.pools[0], self.pools[peak.pool]
         offset = cells.corner - here.corner[peak.place]
         if here.size > 1:
@@ -196,7 +196,7 @@ class Search:
         return float(np.einsum("ix,xy,jy,ij->", common, total, common, products))
 
     def _take_off(self, pools: Iterable[int] | None = None) -> None:
-        """Every line off some pools; None: off all."""
+        """Subtract every line from some pools; None: from all."""
         parts = [self.columns(line.vibration) for line in self.lines]
         stops = np.cumsum([part.shape[1] for part in parts])[:-1]
         columns = np.concatenate(parts, 1)
@@ -212,7 +212,7 @@ class Search:
                 line.taken[k] = own
 
     def _make_plain(self) -> None:
-        """Every line's cosine and sine alone, whatever B pictures make of them."""
+        """Fit every line's cosine and sine to all pictures, B-frames included."""
         for line in self.lines:
             columns, plain = self.columns(line.vibration), line.vibration.columns(self.times)
             line.plain = list(line.taken)
@@ -221,7 +221,7 @@ class Search:
                 line.plain = [pool.fitted(plain, pool.residual + columns @ own) for pool, own in pairs]
 
     def _again(self) -> None:
-        """Each line fitted once more with the others taken off; twice, as they lean on each other."""
+        """Fit each line again with the others subtracted; twice, as they depend on each other."""
         if len(self.lines) < 2:
             return
         own = {line.pool for line in self.lines}
@@ -233,7 +233,7 @@ class Search:
         self._take_off()
 
     def series_of(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
-        """Of the line's shape [F], all other lines taken off, and [F] bool: where enough of it is seen."""
+        """Return the series [F] of a line's shape without the other lines, and [F] bool: where enough of it is seen."""
         pool = self.pools[line.pool]
         own = self.columns(line.vibration) @ line.taken[line.pool]
         if pool.seen is not None:
@@ -242,7 +242,7 @@ class Search:
 
 
 def _least_support(peak: Peak) -> float:
-    """What noise exceeds as seldom, whether it had one record to choose from or all windows that overlap by half."""
+    """Return the least support at one rate of false lines, for the whole record or for half-overlapping windows."""
     if peak.window is None:
         return _SUPPORT
     return float(stats.gamma.isf(stats.gamma.sf(_SUPPORT, 2) * peak.window / 2, 2))

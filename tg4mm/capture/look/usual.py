@@ -38,7 +38,7 @@ class Usual:
 def usual_of(
     misfit: np.ndarray, covariance: np.ndarray, grid: Grid, alone: np.ndarray | None = None
 ) -> Usual:
-    """Of misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
+    """Return the usual misfit from misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
 
     alone [F] bool: pictures that a codec predicts from no other. They hold the noise and the error of the codec's
     quantiser; of the others so does what moves, while what rests is taken from the picture before.

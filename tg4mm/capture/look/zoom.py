@@ -118,7 +118,7 @@ def left_of(line: LookLine, swings: Sequence[Swing], duration_s: float) -> str:
 
 
 def swing_note(swing: Swing, size: tuple[int, int]) -> str:
-    """What the whole of pictures of that width and height does, and why."""
+    """Describe the whole picture's motion, in pictures of a width and height, and its likely cause."""
     if swing.kind == "light":
         return (
             f"changes by {swing.largest:.2g} of it, fastest at {swing.at_s:.1f} s: exposure or lamps; the change is "

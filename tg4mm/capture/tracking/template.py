@@ -83,7 +83,7 @@ class Grid:
 
 
 class Solved(NamedTuple):
-    """What C parts show in F pictures."""
+    """Shifts, gains and misfits of C parts in F pictures."""
 
     shift: np.ndarray  # [C, F, 2] pixels right and down, or [C, F, 3] with turns; NaN where a part is dark
     gain: np.ndarray  # [C, F]
@@ -230,7 +230,7 @@ def false_information(size: int) -> float:
 
 
 def slope(picture: np.ndarray, axis: int) -> np.ndarray:
-    """Of a picture along an axis, grey levels a pixel."""
+    """Return the derivative of a picture along an axis, grey levels a pixel."""
     return np.asarray(ndimage.correlate1d(picture, _DERIVATIVE, axis, mode="nearest"))
 
 
