@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import lstsq
 
 from tg4mm.core.lines.model import Shape, design, slopes, solved
 from tg4mm.core.lines.record import LONG, Record
@@ -55,7 +56,7 @@ def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | Non
     best = (0.0, 0, 0.0)  # of what cost, how many columns, which angle
     for _ in range(_STEPS):
         own = _directed(columns, best[2])[:, : best[1]]
-        now = left - own @ np.linalg.lstsq(own, left, rcond=None)[0] if best[1] else left
+        now = left - own @ _least_squares(own, left) if best[1] else left
         beside = residual - (left - now).reshape(len(t), -1) @ across.T
         floor = record.floor(beside, shapes)[0]
         level = float(floor[record.bin_of(plain.hz, len(floor))].mean())
@@ -64,13 +65,18 @@ def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | Non
             break
     if not best[1]:
         return out
-    m = np.linalg.lstsq(_directed(columns, best[2])[:, : best[1]], left, rcond=None)[0]
+    m = _least_squares(_directed(columns, best[2])[:, : best[1]], left)
     change = _centred(plain, t, np.exp(1j * best[2]) * (changes[:, : best[1]] @ m))
     if np.abs(change).max() >= 1:
         return out
     rates = [2 * lasting * off for off in pairs for _ in range(2)] + [0.0] * _ENDS + list(range(1, count + 1))
     out[j] = replace(plain, rates=tuple(rates[: best[1]]), pairs=pairs, modulation=1 + change)
     return out
+
+
+def _least_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the coefficients of columns that are nearly dependent, on which LAPACK's default SVD may not converge."""
+    return np.asarray(lstsq(a, b, lapack_driver="gelsy", check_finite=False)[0])
 
 
 def _directed(columns: np.ndarray, angle: float) -> np.ndarray:
@@ -93,7 +99,7 @@ def _best(
     options = [(0.0, prices - gains[0]), (np.pi / 2, prices - gains[1])]
     if n:
         flat = np.concatenate([columns[0][:, :n], columns[1][:, :n]], 1)
-        parts = np.linalg.lstsq(flat, left, rcond=None)[0]
+        parts = _least_squares(flat, left)
         series = (parts[:n] + 1j * parts[n:]) * np.sqrt((columns[0][:, :n] ** 2).sum(0))
         angle = float(np.angle((series**2).sum()) / 2)
         basis = np.linalg.qr(_directed(columns, angle)[:, :n])[0]
