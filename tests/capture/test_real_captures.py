@@ -81,11 +81,11 @@ def test_what_is_missing_is_said_in_one_line(tripod, handheld):
     (tripod / "video_frames_1").mkdir()
     refused(tripod, "video_frames_1: holds no pictures")
     save(tripod / "images" / "005.png", np.zeros((H, W, 3)))
-    refused(tripod, "005.png shows the tripod's view, and is not registered in sparse/0")
+    refused(tripod, "005.png shows the tripod's view, but is not registered in sparse/0")
     (tripod / "scene.json").unlink()
     refused(tripod, 'scene.json: does not exist; write {"fps": 30}')
     save(handheld / "images" / "005.png", np.zeros((H, W, 3)))
-    refused(handheld, "005.png: is a timestep, and is not registered")
+    refused(handheld, "005.png: is a timestep, but is not registered")
     (handheld / "scene.json").write_text('{"fps": 30, "dynamic_start": 9}')
     refused(handheld, "dynamic_start is 9; expected a picture's number, 1 to 6")
 

@@ -13,6 +13,7 @@ from cyclopts.exceptions import MissingArgumentError, UnusedCliTokensError
 from cyclopts.help import HelpEntry, HelpPanel
 from cyclopts.validators import Number
 
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.options import AUTO, REQUIRED, Spelling, spellings
 
 T = TypeVar("T")
@@ -44,6 +45,13 @@ def command(options: type[T], run: Callable[[T], Any]) -> Callable[..., Any]:
         bound = parameters.bind(*values, **named)
         bound.apply_defaults()
         given = bound.arguments
+        for name, spelling in spelled.items():
+            if (
+                spelling.is_argument
+                and given[name] == ()
+                and options.__dataclass_fields__[name].default is REQUIRED
+            ):
+                raise Tg4mmError(f"{spelling.metavar} is missing")
         made = {n: s.into(given[n]) if s.into else given[n] for n, s in spelled.items()}
         return run(options(**made))
 
@@ -65,6 +73,8 @@ def _parameter(name: str, field: Any, spelling: Spelling) -> inspect.Parameter:
         default = () if get_origin(kind) is tuple else spelling.initial
     is_argument = spelling.is_argument
     is_many = is_argument and get_origin(kind) is tuple
+    if is_many:
+        kind = get_args(kind)[0]
     has_default = default is not REQUIRED and not is_argument
     shown = _shown(default, spelling) if has_default else ""
     checks = [Number(gte=spelling.at_least)] if spelling.at_least is not None else []
@@ -80,8 +90,13 @@ def _parameter(name: str, field: Any, spelling: Spelling) -> inspect.Parameter:
     )
     return inspect.Parameter(
         name,
-        inspect.Parameter.POSITIONAL_ONLY if is_argument else inspect.Parameter.KEYWORD_ONLY,
-        annotation=Annotated[kind, note, is_many] if is_many else Annotated[kind, note],
+        # several arguments may stand on both sides of options, which cyclopts allows for *arguments alone
+        inspect.Parameter.VAR_POSITIONAL
+        if is_many
+        else inspect.Parameter.POSITIONAL_ONLY
+        if is_argument
+        else inspect.Parameter.KEYWORD_ONLY,
+        annotation=Annotated[kind, note],
         default=default if has_default else inspect.Parameter.empty,
     )
 

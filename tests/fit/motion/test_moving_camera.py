@@ -23,12 +23,13 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off():
     opacities = gaussians.opacities.numpy()
     # A third of what is seen moves, by 0.17 px, and each half of 45 pictures is fitted by itself. Motion that looks
     # like the camera's own is found late: with exact poses, all pictures and the true support 0.62, 0.79 and 0.84 of
-    # it are there after 14, 28 and 56 iterations. Here it was 0.35 after 14 and is 0.45 after 28.
+    # it are there after 14, 28 and 56 iterations. Over ten seeds, mean ± standard deviation: error 0.60 ± 0.04,
+    # MAC 0.67 ± 0.05, ratio 0.51 ± 0.04; the bounds lie four deviations away.
     assert error_of(found, true, opacities) < 0.75
     mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
     assert mac > 0.5
     assert np.vdot(true, found).real > 0.35 * np.vdot(true, true).real
-    assert any("the camera moves" in note for note in fit.notes)
+    assert any("looks like motion of the camera" in note for note in fit.notes)
 
 
 @pytest.mark.slow
@@ -41,7 +42,7 @@ def test_motion_of_which_nothing_tells_what_stands_still_is_let_go(monkeypatch):
     assert fit.undetermined_hz[0] == pytest.approx(FREQUENCY, abs=0.05)
     assert fit.figures["frequencies_hz"][0] == pytest.approx(FREQUENCY, abs=0.05)
     assert not any("two halves" in note for note in fit.notes)
-    assert any("nor the camera's path tells its motion" in note for note in fit.notes)
+    assert any("nor the camera's path separates it" in note for note in fit.notes)
 
 
 def test_poses_that_are_off_are_corrected():

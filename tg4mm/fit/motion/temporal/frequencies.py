@@ -91,6 +91,8 @@ def find_frequencies(
             break
         peak = int(np.where(allowed, spectrum, -1).argmax())
         more = _refined(records, np.append(hz, grid[peak]), 1 / duration)
+        if more.min() < lowest_hz:  # the flank of something slower than these records resolve
+            break
         after, others = _spectrum(records, more, grid), allowed
         if spectrum[peak] > _LOUD:
             others = allowed & (np.abs(grid - grid[peak]) > _APART / duration)
