@@ -45,12 +45,8 @@ def command(options: type[T], run: Callable[[T], Any]) -> Callable[..., Any]:
         bound = parameters.bind(*values, **named)
         bound.apply_defaults()
         given = bound.arguments
-        for name, spelling in spelled.items():
-            if (
-                spelling.is_argument
-                and given[name] == ()
-                and options.__dataclass_fields__[name].default is REQUIRED
-            ):
+        for name, spelling in spelled.items():  # cyclopts lets *arguments be none
+            if parameters.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL and not given[name]:
                 raise Tg4mmError(f"{spelling.metavar} is missing")
         made = {n: s.into(given[n]) if s.into else given[n] for n, s in spelled.items()}
         return run(options(**made))
