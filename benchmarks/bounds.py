@@ -99,7 +99,7 @@ def _cells(run: Run) -> Iterator[str]:
 
 
 def _closure(file: Path) -> str:
-    """Of the largest α that `tg4mm evaluate` scored."""
+    """Return the closure at the largest α that `tg4mm evaluate` scored."""
     if not file.is_file():
         return "–"
     value = max(json.loads(file.read_text())["alphas"], key=lambda entry: entry["alpha"])["closure"]

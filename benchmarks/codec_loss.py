@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _print_amplitudes(rows: np.ndarray) -> None:
-    """Of films without a mark: measured over true amplitude, as it is and corrected."""
+    """Print, for films without a mark, measured over true amplitude, as it is and corrected."""
     sizes, sure = np.array([before_compression(g, e, Loss(told, d)) for g, e, told, d in rows]).T
     raw, off = (np.sqrt(((x - 1) ** 2).mean()) for x in (rows[:, 0], sizes))
     one, two = ((np.abs(sizes - 1) < n * sure).mean() for n in (1, 2))

@@ -51,7 +51,10 @@ _LOST_AT = ("20", "50")  # α
 
 
 def figures_of(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a benchmark's results.json: {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}, of `modal`."""
+    """Return the figures of a benchmark's results.json.
+
+    {scenes: {name: {key: figure}}, ssim: {row: {α: mean}}, of `modal`.
+    """
     from tg4mm.research.bench.means import scalars
 
     runs = {run["set"].partition("_")[0]: scalars(run) for run in results["runs"] if run["row"] == "modal"}

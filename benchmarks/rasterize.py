@@ -86,7 +86,7 @@ class Trained:
         self.viewmat, self.K = self.viewmats[camera], self.Ks[camera]
 
     def times(self, repeats: int) -> dict[str, Times]:
-        """Of every kernel and of whole passes."""
+        """Return the times of every kernel and of complete passes."""
         g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)

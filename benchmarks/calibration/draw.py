@@ -84,7 +84,7 @@ class Truth:
 
 
 def make_film(seed: int, folder: Path) -> Truth:
-    """Of `Draw`."""
+    """Draw and write one film, as `Draw`."""
     return kept_film(seed, folder, lambda: Draw(seed).film())
 
 
@@ -192,7 +192,7 @@ class Draw:
             yield Mode(shape, vibration.motion())
 
     def vibration(self, region: Region, tilted: bool, factor: float) -> TrueVibration:
-        """Of a region, at a frequency that no other has."""
+        """Draw the vibration of a region, at a frequency that no other has."""
         rng, d = self.rng, self.duration
         lowest, highest = np.log(max(4 / d, 0.03 * self.fps)), np.log(0.46 * self.fps)
         for _ in range(_TRIES):

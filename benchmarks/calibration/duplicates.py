@@ -42,7 +42,10 @@ class Outcome:
 
 
 def duplicates_outcome(seed: int, folder: Path, photographs: Path | None = None) -> Outcome:
-    """Of the film `seed`, made in `folder` where it is not there; photographs: a folder of JPEG or PNG files."""
+    """Return the outcome for the film `seed`, made in `folder` where it is not there.
+
+    Photographs: a folder of JPEG or PNG files.
+    """
     notes = folder / f"{seed:04d}.duplicates.json"
     if not notes.exists():
         folder.mkdir(parents=True, exist_ok=True)

@@ -55,7 +55,7 @@ class Layer:
         self.rest = np.stack([_down(self._derivative(a, 0, 0)) for a in self._covered])
 
     def _derivative(self, picture: np.ndarray, across: int, along: int) -> np.ndarray:
-        """Of a blurred fine picture, in pixels."""
+        """Return the derivative of a blurred fine picture, in pixels."""
         pad = _MARGIN * FINE
         padded = np.pad(picture, pad, mode="edge")
         ky = 2 * np.pi * FINE * np.fft.fftfreq(padded.shape[0])[:, None]

@@ -56,7 +56,7 @@ class Drawn:
 
     @property
     def options(self) -> list[str]:
-        """Of the generator, all but where the set goes and its motion."""
+        """The generator's options, all but where the set goes and its motion."""
         cameras, frames, _ = KINDS[self.kind]
         out = [self.scene, *cameras.split(), "--timesteps", frames, "--fps", FPS, "--size", self.size]
         out += ["--frequency", self.hz, "--amplitude-px", self.amplitude_px, "--samples", 4, "--points", 1000]

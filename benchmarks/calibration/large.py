@@ -16,7 +16,7 @@ _MOST = 240  # pictures
 
 
 def make_large_film(seed: int, folder: Path) -> Truth:
-    """Of two plates that move."""
+    """Make a film of two plates that move."""
     return kept_film(seed, folder, lambda: _drawn(seed))
 
 

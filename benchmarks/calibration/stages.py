@@ -83,7 +83,7 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
 
 
 def _peaks(sensor: Any, region: Region) -> Iterator[Named]:
-    """Of a sensor, as `measure.json` has them; marked: what its table marks."""
+    """Return the peaks of a sensor, as `measure.json` has them; marked: what its table marks."""
     from tg4mm.capture.codec import before_compression
     from tg4mm.show.measure.orbit import main_is_above
 

@@ -159,7 +159,7 @@ def of_text(data, rng):
 
 
 def of_header(data, rng):
-    """Of a PLY: a word of its text header, or bytes anywhere."""
+    """Mutate a PLY: a word of its text header, or bytes anywhere."""
     end = data.find(b"end_header")
     if end < 0 or rng.random() < 0.4:
         return of_bytes(data, rng)

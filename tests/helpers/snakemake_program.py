@@ -28,6 +28,6 @@ def lacking(why: str) -> NoReturn:
 
 
 def check_plugins(said: str, profile: str) -> None:
-    """Of a dry run's output: whether a profile's plugins are there."""
+    """Check by a dry run's output that a profile's plugins are there."""
     if any(words in said for words in ("invalid choice", "not installed", "unrecognized arguments")):
         lacking(f"the plugins of profiles/{profile} are not installed: make farm")

@@ -50,7 +50,7 @@ def train(root, out, *options):
 
 
 def error(run, root):
-    """Of the left half of a view, against the picture before it was painted."""
+    """The error of the left half of a view, against the picture before it was painted."""
     capture = load_capture(root)
     shown = render_image(Run.open(run).load_space(), capture.viewmats[0], capture.Ks[0], SIZE, SIZE)
     picture = (

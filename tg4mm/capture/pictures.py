@@ -115,7 +115,7 @@ def load_images(capture: Capture) -> ImageStack:
 
 
 def _bits(capture: Capture) -> int:
-    """Of each channel: 16 if any file has them."""
+    """Return the bits of each channel: 16 if any file has them."""
     with ThreadPoolExecutor(THREADS) as pool:
         return max(header.bits for header in pool.map(picture_header, capture.paths))
 

@@ -239,7 +239,7 @@ def sure(extension, tmp_path):
 
 
 def test_the_deviation_of_a_point_and_of_a_region(extension, sure):
-    """Of a region the mean by opacity, since neighbours err alike; it is not divided by √n."""
+    """The region's is the mean by opacity, since neighbours err alike; it is not divided by √n."""
     obj, splat, deviation = sure
     select(obj, [7])
     found = reading(extension, obj, "SELECTION")

@@ -77,7 +77,7 @@ def test_a_video_that_cannot_be_read_is_marked(tmp_path):
 
 
 def test_an_amplitude_is_corrected_by_what_was_let_through_unless_it_is_marked():
-    """Of .4 ± .03 with a gain of .8 ± .1: .5, whose relative deviation is the root sum of squares of the two."""
+    """An amplitude of .4 ± .03 with a gain of .8 ± .1 becomes .5; relative deviations add in squares."""
     size, deviation = before_compression(0.4, 0.03, Loss(0.8, 0.1))
     assert size == pytest.approx(0.5)
     assert deviation / size == pytest.approx(np.hypot(0.03 / 0.4, 0.1 / 0.8))

@@ -187,7 +187,7 @@ def test_dropped_frames_keep_their_gap(tmp_path):
 
 
 def _stamps(rate, tick, numbers):
-    """Of frames on a regular clock, rounded to ticks."""
+    """Time stamps of frames on a regular clock, rounded to ticks."""
     return [round(Fraction(k) / rate / tick) * tick for k in numbers]
 
 

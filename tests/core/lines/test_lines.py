@@ -85,7 +85,7 @@ def test_a_strength_that_changes_is_no_second_line():
 
 @pytest.mark.parametrize("kind", ["sinusoid", "walk", "step"])
 def test_an_amplitude_that_changes_by_2_to_30_percent_is_one_line_with_its_frequency(kind):
-    """Of 450 such records none was lost, one had a second line, and 98 % of the frequencies were within 2 ±."""
+    """In 450 such records none was lost, one had a second line, and 98 % of the frequencies were within 2 ±."""
     scores = [scored(300 + k, kind, longest=400) for k in range(8)]
     assert not any(lost for lost, _, _, _ in scores)
     assert sum(others > 0 for _, others, _, _ in scores) <= 1

@@ -84,7 +84,7 @@ def weights_of(p):
 
 
 def operator(p, smoothness=3.0, weighted=False):
-    """Of all views."""
+    """The operator of all views."""
     p = p.changed(pixel_weights=weights_of(p)) if weighted else p
     return p.on_cpu(p.everything, smoothness)
 

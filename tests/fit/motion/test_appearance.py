@@ -34,7 +34,7 @@ from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
 def view_of_colours(name, tilts, mean=20.0):
-    """Of Gaussians whose first coefficient is `mean` in all channels."""
+    """The view of Gaussians whose first coefficient is `mean` in all channels."""
     scene = SCENES[name]
     camera = camera_of(scene)
     sh = torch.zeros_like(gaussians_of(scene).sh)

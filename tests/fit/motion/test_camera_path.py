@@ -95,7 +95,7 @@ def test_the_path_is_that_of_poses_and_of_what_the_residual_still_holds_of_them(
 
 
 def test_the_doubt_is_as_often_right_as_it_says():
-    """Of hands that shake from a hundredth of the motion to ten times it, at random, wrong as often as said."""
+    """For hands that shake from a hundredth of the motion to ten times it, at random, wrong as often as said."""
     rng, still = np.random.default_rng(0), path_of(viewmats(0.0, 0.0))
     wave = np.cos(2 * np.pi * HZ * TIMES)[:, None] * np.concatenate([TURN, SHIFT])
     said, right = [], []

@@ -70,7 +70,7 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained):
 
 
 def test_motion_towards_the_camera_may_be_as_large_as_directions_in_space_allow(trained):
-    """Of random directions 95 % have less than 2 × 1.5 times as much along the sight as across."""
+    """95 % of random directions have less than 2 × 1.5 times as much along the sight as across."""
     run, _, camera = trained
     part, found = run.load_part(UNCERTAINTY)[0], run.load_motion()
     along = along_and_across(camera, run.load_space().means.numpy())[0]

@@ -76,7 +76,7 @@ def test_a_drift_is_no_frequency():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_that_rises_to_low_frequencies_is_no_frequency(seed):
-    """Of which six tenths stay from frame to frame."""
+    """Six tenths of the noise stay from frame to frame."""
     rng, t = np.random.default_rng(seed), times()
     y = rng.normal(size=(len(t), SERIES))
     for k in range(1, len(t)):

@@ -31,7 +31,7 @@ def wire(n=60):
 
 
 def graph(means, count=12):
-    """Of balls."""
+    """The graph of balls."""
     return build_graph(means, np.tile(np.eye(3), (len(means), 1, 1)), np.ones((len(means), 3)), count)
 
 

@@ -27,7 +27,7 @@ from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
 def plain(scene):
-    """Of one colour from all sides: a camera that turns sees the same colours."""
+    """Gaussians of one colour from all sides: a camera that turns sees the same colours."""
     colors = scene.colors.clone()
     colors[:, 1:] = 0
     return replace(scene, colors=colors)
@@ -172,7 +172,7 @@ def moving():
 
 
 def test_drift_of_exposure_changes_no_motion(moving):
-    """Of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
+    """A drift of 5 %, another in each camera and channel. Not projected out, it is taken for motion."""
     gaussians, motion = moving
     rng = np.random.default_rng(4)
     drift = 0.8 + 0.05 * np.cumsum(rng.normal(size=(VIEWS, T, 3)), 1) / np.sqrt(T / 2)

@@ -94,7 +94,7 @@ class Dense:
         return np.asarray(mix.T @ pictures.reshape(len(mix), -1) @ jacobians()[k])
 
     def product(self, x):
-        """Of fields x [R, 4 N, 3]."""
+        """The product with fields x [R, 4 N, 3]."""
         o, motions = self.of, (x.reshape(FIELDS, -1) @ self.motion.T) * self.support
         data = np.zeros_like(motions)
         for k in range(len(o.views)):
@@ -220,7 +220,7 @@ def test_a_changed_problem_keeps_nothing_of_the_old_one():
 
 @pytest.mark.parametrize("mixed", [False, True])
 def test_operators_that_share_a_pass_are_each_by_itself(mixed):
-    """Of one field each, or of three that are mixed."""
+    """One field each, or three that are mixed."""
     p = problem(RIDGE, mixed=mixed)
     several = [p.on_cpu(p.everything, weight) for weight in (0.1, 3.0, 300.0)]
     n = FIELDS if mixed else 1

@@ -31,7 +31,7 @@ class Matrix:
 
 
 def system(n=12, dtype=np.float64, systems=1):
-    """Of condition 50, and right-hand sides [R, n, 3]."""
+    """Systems of condition 50, and right-hand sides [R, n, 3]."""
     rng = np.random.default_rng(0)
     q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     A = (q * np.linspace(1, 50, n)) @ q.T

@@ -109,7 +109,7 @@ def test_a_region_that_is_not_seen_says_nothing(scene):
 
 
 def test_phasors_are_those_of_the_shifts(scene):
-    """Of a drift beside them, too."""
+    """With a drift beside them, too."""
     t, hz = np.arange(40) / 30, np.array([3.3, 7.9])
     phasors = np.array([[0.01 + 0.02j, -0.01j], [0.005, 0.01 - 0.004j]])  # [K, 2]
     swing = (phasors[:, None] * np.exp(2j * np.pi * hz[:, None] * t)[..., None]).real.sum(0)

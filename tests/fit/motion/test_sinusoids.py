@@ -56,7 +56,7 @@ class TestFrequencies:
 @pytest.mark.parametrize("jitter", [0.0, 0.2])
 @pytest.mark.parametrize("cycles", [(2.5,), (5.3, 41.3)])
 def test_of_frames_that_lack_or_come_late_they_are_exact(cycles, jitter):
-    """Of 100 frames seven lack; the others come up to a fifth of a frame early or late."""
+    """Seven of 100 frames are missing; the others come up to a fifth of a frame early or late."""
     rng = np.random.default_rng(3)
     times = np.delete(np.arange(100), [9, 10, 11, 40, 77, 78, 90]) + jitter * rng.uniform(-1, 1, 93)
     times -= times[0]

@@ -120,7 +120,7 @@ class TestBetweenBins:
 
 
 def test_of_frames_that_lack_the_phasors_are_those_of_the_motion():
-    """Of 120 frames five lack: the sinusoid as it is, and in the bins beside it little."""
+    """Five of 120 frames are missing: the sinusoid as it is, and in the bins beside it little."""
     kept = np.delete(np.arange(120), [17, 18, 60, 61, 99])
     true = shape(0)
     basis, shapes = video_of(120, {4.71: true})

@@ -174,7 +174,7 @@ def test_a_checkpoint_of_another_scene_is_not_taken_up(small, new_run, monkeypat
 
 
 def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(small, new_run, caplog):
-    """Of one camera, the motion along its sight."""
+    """With one camera, the motion along its sight."""
     _, capture, images = small
     keep = np.flatnonzero(capture.camera_ids == 0)
     one = replace(

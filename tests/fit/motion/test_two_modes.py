@@ -41,7 +41,7 @@ def _error(found, true, k):
 
 @pytest.fixture(scope="module")
 def errors(tmp_path_factory):
-    """Of the large mode and the small one, in the linear fit and after three Gauss-Newton iterations."""
+    """Errors of the large mode and the small one, in the linear fit and after three Gauss-Newton iterations."""
     root = tmp_path_factory.mktemp("two")
     run, true = _made(root)
     capture = load_capture(root / "data")

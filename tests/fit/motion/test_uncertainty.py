@@ -85,7 +85,7 @@ def test_pictures_tell_how_much_of_the_motion_was_found(seen, share):
 
 
 def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen):
-    """Of a scene that moves as a whole and whose motion was missed, in any direction and in pictures of any size."""
+    """For a scene that moves as a whole and whose motion was missed, in any direction and in pictures of any size."""
     weights = seen.weights()
     for shift in ((0.01, 0, 0), (0, 0.02, 0), (0.005, 0.005, 0.01)):
         found = seen.left(seen.shows(shift))

@@ -12,7 +12,7 @@ from tg4mm.show.render.image import render_image
 
 
 def test_known_gains_are_found(views, points, new_run):
-    """Of 10 % a quarter at most is left, and the Gaussians are nearer to the pictures without gains.
+    """A quarter at most of 10 % is left, and the Gaussians are nearer to the pictures without gains.
 
     After 1500 iterations .17 or .27 is left by the order of sums alone, after 2500 .19 to .21.
     """

@@ -34,7 +34,7 @@ TONES = ((1.0, 3.3, 0.4), (0.3, 11.7, 1.0))  # amplitude, Hz, phase
 
 
 def tones(times, order=0, filtered=False):
-    """Of the order-th derivative; as the band's filter leaves it."""
+    """The tones' order-th derivative; as the band's filter leaves it."""
     out = np.zeros(len(times))
     for a, f, p in TONES:
         gain = 1 / (1 + (BAND[0] / f) ** 8) / (1 + (f / BAND[1]) ** 8) if filtered else 1.0

@@ -37,7 +37,7 @@ def test_a_tilted_planes_motion_is_the_pictures_by_its_slope(flat):
 
 
 def test_before_one_fixed_camera_what_a_region_showed_is_a_sensor_too(tmp_path):
-    """Of a scene with depth: after its clusters a disc at the region."""
+    """In a scene with depth: after its clusters a disc at the region."""
     sway = sine(4.0, [0.02, 0.0, 0.01])
     run = run_of(tmp_path, of_parts(post=sway, ball=sway), n_views=1, n_timesteps=40)
     region = np.zeros((3, 3), bool)

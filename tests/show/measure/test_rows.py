@@ -54,7 +54,7 @@ def phases(found, names):
 
 @pytest.mark.parametrize("views", [1, 4])
 def test_every_height_of_a_swaying_post_has_one_phase_where_the_readout_is_given(tmp_path, views):
-    """Of one flat camera each region has its own rows' times; of a rig all have the middle row's."""
+    """Before one flat camera each region has its own rows' times; before a rig all have the middle row's."""
     readout_s, sway = 0.03, sine(HZ, [0.02, 0.0, 0.0])
     move = of_parts(post=sway, ball=sway)
     kind = {"kind": "flat"} if views == 1 else {}

@@ -263,7 +263,7 @@ def only_one(path):
 
 
 def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path):
-    """Of the preset `paper` phasors of rotation are large where nothing turns; of `modal` they are the scene's."""
+    """With the preset `paper` phasors of rotation are large where nothing turns; with `modal` they are the scene's."""
     motion, alphas = run.load_motion(), {}
     turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))
     for preset in ("paper", "modal"):

@@ -95,7 +95,7 @@ def test_a_band_that_holds_noise_alone_is_empty(run, tmp_path):
 
 
 def test_noise_that_is_magnified_beyond_a_pixel_is_said(run, tmp_path):
-    """Of a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
+    """For a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
     copy = other_motion(run, tmp_path, 0.02)
     noise_px = result_of(copy).noise_px
     alpha = 2 / noise_px - 1  # two pixels

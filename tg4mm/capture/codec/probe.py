@@ -111,7 +111,7 @@ def _encoder(codec: str, settings: str) -> str:
 
 
 def _settings(text: str) -> dict[str, str]:
-    """Of `options: cabac=1 ref=3 …`; x265 writes switches without a value, which are left out."""
+    """Return the settings in `options: cabac=1 ref=3 …`; x265 writes switches without a value, which are left out."""
     found = dict(re.findall(r"([\w-]+)=([\w.]+)", text.partition("options:")[2]))
     return {key.replace("_", "-"): value for key, value in found.items()}
 

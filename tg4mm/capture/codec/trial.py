@@ -133,7 +133,10 @@ def shifts_of(seen: np.ndarray, masks: Sequence[np.ndarray], times: np.ndarray) 
 
 
 def gain_of(u: np.ndarray, tones: Sequence[Tone], j: int, times: np.ndarray) -> tuple[float, float]:
-    """Of tone j in the shifts u [F, 2]: along its direction, with all tones fitted, and the error that noise makes."""
+    """Return the gain of tone j in the shifts u [F, 2].
+
+    Along its direction, with all tones fitted, and the error that noise makes.
+    """
     main = tones[j].phasor
     waves = [f(2 * np.pi * t.frequency_hz * times) for t in tones for f in (np.cos, np.sin)]
     design = np.stack([np.ones(len(times)), *waves], 1)

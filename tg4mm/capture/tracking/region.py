@@ -28,10 +28,8 @@ _SQUARES = 3.0  # of a region's radius, over the side of the squares that its ha
 _SIDE = 2, 16  # pixels of such a square, at least and at most
 _EXTREME = 3  # frames that change most, at least, that are judged by
 _QUIET = 10.0  # per cent of the frames that show noise alone
-_CLEAR, _CLEAR_LEVELS2 = (
-    4.0,
-    16.0,
-)  # times the noise, and grey levels²: changes beyond both are no noise of a codec
+# times the noise, and grey levels²: changes beyond both are no noise of a codec
+_CLEAR, _CLEAR_LEVELS2 = 4.0, 16.0
 _LEAST_ROOT = 1e-3
 _MOSTLY = 0.5  # share of a frame's change that no motion explains, from which it shows something else
 _AROUND = 2  # frames before and after that it may show a little of it
@@ -52,7 +50,7 @@ class Region:
 
     @staticmethod
     def of(mask: np.ndarray) -> "Region":
-        """Of weights [H, W], 0 to 1, that are not all 0."""
+        """Make a region of weights [H, W], 0 to 1, that are not all 0."""
         rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
         ends = [(int(k[0]), int(k[-1]) + 1, n) for k, n in zip((rows, columns), mask.shape, strict=True)]
         outer, (down, right) = (

@@ -216,7 +216,7 @@ def _mirrored(at: int, size: int) -> int:
 
 @numba.njit(cache=True, error_model="numpy")
 def _weights(t: float, out: np.ndarray) -> None:
-    """Of the four coefficients about a place, t in 0..1 behind the second (cubic B-spline)."""
+    """Write the weights of the four coefficients about a place, t in 0..1 behind the second (cubic B-spline)."""
     s = 1 - t
     out[0] = s * s * s / 6
     out[1] = (4 - 6 * t * t + 3 * t * t * t) / 6

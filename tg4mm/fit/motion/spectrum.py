@@ -178,7 +178,7 @@ class Clock:
 
     @staticmethod
     def of(frames: np.ndarray | int) -> "Clock":
-        """Of F frames, or of times [F] in frames."""
+        """Make those of F frames, or of times [F] in frames."""
         if isinstance(frames, int):
             return Clock(np.arange(frames, dtype=np.float64), frames)
         own = frames - frames[0]

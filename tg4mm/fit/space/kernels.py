@@ -91,7 +91,7 @@ def _step_sh(values, ms, vs, gradients, rates, root):
 
 
 def scratch_shape(coefficients: int) -> tuple[int, int]:
-    """Of the memory in which `step` works: a row for each thread there can be."""
+    """Return the shape of the memory in which `step` works: a row for each thread there can be."""
     return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)  # type: ignore[attr-defined]
 
 

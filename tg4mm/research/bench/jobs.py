@@ -81,7 +81,7 @@ def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
 
 
 def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
-    """Of `alphas_of` those that the method has pictures for."""
+    """Return those of `alphas_of` that the method has pictures for."""
     return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
 
 

@@ -153,7 +153,7 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
 
 
 def weights_state(plan: Plan) -> list[Any]:
-    """Of the files of LPIPS' weights, as `files_state`."""
+    """Return the state of the files of LPIPS' weights, as `files_state`."""
     return [files_state([path], path.parent) for path in plan.lpips_weights]
 
 

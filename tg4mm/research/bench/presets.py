@@ -182,7 +182,7 @@ def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer 
 
 
 def choices_from(config: Mapping[str, Any]) -> Choices:
-    """Of a configuration file. Raises BenchError for a value of another type."""
+    """Return the choices of a configuration file. Raises BenchError for a value of another type."""
     found: dict[str, Any] = {}
     for field in fields(Choices):
         value = config.get(field.name)

@@ -43,7 +43,7 @@ class ScenesRequest:
     collect: bool = False  # run nothing: the tables of what is finished
 
     def presets(self) -> list[str]:
-        """Of the methods those that `tg4mm train` knows."""
+        """The methods that `tg4mm train` knows."""
         return [
             m.training.preset for m in self.made() if isinstance(m, Trained) and m.training.trainer is None
         ]

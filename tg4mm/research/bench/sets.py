@@ -245,7 +245,7 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
 
 
 def alpha_to_show(alphas: Iterable[int]) -> int:
-    """Of the α that there are the one that pictures are shown at: the nearest to 20, as a factor; 0 of none."""
+    """Return which of the α pictures are shown at: the nearest to 20, as a factor; 0 of none."""
     return min(alphas, key=lambda a: abs(math.log(a / _SHOWN_ALPHA)), default=0)
 
 

@@ -63,7 +63,7 @@ class Channel:
 
     @property
     def unit(self) -> str:
-        """Of the values."""
+        """The unit of the values."""
         return unit_of(self.quantity, self.base)
 
     @cached_property

@@ -30,7 +30,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Change:
-    """Of one figure of a line that both records have; `score` is the difference over its deviation."""
+    """A change in one figure of a line that both records have; `score` is the difference over its deviation."""
 
     where: str
     figure: str  # frequency, amplitude, damping

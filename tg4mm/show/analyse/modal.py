@@ -37,7 +37,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes:
-    """Of a method; the diagram's poles are rows (order, Hz, 1 if stable)."""
+    """The modes that a method finds; the diagram's poles are rows (order, Hz, 1 if stable)."""
 
     method: str
     channels: tuple[str, ...]

@@ -28,7 +28,10 @@ _FREEDOMS = 2.5  # averages from which coherence tells a deviation
 
 @dataclass(frozen=True)
 class Transfer:
-    """Of a response over an input, in `unit`. `deviation` is that of |H1|; h2 is nan where h1 is all there is."""
+    """The transfer function of a response over an input, in `unit`.
+
+    `deviation` is that of |H1|; h2 is nan where h1 is all there is.
+    """
 
     response: str
     reference: str
@@ -204,7 +207,7 @@ def curve_of(
 
 @dataclass(frozen=True)
 class Phase:
-    """Of a channel against a reference channel at one of its lines."""
+    """The phase of a channel against a reference channel at one of its lines."""
 
     channel: str
     reference: str

@@ -86,7 +86,7 @@ class Words:
         return out
 
     def region_header(self) -> list[str]:
-        """Of `region_rows`; lengths and velocity where there is a scale."""
+        """The head of `region_rows`; lengths and velocity where there is a scale."""
         metric = ["amplitude, mm", "mm/s rms"] if self.drawn is not None and self.drawn.scale else []
         return ["region", *HEADER[:3], *metric, *HEADER[4:]]
 

@@ -91,7 +91,7 @@ def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
 
 
 def _gif(pictures: list[np.ndarray]) -> bytes:
-    """Of pictures [H, W, 3] uint8."""
+    """Return a GIF of pictures [H, W, 3] uint8."""
     data = io.BytesIO()
     height, width = pictures[0].shape[:2]
     k = -(-_LONGER // max(height, width))

@@ -36,7 +36,7 @@ def settings_of(found: Measurement) -> dict[str, tuple[Any, str]]:
 
 
 def units_of(unit: Unit) -> dict[str, str]:
-    """Of every array, by its name; its deviation has the same. What has none is not in it."""
+    """Return the unit of every array, by its name; its deviation has the same. What has none is not in it."""
     return {
         "time": "s", **{name: unit.name + per for name, (per, _) in _QUANTITIES.items()}, "amplitude": unit.name,
         "floor": unit.name, "frequency": "Hz", "phase": "rad",

@@ -35,7 +35,10 @@ _TINY = 1e-9  # of a covariance's trace, added along its diagonal
 
 @dataclass(frozen=True)
 class KnownPhases:
-    """Of the motion stage: radians [C, K] by which clips are ahead of the first one's clock, at K frequencies."""
+    """Phases found by the motion stage.
+
+    Radians [C, K] by which clips are ahead of the first one's clock, at K frequencies.
+    """
 
     hz: np.ndarray  # [K]
     radians: np.ndarray  # [C, K]
@@ -72,7 +75,7 @@ class Together:
 def together(
     sensors: Sequence[Sequence[Series]], known: KnownPhases, shared: Sequence[float]
 ) -> tuple[list[Together], ClipPhases]:
-    """Of series by sensor and clip [S][C].
+    """Combine series by sensor and clip [S][C].
 
     shared [S]: standard deviation of an error that all clips have alike (the run's Gaussians), scene units rms.
     """
@@ -174,7 +177,7 @@ def _peaks(
     level: np.ndarray,
     shared: float,
 ) -> tuple[Peak, ...]:
-    """Of a sensor's phasors [K, 3] and their variances; `shared` as in `together`."""
+    """Return the peaks of a sensor's phasors [K, 3] and their variances; `shared` as in `together`."""
     told = is_resolved(level)
     size = np.linalg.norm(phasors[:, told], axis=1)
     rms = float(np.sqrt((size**2).sum() / 2))
@@ -220,7 +223,7 @@ def _spectrum_weights(clips: Sequence[Series]) -> list[np.ndarray]:
 def _spectrum(
     clips: Sequence[Series], hz: np.ndarray, phases: np.ndarray, level: np.ndarray, peaks: Sequence[Peak]
 ) -> Spectrum:
-    """Of all clips together: at every frequency they are turned by the phases of the nearest one that was found."""
+    """Return the spectrum of all clips, turned at every frequency by the phases of the nearest one found."""
     longest = max(clips, key=lambda s: len(s.times_s))
     grid = frequency_grid(longest.times_s)
     weights = _spectrum_weights(clips)

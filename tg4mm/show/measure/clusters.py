@@ -31,7 +31,10 @@ class Clusters:
 
 
 def clusters_of(scene: Prepared) -> Clusters:
-    """Of a run. What moves less than a tenth of the strongest motion, or than twice its deviation, stands still."""
+    """Return the clusters of a run.
+
+    What moves less than a tenth of the strongest motion, or than twice its deviation, stands still.
+    """
     fields = scene.modal.fields[..., :3].astype(np.float64)
     n = len(scene.means)
     seen = scene.seen > _SEEN

@@ -38,7 +38,7 @@ def _rings(result: SensorResult) -> bool:
 
 
 def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
-    """Of all peaks, pixels right and down; those that decay multiplied."""
+    """Return the tones of all peaks, pixels right and down; those that decay multiplied."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
     flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
     out = []

@@ -33,7 +33,7 @@ HALF_POWER = "half-power bandwidth"
 
 @dataclass(frozen=True)
 class Damping:
-    """Of one peak."""
+    """The damping of one peak."""
 
     ratio: float  # ζ; the logarithmic decrement is 2πζ
     deviation: float
@@ -42,7 +42,10 @@ class Damping:
 
 
 def damping_of(series: Series, peak: Peak) -> Damping | None:
-    """Of a peak of this series: of what rings down by its decay, else by its width; None where neither can be told."""
+    """Return the damping of a peak of this series: of what rings down by its decay, else by its width.
+
+    None where neither can be told.
+    """
     line = peak.line or _line_of(series, peak.frequency_hz)
     if line is not None and line.damping is not None and line.damping_deviation is not None:
         return Damping(line.damping, line.damping_deviation, line.decay_per_s)

@@ -16,14 +16,14 @@ from tg4mm.show.measure.spectrum import Peak
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of a displacement [T, A]."""
+    """The derivatives of a displacement [T, A]."""
 
     velocity: np.ndarray  # [T, A] scene units / s
     acceleration: np.ndarray  # [T, A] scene units / s²
 
 
 def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak]) -> Derivatives:
-    """Of values [T, A] at times [T] whose `peaks` were found."""
+    """Differentiate values [T, A] at times [T] whose `peaks` were found."""
     velocity, acceleration, left = np.zeros_like(values), np.zeros_like(values), values.copy()
     for peak in peaks:
         omega = 2j * np.pi * peak.frequency_hz - (0.0 if peak.line is None else peak.line.decay_per_s)

@@ -113,7 +113,9 @@ def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: 
     """[f, h, w] grey levels of a box of some pictures, which are decoded once."""
     if isinstance(pictures, GreyPictures):
         return pictures.data[rows[0] : rows[-1] + 1, *box].astype(np.float32)
-    raw = decoded.setdefault("all", pictures.strips(rows)) if not decoded else decoded["all"]
+    if "all" not in decoded:
+        decoded["all"] = pictures.strips(rows)
+    raw = decoded["all"]
     return np.asarray(255 * (over_white(raw(box[0])[:, :, box[1]], pictures.maximum) @ LUMA))
 
 

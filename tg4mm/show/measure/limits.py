@@ -41,7 +41,7 @@ def _of_region(result: SensorResult) -> list[str]:
 
 
 def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
-    """Of the capture, then of the sensors."""
+    """Return the limits of the capture, then those of the sensors."""
     out = list(scene.notes)
     if not scene.capture.kind.sees_depth:
         where = (

@@ -67,7 +67,7 @@ def box_of(weights: np.ndarray) -> tuple[tuple[slice, slice], np.ndarray]:
 def missing_share(
     mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray
 ) -> tuple[float, float]:
-    """Of motions [F, 2] (pixels right and down), how much more pictures [F, H, W, 3] moved along them, as a share.
+    """Return by what share pictures [F, H, W, 3] moved more along motions [F, 2], pixels right and down.
 
     mean [H, W, 3] the picture that they moved from; weights [H, W]: where it counts. The second number is the standard
     error over the frames.
@@ -82,7 +82,7 @@ def missing_share(
 
 
 def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray) -> float:
-    """Of what changes pictures in a region, the share that is no motion of it: something passes, or a light.
+    """Return the share of the changes in a region that is no motion of it: an occluder, or a light.
 
     As `missing_share`; the first half of the pictures has the largest motions, the second the smallest, whose leftovers
     are noise. Of each half the median picture counts. From 0 to 1; 0 where nothing but noise changes.

@@ -152,7 +152,7 @@ def default_sensors(clusters: Clusters) -> list[Sensor]:
 def _results(
     scene: Prepared, wanted: Sequence[Sensor], clusters: Mapping[int, np.ndarray]
 ) -> tuple[list[SensorResult], ClipPhases | None]:
-    """Of every sensor, without its relation to a reference."""
+    """Return the result of every sensor, without its relation to a reference."""
     if not scene.capture.kind.sees_depth:
         return _flat_results(scene, wanted, clusters), None
     bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]

@@ -26,7 +26,7 @@ class ModalFields:
 
     @staticmethod
     def of(motion: ModalMotion | None, n_gaussians: int) -> "ModalFields":
-        """Of a run's motion; no field where it has none."""
+        """Make the fields of a run's motion; no field where it has none."""
         if motion is None or not len(motion.freqs_hz):
             return ModalFields(np.zeros((0, n_gaussians, DOF), np.float32), np.zeros((0, 0)), np.zeros(0))
         both = np.concatenate([motion.displacement, motion.rotation], 2).reshape(len(motion.freqs_hz), -1)

@@ -27,7 +27,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Orbit:
-    """Of Re[m exp(iωt)]: m = exp(iφ) (major + i minor), with major ⟂ minor."""
+    """The ellipse of Re[m exp(iωt)]: m = exp(iφ) (major + i minor), with major ⟂ minor."""
 
     major: np.ndarray  # [A] scene units: half axis, its largest component positive
     minor: np.ndarray  # [A]
@@ -52,14 +52,14 @@ class Orbit:
 
 
 def orbit_of(peak: Peak) -> Orbit:
-    """Of a peak, in the directions that are told."""
+    """Return the orbit of a peak, in the directions that are told."""
     return orbit_in(peak.phasor, peak.deviation, peak.is_resolved, peak.correlation)
 
 
 def orbit_in(
     phasor: np.ndarray, deviation: np.ndarray, some: np.ndarray, correlation: np.ndarray | None = None
 ) -> Orbit:
-    """Of a phasor [A] along axes, with deviations [A] whose correlation [A, A] is given or none.
+    """Return the orbit of a phasor [A] along axes, with deviations [A] whose correlation [A, A] is given or none.
 
     some [A] bool: the axes that count.
     """

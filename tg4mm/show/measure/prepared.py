@@ -139,7 +139,10 @@ class _Fixed:
         return self.fit.gaussians
 
     def flat(self) -> Prepared:
-        """Of a capture whose sensors are regions of the picture (`flat.py`): shake is taken out, nothing is read."""
+        """Prepare a capture whose sensors are regions of the picture (`flat.py`).
+
+        Shake is taken out, nothing is read.
+        """
         observations, notes = self._still()
         seen = seen_weights(rest_views(self.gaussians, self.observations), len(self.gaussians))
         clocks = [replace(c, sides=None) for c in self._clocks(self.observations.frames)]

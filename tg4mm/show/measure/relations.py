@@ -67,7 +67,10 @@ def _at(result: SensorResult, reference: SensorResult) -> list[tuple[Orbit, bool
 
 
 def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
-    """Of motion along each one's direction of largest variance; nothing of short records and those with long gaps."""
+    """Return the coherence of motion along each one's direction of largest variance.
+
+    Nothing of short records and those with long gaps.
+    """
     times, x = on_even_clock(a.times_s, _along_main(a))
     y, n = on_even_clock(b.times_s, _along_main(b))[1], len(times)
     length = 2 * n // (_SEGMENTS + 1)

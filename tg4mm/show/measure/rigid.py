@@ -55,7 +55,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Equations:
-    """Of one body with K unknowns on one clock, halves of the data apart."""
+    """The equations of one body with K unknowns on one clock, halves of the data apart."""
 
     normals: np.ndarray  # [2, F or 1, K, K] A
     noise: np.ndarray  # [2, F or 1, K, K] B

@@ -91,7 +91,7 @@ class SensorResult:
 
     @property
     def name(self) -> str:
-        """Of the sensor."""
+        """The sensor's name."""
         return self.sensor.name
 
     @property
@@ -114,7 +114,7 @@ class SensorResult:
 
     @property
     def series(self) -> Series:
-        """Of the one clock, or the first."""
+        """The series of the only clock, or the first."""
         return self.all_series[0]
 
     @property
@@ -144,7 +144,7 @@ class SensorResult:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the axes: x, y, z; right, up, sight of one fixed camera; right, up of a flat capture."""
+        """The names of the axes: x, y, z; right, up, sight of one fixed camera; right, up of a flat capture."""
         return self.series.labels if self.together is None else WORLD
 
     def pixels(self, along: np.ndarray) -> float:
@@ -192,7 +192,10 @@ class SensorResult:
 
     @cached_property
     def damping(self) -> tuple[Damping | None, ...]:
-        """Of each peak; None where it cannot be told. Of clips by the one in which the peak stands out most."""
+        """The damping of each peak; None where it is not known.
+
+        For clips by the one in which the peak stands out most.
+        """
         best = [
             max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
         ]

@@ -20,7 +20,10 @@ _TINY = 1e-30  # of a step: less is 0
 
 @dataclass(frozen=True)
 class Sides:
-    """Of F frames on one clock, for both halves of the data; zero for Gaussians that `rows` lacks."""
+    """The right-hand sides of F frames on one clock, for both halves of the data.
+
+    Zero for Gaussians that `rows` lacks.
+    """
 
     rows: np.ndarray  # [n] int32 of the Gaussians, ascending
     values: np.ndarray  # [2, F, n, 6] int8

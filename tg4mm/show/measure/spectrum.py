@@ -62,7 +62,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Of F frequencies from 0 to half the frame rate, eight to each 1 / duration."""
+    """The spectrum at F frequencies from 0 to half the frame rate, eight to each 1 / duration."""
 
     freqs_hz: np.ndarray  # [F]
     amplitude: np.ndarray  # [F, A] zero to peak, scene units
@@ -83,7 +83,7 @@ def spectrum_of(
     model_share: np.ndarray | None = None,
     between: np.ndarray | None = None,
 ) -> Spectrum:
-    """Of values [T, A] with noise of standard deviations [T, A] at times [T], which need not be even.
+    """Return the spectrum of values [T, A] with noise of deviations [T, A] at times [T], even or uneven.
 
     model_share [A]: standard deviation of errors that grow with the motion, over its length; of the peaks' deviations.
     between [T] bool: of pictures that a codec predicts from both sides (`core.lines`).

@@ -17,7 +17,7 @@ class Unit:
 
 
 def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
-    """Of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
+    """Return the unit of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
     if (scale := measurement.unit_scale_m) is not None:
         return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
     if not measurement.prepared.capture.kind.sees_depth:

@@ -38,7 +38,7 @@ FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # 
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
-    """Of "csv,mat" or "csv mat". Raises MeasureError for what is none, and for none at all."""
+    """Parse "csv,mat" or "csv mat". Raises MeasureError for what is none, and for none at all."""
     names = tuple(dict.fromkeys(text.replace(",", " ").split()))
     for name in names or ("",):
         if name not in FORMATS:
@@ -121,7 +121,7 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
 
 
 def _composite(found: Found) -> dict[str, Any]:
-    """Of a flat capture: power over noise, mean over all cells, and what noise exceeds once in a hundred recordings."""
+    """Return a flat capture's power over noise, mean over cells, and the level of 1 % false alarms."""
     return {
         "frequency_hz": found.hz.tolist(),
         "power_over_noise": found.composite.tolist(),

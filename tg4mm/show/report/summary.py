@@ -37,7 +37,7 @@ class Material:
 
     @property
     def why_still(self) -> str:
-        """Of a model without motion."""
+        """The reason why a model has no motion."""
         if self.train.n_timesteps == 1:
             return "A capture of one timestep has no motion to magnify."
         return "No vibration stands out of the noise, so there is nothing to magnify."

@@ -140,7 +140,7 @@ _HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x
 
 
 def regions_section(m: Material) -> list[Section]:
-    """Of a flat capture that was looked at; else []."""
+    """Return the regions' section of a flat capture that was looked at; else []."""
     found = None if m.train.kind.sees_depth else look_of(m.run)
     if found is None:
         return []

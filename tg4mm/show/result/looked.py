@@ -55,7 +55,10 @@ def looked_vibrations(
 
 
 def depths_of(reading: Reading, found: Found, capture: Capture) -> list[float]:
-    """Of what is seen in each vibration's region, the median; of all that is seen where nothing is there."""
+    """Return the median depth of what is seen in each vibration's region.
+
+    Of all that is seen where nothing is there.
+    """
     (frames, *_), means = fixed_cameras(capture), reading.gaussians.means.numpy()
     x = means.astype(float) @ frames.viewmat[:3, :3].T + frames.viewmat[:3, 3]
     depth = np.maximum(x[:, 2], 1e-9)

@@ -26,7 +26,7 @@ _TOP = 0.99  # of what is seen
 
 @dataclass(frozen=True)
 class Reach:
-    """Of a motion as it is magnified."""
+    """How far a motion may be magnified."""
 
     pixels: float | None  # the largest motion; None without a camera
     noise_px: float | None  # the noise's amplitude; None where it is not known
@@ -46,7 +46,7 @@ def reach_of(
     gains: np.ndarray,
     is_decoded: bool = False,
 ) -> Reach:
-    """Of the modes as `gains` [K] multiplies them; 0: a mode that does not count. noise_px: at gain 1.
+    """Return the reach of the modes as `gains` [K] multiplies them; 0: a mode that does not count. noise_px: at gain 1.
 
     `is_decoded`: magnified poses come from a network (`paper`), for which phasors do not stand. That turns single
     Gaussians by radians where nothing in the scene turns, so that turning and shearing tell no limit: turn is 0.

@@ -76,7 +76,7 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
 
 
 def _tone(reading: Reading, motion: ModalMotion, k: int, band: Band) -> tuple[Tone | None, float]:
-    """Of the motion along mode k in units of the mode's own, and its amplitude's deviation over it."""
+    """Return the tone of the motion along mode k in units of the mode's own, and its amplitude's deviation over it."""
     if "asked_share" in reading.log:
         return None, float(reading.log["asked_share"])
     if motion.n_timesteps < FEWEST:

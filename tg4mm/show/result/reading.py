@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def duration_s(self) -> float:
-        """Of the record, frames that are missing among it. 0 for a run without motion."""
+        """The duration of the record, with frames that are missing. 0 for a run without motion."""
         if self.motion is None:
             return 0.0
         return float(self.log.get("duration_s") or self.motion.n_timesteps / self.motion.fps)
@@ -83,7 +83,7 @@ class Reading:
         return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
 
     def pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
-        """Of a flat capture, where a place lies in its picture."""
+        """Return, for a flat capture, where a place lies in its picture."""
         if self.capture is None or self.capture.kind.sees_depth:
             return None
         viewmat, K = self.capture.viewmats[0].astype(np.float64), self.capture.Ks[0].astype(np.float64)

@@ -48,7 +48,10 @@ class Shot:
 
 
 def shots_of(path: Path, fps: float | None = None) -> list[Shot]:
-    """Of a video, a folder of numbered pictures, or a dataset. Raises CaptureError for anything else."""
+    """Return the pictures of a video, a folder of numbered pictures, or a dataset.
+
+    Raises CaptureError for anything else.
+    """
     if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
         return [_shot("", [_rgb(frame.pixels) for frame in islice(video_frames(path), _FIRST)])]
     if path.is_dir() and (path / "scene.json").is_file():

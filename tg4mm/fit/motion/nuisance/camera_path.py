@@ -78,7 +78,7 @@ class CameraPath:
     def of(
         times_s: np.ndarray, viewmats: np.ndarray, left: np.ndarray, means: np.ndarray, seen: np.ndarray
     ) -> "CameraPath":
-        """Of poses [F, 4, 4] and the coefficients [F, 6] of the pose columns in what each frame's residual is."""
+        """Make the path of poses [F, 4, 4] and coefficients [F, 6] of the pose columns in each frame's residual."""
         viewmats = viewmats.astype(np.float64)
         centre = np.average(means, axis=0, weights=seen)
         to_world = np.stack([_to_world(v, centre) for v in viewmats])
@@ -108,7 +108,7 @@ class CameraPath:
         others: np.ndarray,
         scale: float,
     ) -> Reading:
-        """Of the phasors [N, 3] of a field at a frequency, which `moves` [N]; path [F, 6] as `without` gives it.
+        """Judge the phasors [N, 3] of a field at a frequency, which `moves` [N]; path [F, 6] as `without` gives it.
 
         scale: field times it are phasors of displacement. others: further frequencies of the scene.
         """

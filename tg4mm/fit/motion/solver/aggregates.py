@@ -91,7 +91,7 @@ def aggregate(graph: Graph, means: np.ndarray) -> Aggregates:
 
 
 def _largest_eigenvalue(graph: Graph, blocks: np.ndarray) -> float:
-    """Of M K by power iteration on three random fields."""
+    """Estimate the largest eigenvalue of M K by power iteration on three random fields."""
     x = np.random.default_rng(0).normal(size=(ROWS * len(blocks), 3)).astype(np.float32)
     for _ in range(_POWER_STEPS):
         x /= np.linalg.norm(x, axis=0)

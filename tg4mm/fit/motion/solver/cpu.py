@@ -152,7 +152,7 @@ def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) 
 
 
 def _at_once(n: int) -> list[slice]:
-    """Of n fields those that share a pass over a view."""
+    """Return how many of n fields share a pass over a view."""
     return [slice(a, min(a + AT_ONCE, n)) for a in range(0, n, AT_ONCE)]
 
 

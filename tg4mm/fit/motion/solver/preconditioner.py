@@ -115,7 +115,7 @@ def information(probes: np.ndarray) -> np.ndarray:
 def two_level_preconditioner(
     aggregates: Aggregates, estimate: DiagonalEstimate, prior: float, ridge: float
 ) -> TwoLevelPreconditioner:
-    """Of the operator JᵀWJ + prior · K + ridge · I on fields."""
+    """Return the preconditioner of the operator JᵀWJ + prior · K + ridge · I on fields."""
     n = len(aggregates.smoother)
     own = prior * aggregates.graph.own_blocks
     own[:, range(ROWS), range(ROWS)] += (_PATCH * estimate.diagonal + ridge).reshape(n, ROWS)
@@ -136,7 +136,7 @@ def _inverse_root(matrix: np.ndarray) -> np.ndarray:
 
 
 def _inverse_lower(lower: torch.Tensor) -> torch.Tensor:
-    """Of a lower triangular matrix, by recursive halves: half the time of a triangular solve for the unit matrix."""
+    """Invert a lower triangular matrix by recursive halves: half the time of a triangular solve for the unit matrix."""
     half = len(lower) // 2
     if half < 128:
         return torch.linalg.solve_triangular(lower, torch.eye(len(lower)), upper=False)
@@ -149,7 +149,10 @@ def _inverse_lower(lower: torch.Tensor) -> torch.Tensor:
 
 
 def _inverse(lower: np.ndarray) -> np.ndarray:
-    """Of lower triangular matrices [N, 4, 4] by forward substitution: an eighth of the time of a general inverse."""
+    """Invert lower triangular matrices [N, 4, 4] by forward substitution.
+
+    An eighth of the time of a general inverse.
+    """
     out = np.zeros_like(lower)
     for i in range(ROWS):
         out[:, i, i] = 1 / lower[:, i, i]

@@ -176,7 +176,7 @@ class MovingCamera(Steady):
         return self.ambiguity
 
     def _readings(self, fields: np.ndarray) -> list[Reading]:
-        """Of every frequency's fields [2K, N, 6]."""
+        """Read the camera path for every frequency's fields [2K, N, 6]."""
         if not len(fields):
             return []
         functions = np.sqrt(2 / len(self.path.times_s)) * sinusoids(self.path.times_s, self.hz)

@@ -231,7 +231,10 @@ def frequencies_of(
 
 
 def _tone_of(shifts: Sequence[np.ndarray], times: Sequence[np.ndarray], band: tuple[float, float]) -> Tone:
-    """Of the clock that shows most, in the region shifts that move most. Raises Tg4mmError where none has enough."""
+    """Return the tone of the clock that shows most, in the region shifts that move most.
+
+    Raises Tg4mmError where none has enough.
+    """
     tones: list[Tone] = []
     for y, t in zip(shifts, times, strict=True):
         if len(t) >= FEWEST or len(shifts) == 1:

@@ -19,7 +19,7 @@ from tg4mm.fit.rasterize.missing import may_be_there
 
 
 def _digest() -> str:
-    """Of all files of kernels/, where this file is, and of simd/ beside it."""
+    """Return the digest of all files of kernels/, where this file is, and of simd/ beside it."""
     digest, package = hashlib.sha256(), Path(__file__).parents[1]
     for path in (p for folder in ("kernels", "simd") for p in sorted((package / folder).glob("*.py"))):
         digest.update(path.read_bytes())

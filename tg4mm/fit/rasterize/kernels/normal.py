@@ -194,7 +194,7 @@ def _normal(
 
 @kernel()
 def most_blocks(tile_start, reached):
-    """Of all tiles the most blocks that the pairs of one reach, at least 1, and the most pairs."""
+    """Return the most blocks in any tile that the pairs of one reach, at least 1, and the most pairs."""
     most, longest = 1, 1
     for tile in range(len(tile_start) - 1):
         count = 0

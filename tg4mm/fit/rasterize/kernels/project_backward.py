@@ -94,7 +94,7 @@ def _add_four(at, width, visible, a, b, c, d):
 
 @inlined
 def _axis(slope, centre, focal, size, reciprocal, v_slope, g):
-    """Of an axis of the image, gradient by the place along it and its share of that by z.
+    """Return, for an axis of the image, the gradient by the place along it and its share of that by z.
 
     Through the mean, whose gradient is g, and the Jacobian's entry -focal / z · slope, whose gradient is v_slope and in
     which the slope (x / z, y / z) does not count where it is clamped.

@@ -38,7 +38,7 @@ def _tiles(low, high, n):
 
 @inlined
 def tile_extents(splats, order, k, count, n_x, n_y, room):
-    """Of the Gaussians that stand at k … k + count - 1, at most 16, in `order`: the tiles they reach, to `room`.
+    """Write, for the Gaussians at k … k + count - 1, at most 16, in `order`: the tiles they reach, to `room`.
 
     splats, order, room: addresses. For `tile_rows` and `tiles_of_row`.
     """

@@ -88,7 +88,7 @@ def inside(rows, columns):
 
 @inlined
 def constants(table):
-    """Of TABLE, in registers: pixels' x and y from their block's centre, those of `exp2`, and ALPHA_MAX and T_MIN.
+    """Load TABLE into registers: pixels' x and y from their block's centre, those of `exp2`, and ALPHA_MAX and T_MIN.
 
     As constants of the code they would be fetched anew, each with its address, in every round of a loop.
     """
@@ -125,7 +125,10 @@ def prefetch_pixels(tile, n_x, frame, image, transmittance):
 
 @inlined
 def alphas(y, faintest, alpha_max, powers):
-    """Of y = log2 of the unbounded alpha: alpha, 0 where too faint; where it follows y; where it is bright enough."""
+    """Return, from y = log2 of the unbounded alpha, alpha, 0 where too faint.
+
+    Where it follows y; where it is bright enough.
+    """
     raw = exp2(y, powers)
     free, seen = alpha_max > raw, y >= faintest
     return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
@@ -133,7 +136,7 @@ def alphas(y, faintest, alpha_max, powers):
 
 @inlined
 def alphas_unbounded(y, faintest, alpha_max, powers):
-    """Of y: alpha, and what it would be without an upper bound; 0 where too faint."""
+    """Return, from y, alpha, and what it would be without an upper bound; 0 where too faint."""
     raw = select(y >= faintest, exp2(y, powers), float32(0.0))
     return select(alpha_max > raw, raw, alpha_max), raw
 

@@ -30,7 +30,7 @@ _PLANES = room(BATCH)
 
 @inlined
 def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
-    """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
+    """Load, for the pairs first … last, what `weights` needs, and which blocks they may reach."""
     masks, words, at, _, _ = batch
     flat, gaussians = address(splats), address(pair_gaussian)
     fill_batch(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)

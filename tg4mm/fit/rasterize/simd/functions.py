@@ -94,7 +94,7 @@ def _square_root(context, builder, sig, args):
 
 
 def _logarithm(context, builder, sig, args):
-    """Of positive normal numbers; error below 2e-7 of it.
+    """The logarithm of positive normal numbers; error below 2e-7 of it.
 
     n ln 2 + ln(1 + f) with x = 2^n (1 + f), √½ <= 1 + f < √2, a polynomial for the latter.
     """

@@ -81,7 +81,7 @@ def _as_vector(builder, value, lanes):
 
 
 def _widest(*kinds):
-    """Of the types of arguments the vector's; None where there are two, or none."""
+    """Return the vector type among the types of arguments; None where there are two, or none."""
     found = {kind for kind in kinds if isinstance(kind, Vector)}
     return found.pop() if len(found) == 1 else None
 
