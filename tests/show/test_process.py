@@ -102,7 +102,7 @@ def test_a_still_film_is_answered(tmp_path, capsys):
         (["--from", "-1"], "--from is -1.0, expected"),
         (["--sensor", "a=box:1"], "box"),
         (["--set", "space.iteration=5"], "space.iterations"),
-        (["--band", "3", "5", "--band", "7", "9"], "one video magnifies one band"),
+        (["--band", "3", "5", "--band", "7", "9"], "--band is given 2 times; expected once"),
         (["--alpha", "inf"], "--alpha inf: must be a finite number"),
     ],
 )

@@ -38,7 +38,7 @@ def _cells(scene: Scene, region: Region) -> tuple[np.ndarray, bool]:
     chosen = whole if (whole & scene.usable).any() else share >= _HALF
     if not (chosen & scene.usable).any():
         why = "moves by itself" if scene.masks.moves[chosen].any() else "has no texture"
-        raise RegionError(f"region {region.name!r} {why}: no shift of it can be told")
+        raise RegionError(f"region {region.name!r} {why}: its shift cannot be measured")
     return chosen & scene.usable, bool((share[chosen] >= _WHOLE).all())
 
 
@@ -51,7 +51,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     values, axes = values[::-1] - false, axes[:, ::-1]
     least = max(LEAST_INFORMATION, FROZEN * false)
     if values[0] <= least:
-        raise RegionError(f"region {region.name!r} has no texture: no shift of it can be told")
+        raise RegionError(f"region {region.name!r} has no texture: its shift cannot be measured")
     told = values > max(values[0] / _EDGE**2, least)
     products = np.einsum("fc,cij->fij", seen, information)
     rows = np.linalg.det(products) > _SEEN**2 * np.linalg.det(whole)
@@ -64,7 +64,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     lines = [_line(line, axes[:, told], region, shown) for line in found]
     remarks = [] if is_inside else ["its cells reach beyond it"]
     if not told.all():
-        remarks.append(f"an edge: told along {axes[0, 0]:+.2f} right {-axes[1, 0]:+.2f} up alone")
+        remarks.append(f"an edge: measured along {axes[0, 0]:+.2f} right {-axes[1, 0]:+.2f} up alone")
     lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light)
     return RegionLook(region, tuple(lines), float(values[0] ** -0.5), "; ".join(remarks).replace("-", "−"))
 

@@ -66,7 +66,7 @@ def write_page(words: Words, path: Path) -> None:
     besides = Table(
         ("", ""),
         [[what, text] for what, text in words.besides()],
-        "What else there is, and what is not told.",
+        "Other findings, and what could not be determined.",
         left=2,
     )
     page = Page(

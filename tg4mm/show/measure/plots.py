@@ -133,7 +133,7 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
         )  # fmt: skip
     axes.set_ylim(lowest / 10, max(top, lowest) * 4)
     axes.set(xlabel="frequency, Hz", ylabel=f"amplitude, {unit.name}", xlim=(0, found.freqs_hz[-1]))
-    axes.set_title("dashed: noise floor; what lies under it is not told from noise", fontsize=8, loc="left")
+    axes.set_title("dashed: noise floor; peaks below it are not significant", fontsize=8, loc="left")
 
 
 def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:

@@ -64,7 +64,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     floor = result.spectrum.typical_floor
     level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
     if level * result.px_per_unit < _NO_NOISE_PX:
-        why = "the pictures hold no noise (compression took it, or no camera was there): no floor is told"
+        why = "the pictures hold no noise (compression removed it, or the pictures are rendered): no noise floor"
         return [[result.name, "none", "", "", "", "", "", why]]
     told = f"under {level * unit.factor:.2g} {unit.name}"
     told += "" if unit.name == "px" else f", {level * result.px_per_unit:.2g} px"

@@ -130,7 +130,7 @@ class Desk:
                 lambda _: self._change(Drawing.undone if finish.value == "Undo" else Drawing.finished)
             )
             self._show: Any = gui.add_checkbox(
-                "Texture", True, hint="Green: motion is told. Amber: along the stroke."
+                "Texture", True, hint="Green: motion is measurable. Amber: only along the stroke."
             )
             self._show.on_update(lambda _: self._draw())
             self._said = gui.add_html("")
@@ -280,6 +280,6 @@ class Desk:
             ]
             self._found.content = block(words.verdict, composite_chart(found), *lines)
         except (Tg4mmError, OSError) as error:
-            self._found.content = block(f"Not told: {error}")
+            self._found.content = block(f"Failed: {error}")
         finally:
             self._looking.release()
