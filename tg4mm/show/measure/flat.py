@@ -39,6 +39,9 @@ from tg4mm.show.result.reach import pixel_rows
 _AT_ONCE = 32  # frames
 _SMALLEST_PX = 0.75  # radius: a smaller disc could lie between the centres of pixels
 _FEWEST_PIXELS = 50  # a smaller region is grown to so many: fewer do not tell motion from light
+_THIRDS = 1 / 3, 2 / 3
+_FRAMES_OF_PARTS = 60  # about so many frames tell how parts move beside the region
+_FEWEST_IN_PART = 24  # pixels of a part of a region, by which unevenness is measured
 _TEXTURE = 1e-3  # grey levels² / px² of a region's pixels: less shows no motion
 
 
@@ -62,11 +65,51 @@ def flat_sensors(
     """
     frames = scene.observations.frames[0]
     masks = [_mask(sensor, scene, clusters) for sensor in sensors]
+    parts_of_each = [_parts(mask) for mask in masks]
     motions = region_motions(_chunks(scene), masks, frames.times_s, frames.readout_s, step)
-    return [
-        _measured(scene, sensor, mask, motion)
-        for sensor, mask, motion in zip(sensors, masks, motions, strict=True)
+    every = max(1, len(frames.rows) // _FRAMES_OF_PARTS)
+    flat = [part for own in parts_of_each for part in own]
+    few = (
+        region_motions(_chunks(scene, every), flat, frames.times_s[::every], frames.readout_s) if flat else []
+    )
+    parts, out = iter(few), []
+    for sensor, mask, motion, own in zip(sensors, masks, motions, parts_of_each, strict=True):
+        there = [next(parts).shift for _ in own]
+        uneven = uneven_share(motion.shift[:, ::every], there, [float(part.sum()) for part in own])
+        out.append(_measured(scene, sensor, mask, motion, uneven))
+    return out
+
+
+def _parts(mask: np.ndarray) -> list[np.ndarray]:
+    """Nine parts of a region, three by three; none of a region in which one would be too small."""
+    rows, columns = (
+        np.searchsorted(_THIRDS, np.cumsum(mask.sum(axis)) / mask.sum(), side="right") for axis in (1, 0)
+    )
+    parts = [mask * ((rows == a)[:, None] & (columns == b)) for a in range(3) for b in range(3)]
+    return parts if min(np.count_nonzero(part) for part in parts) >= _FEWEST_IN_PART else []
+
+
+def uneven_share(shift: np.ndarray, parts: Sequence[np.ndarray], areas: Sequence[float]) -> float:
+    """Return by what share of it a region's motion, shift [2, F, 3], differs from the mean over its area.
+
+    Measured as one body, a region whose parts move differently moves as its most textured parts do. How much that is
+    is known from its parts, shifts [2, F, 3] with their areas, but for what is uneven within each: an element of
+    texture covers about nine pixels, and its weight varies by as much as its mean, so that N pixels whose shares of the
+    motion spread by s are wrong by s √(9 / N); within parts of N / 9 pixels the spread is a third. Noise cancels
+    between even and odd frames. 0 without parts.
+    """
+    if not parts:
+        return 0.0
+    whole, *own = (s[..., :2].mean(0) - s[..., :2].mean((0, 1)) for s in (shift, *parts))
+    shares = [
+        [float((o[k::2] * whole[k::2]).sum() / max((whole[k::2] ** 2).sum(), 1e-30)) for o in own]
+        for k in (0, 1)
     ]
+    weights = np.array(areas) / sum(areas)
+    means = np.array(shares) @ weights
+    between = (means[0] - 1) * (means[1] - 1)
+    spread2 = float(weights @ ((shares[0] - means[0]) * (shares[1] - means[1])))
+    return float(np.sqrt(max(between, 0) + max(spread2, 0) / sum(areas)))
 
 
 def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -102,9 +145,9 @@ def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -
     return out
 
 
-def _chunks(scene: Prepared) -> Iterator[Frames]:
-    """Grey levels of boxes of the picture, a few frames at a time."""
-    pictures, rows = scene.observations.pictures, scene.observations.frames[0].rows
+def _chunks(scene: Prepared, every: int = 1) -> Iterator[Frames]:
+    """Grey levels of boxes of the picture, a few frames at a time; `every` so many."""
+    pictures, rows = scene.observations.pictures, scene.observations.frames[0].rows[::every]
     for first in range(0, len(rows), _AT_ONCE):
         yield partial(_grey, pictures, rows[first : first + _AT_ONCE].tolist(), {})
 
@@ -112,14 +155,16 @@ def _chunks(scene: Prepared) -> Iterator[Frames]:
 def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: Box) -> np.ndarray:
     """[f, h, w] grey levels of a box of some pictures, which are decoded once."""
     if isinstance(pictures, GreyPictures):
-        return pictures.data[rows[0] : rows[-1] + 1, *box].astype(np.float32)
+        return pictures.data[rows[0] : rows[-1] + 1, *box][np.array(rows) - rows[0]].astype(np.float32)
     if "all" not in decoded:
         decoded["all"] = pictures.strips(rows)
     raw = decoded["all"]
     return np.asarray(255 * (over_white(raw(box[0])[:, :, box[1]], pictures.maximum) @ LUMA))
 
 
-def _measured(scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionMotion) -> FlatSensor:
+def _measured(
+    scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionMotion, uneven: float
+) -> FlatSensor:
     frames = scene.observations.frames[0]
     if not np.trace(motion.noise.sum(0)[:2, :2]) > _TEXTURE * float((mask > 0).sum()):
         raise MeasureError(f"sensor {sensor}: its pixels show no texture whose motion could be seen")
@@ -135,7 +180,7 @@ def _measured(scene: Prepared, sensor: Sensor, mask: np.ndarray, motion: RegionM
     labels = OF_ONE_CAMERA[:2]
     times = clock.times_s + motion.delay_s
     series = series_of(equations, times, body.axes, labels, body.radius, clock.name)
-    share = np.hypot(series.model_share, GAIN_ERROR)
+    share = np.hypot(series.model_share, np.hypot(GAIN_ERROR, uneven))
     size = np.linalg.norm(series.displacement, axis=1)
     of_model = np.where(motion.hidden[:, None], size.max(), share * size[:, None])
     deviation = np.sqrt(series.noise**2 + of_model**2)
