@@ -139,6 +139,33 @@ def test_the_edge_of_what_vibrates_is_not_masked_however_little_noise_there_is()
     assert found.vibrations[0].amplitude_px == pytest.approx(shift, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("direction", "phase", "rows"), [((0.0, 1.0), 0.0, 2), ((1.0, 0.0), 1.9, 2), ((1.0, 0.0), np.pi, 1)]
+)
+def test_a_part_that_moves_at_the_same_frequency_otherwise_is_a_row_of_its_own(direction, phase, rows):
+    """In another direction or phase, but for half a period: then it is the other side of one mode."""
+    rng, hz, sizes = np.random.default_rng(11), 4.3, (0.4, 0.2)
+
+    def plate(box, towards, size, phase):
+        shape = np.broadcast_to(size * np.array(towards), (HEIGHT, WIDTH, 2))
+        cloth = texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0))
+        return Layer(cloth, box, [Mode(shape, lambda t: float(np.cos(2 * np.pi * hz * t + phase)))], 0.6)
+
+    wall = Layer(texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)), None, [], 0.6)
+    boxes = (16, 32, 56, 80), (104, 32, 144, 80)
+    plates = [plate(boxes[0], (1.0, 0.0), sizes[0], 0.0), plate(boxes[1], direction, sizes[1], phase)]
+    found = seen(Film([wall, *plates], FPS, FRAMES, 2.0, seed=11)).vibrations
+    assert [round(line.hz, 1) for line in found] == [hz] * rows
+    for line, box, size in zip(found, boxes, sizes, strict=False):
+        assert inside(box, line.centre_px)
+        assert abs(line.amplitude_px - size) < 2 * line.amplitude_deviation_px
+    if rows == 2:
+        assert not (found[0].cells & found[1].cells).any()
+        assert abs(np.dot(found[1].direction, direction)) > 0.98
+        own = (p.phase_rad + np.pi * (p.direction[0] + p.direction[1] < 0) for p in found)
+        assert np.cos(np.subtract(*own) + phase) > 0.97
+
+
 def test_the_wall_is_the_background_though_the_plate_has_more_texture():
     """Weighted by texture, half of the motion would be taken for the camera's."""
     rng = np.random.default_rng(6)

@@ -31,6 +31,7 @@ _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is 
 _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
+_ITS_RIM = 2  # cells from one that moves by itself, whose neighbours are left out, to the nearest that is used
 _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels
@@ -90,7 +91,7 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
         if moved.any() and still.sum() > _LEAST_STILL * scene.usable.sum():
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
-    lines = [_line(search, line) for line in search.lines]
+    lines = [one for line in search.lines for one in _lines(search, line)]
     lines = marked(
         lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light, _clipped(series)
     )
@@ -118,7 +119,7 @@ def _edges(search: Search) -> np.ndarray:
         return out
     moving = np.zeros(len(out), bool)
     moving[cell_numbers(search)[_moved(search)]] = True
-    beside = ndimage.binary_dilation(scene.grid.picture(moving), BLOCK).ravel()
+    beside = ndimage.binary_dilation(scene.grid.picture(moving), BLOCK, _ITS_RIM).ravel()
     own = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
     folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in own]
     for cells, tones in _by_themselves(scene):
@@ -144,9 +145,14 @@ def _moved(search: Search) -> np.ndarray:
     return moved
 
 
-def _line(search: Search, line: Line) -> LookLine:
-    where: Placed = placed(search, line)
-    grid, told = search.scene.grid, _reported(search, line)
+def _lines(search: Search, line: Line) -> list[LookLine]:
+    """Return a line's rows: the place where it is largest, then parts that move at its frequency in another way."""
+    told = _reported(search, line)
+    return [_line(search, line, told, where) for where in placed(search, line)]
+
+
+def _line(search: Search, line: Line, told: CoreLine, where: Placed) -> LookLine:
+    grid = search.scene.grid
     cells = where.moving if len(where.moving) else where.region
     return LookLine(
         *(told.hz, told.hz_deviation, where.amplitude_px, where.deviation_px),

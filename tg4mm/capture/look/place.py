@@ -9,10 +9,11 @@ lack; where P pictures lack detail beside I pictures, .4 of that share may be go
 calibrated on random films (`benchmarks/calibration`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import ndimage, stats
 
 from tg4mm.capture.look.model import Readout
 from tg4mm.capture.look.pools import Pool
@@ -21,6 +22,7 @@ from tg4mm.capture.look.rows import by_phases
 from tg4mm.capture.look.scene import lacks
 from tg4mm.capture.look.search import Line, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
+from tg4mm.capture.look.usual import BLOCK
 from tg4mm.capture.tracking.template import GAIN_ERROR
 
 RIM = 0.08  # share of an amplitude that is not exact in cells that hold what is behind, too
@@ -35,6 +37,9 @@ _SEEN = 0.04  # of the region's information squared that a picture must have
 _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P pictures' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
+_OTHERWISE = np.deg2rad(30)  # in direction or phase: a part that moves otherwise
+_CLEARLY = 3.0  # deviations by which a part's amplitude and its difference are above 0
+_FEWEST_APART = 2  # cells of a part that moves otherwise: one alone may be an edge
 _AROUND = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
 
 
@@ -68,13 +73,49 @@ def cell_numbers(search: Search) -> np.ndarray:
     return np.asarray(corner[:, 0] * search.scene.grid.columns + corner[:, 1])
 
 
-def placed(search: Search, line: Line) -> Placed:
-    """Region, amplitude and readout of a line."""
-    return _Placing(search, line).placed()
+def placed(search: Search, line: Line) -> list[Placed]:
+    """Region, amplitude and readout of a line, and those of parts that move at its frequency in another way.
+
+    Cells that show the line fall into parts that do not touch. A part is a row of its own where its direction or its
+    phase (but for half a period) clearly differs by more than 30° from that of each part before it.
+    """
+    placing = _Placing(search, line)
+    out = [placing.placed()]
+    numbers, grid = cell_numbers(search), search.scene.grid
+    labels, count = ndimage.label(grid.picture(np.isin(np.arange(len(grid)), out[0].moving)), BLOCK)
+    own = labels.ravel()[numbers]
+    largest = [float(placing.cells.statistic[own == k].max()) for k in range(1, count + 1)]
+    for k in 1 + np.argsort(largest)[::-1]:
+        inside = own == k
+        if inside.sum() < _FEWEST_APART or np.isin(out[0].region, numbers[inside]).any():
+            continue
+        part = _Placing(search, line, inside).placed()
+        if all(_differs(search, line, part, one) for one in out):
+            out.append(part)
+    if len(out) > 1:
+        rest = np.concatenate([part.moving for part in out[1:]])
+        out[0] = replace(out[0], moving=np.setdiff1d(out[0].moving, rest))
+    return out
+
+
+def _differs(search: Search, line: Line, part: Placed, other: Placed) -> bool:
+    """Whether a part clearly moves in another direction or phase; rows that are read later are later in phase."""
+    if part.amplitude_px < _CLEARLY * part.deviation_px:
+        return False
+    sure = _CLEARLY * np.hypot(
+        part.deviation_px / part.amplitude_px, other.deviation_px / max(other.amplitude_px, 1e-12)
+    )
+    turned = np.arccos(min(abs(float(part.direction @ other.direction)), 1.0))
+    away = abs((part.phase_rad - other.phase_rad + np.pi / 2) % np.pi - np.pi / 2)
+    height = abs(part.centre_px[1] - other.centre_px[1]) / search.scene.series.size[1]
+    by_rows = 2 * np.pi * line.vibration.hz * height * search.scene.dt
+    return bool(turned > max(_OTHERWISE, sure) or away > max(_OTHERWISE, sure) + by_rows)
 
 
 class _Placing:
-    def __init__(self, search: Search, line: Line) -> None:
+    """Finds the place of a line; inside [P] bool: among some cells alone."""
+
+    def __init__(self, search: Search, line: Line, inside: np.ndarray | None = None) -> None:
         self.search, self.line = search, line
         self.basis = line.vibration.columns(search.times)
         self.products = self.basis.T @ self.basis
@@ -85,6 +126,18 @@ class _Placing:
         precision = np.minimum(pool.filled, 1)[:, None] / self.cells.variance
         self.weights = np.einsum("cxa,ca,cya->cxy", axes, precision, axes)  # [P, 2, 2]
         self.at = {(int(r), int(c)): k for k, (r, c) in enumerate(pool.corner)}
+        if inside is not None:
+            self._keep(inside)
+
+    def _keep(self, inside: np.ndarray) -> None:
+        """Leave out the places that reach beyond some cells [P] bool."""
+        outside = np.zeros((self.search.scene.grid.rows, self.search.scene.grid.columns), bool)
+        outside[tuple(self.cells.pool.corner[~inside].T)] = True
+        for each in self.all:
+            size = each.pool.size
+            beyond = sliding_window_view(outside, (size, size)).any((2, 3))
+            each.statistic[beyond[tuple(each.pool.corner.T)]] = 0
+        self.at = {cell: k for cell, k in self.at.items() if inside[k]}
 
     def placed(self) -> Placed:
         statistic = self.cells.statistic

@@ -266,7 +266,8 @@ def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
     out: list[Sensor] = []
     for line in found.vibrations:
         radius = found.cell_px * float(np.sqrt(line.region.sum() / np.pi))
-        name = f"{line.hz:.4g} Hz"
-        if name not in [sensor.name for sensor in out]:
-            out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
+        name, taken = f"{line.hz:.4g} Hz", [sensor.name for sensor in out]
+        if name in taken:  # a part that moves at this frequency in another way
+            name += f" {1 + sum(other.startswith(name) for other in taken)}"
+        out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
     return out

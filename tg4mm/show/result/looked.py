@@ -40,16 +40,18 @@ def looked_vibrations(
     depths: how far from the camera, along its axis, each of them is; None: of a flat capture, at 1.
     """
     lines = found.vibrations
-    deviations = [line.hz_deviation for line in lines]
-    reach = [max(1 / duration_s, 2 * line.hz * (line.damping or 0)) for line in lines]  # half the width: ζ f
-    bands = suggested_bands([line.hz for line in lines], deviations, duration_s, fps, reach)
+    apart = list({line.hz: line for line in lines}.values())  # parts of one frequency share its band
+    deviations = [line.hz_deviation for line in apart]
+    reach = [max(1 / duration_s, 2 * line.hz * (line.damping or 0)) for line in apart]  # half the width: ζ f
+    hz = [line.hz for line in apart]
+    bands = dict(zip(hz, suggested_bands(hz, deviations, duration_s, fps, reach), strict=True))
     row = 0 if depths is None else int(fixed_cameras(capture)[0].rows[0])
     viewmat, K = capture.viewmats[row].astype(float), capture.Ks[row].astype(float)
     out = []
-    for line, depth, band in zip(lines, depths or [1.0] * len(lines), bands, strict=True):
+    for line, depth in zip(lines, depths or [1.0] * len(lines), strict=True):
         sight = np.linalg.solve(K, [*line.centre_px, 1.0]) * depth
         place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
-        own = _vibration(line, place, depth / K[0, 0], band)
+        own = _vibration(line, place, depth / K[0, 0], bands[line.hz])
         out.append(replace(own, place_px=line.centre_px) if depths is None else own)
     return tuple(out)
 

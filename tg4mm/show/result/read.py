@@ -232,7 +232,7 @@ def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
 
 def _found(reading: Reading, motion: ModalMotion) -> list[Peak]:
     """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
-    known = [] if reading.look is None else [line.hz for line in reading.look.vibrations]
+    known = [] if reading.look is None else list({line.hz for line in reading.look.vibrations})
     noise = reading.uncertainty.get("noise")
     hz = [float(f) for f in peaks(motion, PERIODS / reading.duration_s, noise, known)]
     told = {float(f): float(d) for f, d in zip(*(reading.log.get(k, ()) for k in _STATED), strict=False)}
