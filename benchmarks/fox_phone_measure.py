@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, project, visible, world_of
 from tg4mm.run import Run
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
-from tg4mm.show.measure.fourier import sinusoid_columns
+from tg4mm.show.measure.spectrum import sinusoid_columns
 
 # x, y, radius in pixels of the tripod's view: the nose, the picture frame's lower edge, wallpaper that stands still
 PLACES = {"nose": (302, 423, 14), "frame": (90, 192, 16), "wall": (430, 120, 40)}

@@ -6,10 +6,9 @@ import pytest
 from tests.helpers.synthetic import _viewmats
 from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.show.measure import measure, parse_sensor, prepare
-from tg4mm.show.measure.clips import KnownPhases, together
+from tg4mm.show.measure.clips import KnownPhases, Rows, together, triangulated
 from tg4mm.show.measure.locate import sight_axes
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.triangulation import Rows, triangulated
 
 HZ, FPS, SAMPLES = 4.3, 30.0, 60
 PHASOR = np.array([1.0, 0.5j, -0.8 + 0.3j])

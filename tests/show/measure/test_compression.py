@@ -11,9 +11,7 @@ from tg4mm.capture import load_capture
 from tg4mm.capture.scene import codec_period
 from tg4mm.core.errors import CaptureError
 from tg4mm.show.measure import measure, parse_sensor, prepare
-from tg4mm.show.measure.compression import with_sidebands
-from tg4mm.show.measure.harmonics import Sideband
-from tg4mm.show.measure.spectrum import Peak, spectrum_of
+from tg4mm.show.measure.spectrum import Peak, Sideband, spectrum_of, with_sidebands
 
 FPS = 30.0
 TIMES = np.arange(90) / FPS

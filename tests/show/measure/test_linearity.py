@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.show.measure.linearity import missing_share, other_share
+from tg4mm.show.measure.limits import missing_share, other_share
 
 
 def picture(sigma, x):

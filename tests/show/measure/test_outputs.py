@@ -10,7 +10,7 @@ from tests.show.measure.filmed import BALL, BALL_SPHERE, PARTS, modes, of_parts,
 from tg4mm.cli.program import main
 from tg4mm.show.analyse import read_channels
 from tg4mm.show.measure import measure, parse_sensor, sep005
-from tg4mm.show.measure.parts import parts_picture
+from tg4mm.show.measure.plots import parts_picture
 from tg4mm.show.measure.tables import _cell
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])

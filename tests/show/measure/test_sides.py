@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.show.measure.sides import Sides
+from tg4mm.show.measure.kept import Sides
 
 N, FRAMES = 400, 60
 SEEN = np.arange(50, 350)

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from tg4mm.show.measure.derivatives import derivatives_of, deviations_of
-from tg4mm.show.measure.fourier import CHANCE
-from tg4mm.show.measure.harmonics import Harmonic, harmonics_of
 from tg4mm.show.measure.orbit import orbit_in, orbit_of
-from tg4mm.show.measure.spectrum import spectrum_of, with_band
+from tg4mm.show.measure.spectrum import CHANCE, Harmonic, harmonics_of, spectrum_of, with_band
 
 TIMES = np.arange(60) / 30.0
 

@@ -9,17 +9,16 @@
 docs/measure.md has the equations.
 """
 
-from tg4mm.show.measure.arrays import sep005
 from tg4mm.show.measure.clusters import Clusters
-from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement, default_sensors, measure, measure_one
 from tg4mm.show.measure.prepared import prepare, prepare_fit
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.measure.sensors import Sensor, parse_sensor, read_sensors
+from tg4mm.show.measure.sensors import MeasureError, Sensor, parse_sensor, read_sensors
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.shapes import Shape
 from tg4mm.show.measure.spectrum import Peak, Spectrum
+from tg4mm.show.measure.tables import sep005
 from tg4mm.show.measure.video import prepare_video
 
 __all__ = [

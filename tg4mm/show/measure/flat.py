@@ -18,7 +18,6 @@ from tg4mm.capture.tracking.template import GAIN_ERROR
 from tg4mm.capture.video import LUMA
 from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.observations import PosedFrames
-from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
     check_pixel,
@@ -30,7 +29,7 @@ from tg4mm.show.measure.locate import (
 )
 from tg4mm.show.measure.rigid import Body, Equations
 from tg4mm.show.measure.scene import GreyPictures, Prepared
-from tg4mm.show.measure.sensors import OF_PICTURE, Sensor
+from tg4mm.show.measure.sensors import OF_PICTURE, MeasureError, Sensor
 from tg4mm.show.measure.series import Series, series_of
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features

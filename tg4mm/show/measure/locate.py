@@ -10,10 +10,9 @@ from tg4mm.core.scale import Scale
 from tg4mm.fit.motion.jacobian.view import blend_sum
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
-from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.scene import Prepared
-from tg4mm.show.measure.sensors import OF_PICTURE, STILL, Sensor
+from tg4mm.show.measure.sensors import OF_PICTURE, STILL, MeasureError, Sensor
 
 _LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
 _BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth

@@ -16,9 +16,8 @@ from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
 from tg4mm.show.measure.codec import with_losses
-from tg4mm.show.measure.compression import USUAL_PERIOD
-from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.flat import flat_sensors
+from tg4mm.show.measure.kept import HALVES
 from tg4mm.show.measure.limits import limits_of
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
@@ -29,18 +28,15 @@ from tg4mm.show.measure.locate import (
     unit_scale,
     weights_of,
 )
-from tg4mm.show.measure.modal_fields import clock_phases
-from tg4mm.show.measure.model_error import shared_error, with_model_error
 from tg4mm.show.measure.prepared import prepare
-from tg4mm.show.measure.relations import relation_of
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.rigid import Body, equations_of
-from tg4mm.show.measure.scene import Prepared, SharedClock
-from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.measure.sensors import Sensor, checked_names
-from tg4mm.show.measure.series import Series, series_of
+from tg4mm.show.measure.scene import Prepared, SharedClock, clock_phases
+from tg4mm.show.measure.sensor_result import SensorResult, relation_of
+from tg4mm.show.measure.sensors import MeasureError, Sensor, checked_names
+from tg4mm.show.measure.series import Series, series_of, shared_error, with_model_error
 from tg4mm.show.measure.shapes import Shape, shapes_of
-from tg4mm.show.measure.sides import HALVES
+from tg4mm.show.measure.spectrum import USUAL_PERIOD
 from tg4mm.show.measure.video import looked_at
 
 
@@ -271,3 +267,23 @@ def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
             name += f" {1 + sum(other.startswith(name) for other in taken)}"
         out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
     return out
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What scene units are multiplied by, and what that is called."""
+
+    name: str  # in text: mm, units, px
+    column: str  # in a column's name: mm, scene_units, px
+    factor: float
+    uff: tuple[int, float, str]  # code of dataset 164 (1: metres), metres per stored unit, text of the units
+
+
+def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
+    """Return the unit of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
+    if (scale := measurement.unit_scale_m) is not None:
+        return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
+    if not measurement.prepared.capture.kind.sees_depth:
+        some = result or measurement.sensors[0]
+        return Unit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
+    return Unit("units", "scene_units", 1.0, (9, 1.0, "scene units"))

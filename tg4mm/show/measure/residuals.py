@@ -3,7 +3,8 @@
 Of frame f of view v, r_f = I_f − Ī_v − J_v M x(τ_f): the frame's change less what the run's modes show of it. Kept are
 Jᵀ W (1 − Q Qᵀ W) r_f of every Gaussian, summed over the views of one clock, for two halves of the data each by itself.
 A sensor's motion is a sum of these over its region and a few products with the Jacobian (`rigid.py`): nothing needs the
-pictures again.
+pictures again. With a rolling shutter, each band of rows has times of its own (docs/method.md), and sums over a band
+are interpolated to the frames' times.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,18 +15,43 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.pictures import over_white
 from tg4mm.capture.tracking.bands import bands_of
+from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import LEAST, chessboard
-from tg4mm.show.measure.rows import by_band, to_middle
-from tg4mm.show.measure.sides import HALVES
+from tg4mm.show.measure.kept import HALVES
 
 AT_ONCE = 8  # frames
 Step = Callable[[int], None]  # is told how many more frames are done
 _SMOOTHING_PX = 1.5
 _SAMPLE = 128  # frames that tell the pixels' noise
+
+
+def by_band(frames: PosedFrames, height: int, series: np.ndarray) -> np.ndarray:
+    """[B, R, F]: functions of the frames' times [R, F] at the times of every band."""
+    return np.stack(
+        [later(frames.times_s, series, band.delay_s) for band in bands_of(frames.readout_s, height)]
+    )
+
+
+def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndarray) -> None:
+    """Brings `sides` [2, F, N, 6] of N Gaussians, each at the time of its row of the picture, to the frames' times.
+
+    rows [N]: pixels from the upper edge.
+    """
+    for band in bands_of(frames.readout_s, height):
+        last = np.inf if band.rows.stop == height else band.rows.stop
+        first = -np.inf if band.rows.start == 0 else band.rows.start
+        some = np.flatnonzero((rows >= first) & (rows < last))
+        if not len(some):
+            continue
+        for half in sides:
+            own = half[:, some]
+            half[:, some] = later(frames.times_s, own.reshape(len(own), -1).T, -band.delay_s).T.reshape(
+                own.shape
+            )
 
 
 @dataclass(frozen=True)

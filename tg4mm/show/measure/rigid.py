@@ -25,8 +25,8 @@ import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.pixels import false_changes
+from tg4mm.show.measure.kept import HALVES, Sides
 from tg4mm.show.measure.residuals import MeasuredView
-from tg4mm.show.measure.sides import HALVES, Sides
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.cameras import FARTHEST
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.regions import Regions
 from tg4mm.core.untrusted import read_yaml
-from tg4mm.show.measure.errors import MeasureError
 
 _NAME = re.compile(r"[^\W_][\w.+-]*( [\w.+-]+)*")  # a file's name is made of it
 _FORMS = {
@@ -25,6 +25,10 @@ OF_PICTURE = "pixel", "polygon"  # regions of a camera's picture
 PIXEL_RADIUS = 4.0  # pixels
 _LONGEST = 60  # characters of a value in a message
 STILL = 0  # number of the cluster that does not move
+
+
+class MeasureError(Tg4mmError):
+    """A sensor that cannot be read, that holds no Gaussian, or that no picture shows."""
 
 
 @dataclass(frozen=True)

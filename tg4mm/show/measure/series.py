@@ -4,14 +4,22 @@ u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand a
 give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
 model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
 they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
+
+Errors of the model are common to both halves and grow with the motion. The run knows of every Gaussian how uncertain
+its motion is (docs/method.md, "Uncertainty"). A sensor averages over its region and fits nothing but a rigid motion, so
+half of that is left along each axis: a number from a generated set with exact truth (docs/measure.md). To it is added
+what the halves differ by in proportion to the motion. An error of the model spreads over directions as noise would.
+Which part stands still before a moving camera is one question for the whole region: that error stays whole, and where
+the run does not know it, is as large as the motion.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal.windows import blackmanharris
 
-from tg4mm.show.measure.rigid import Equations
+from tg4mm.show.measure.rigid import Body, Equations
+from tg4mm.show.measure.scene import Prepared
 
 _QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
 _FEWEST = 12  # samples that a spectrum is judged by
@@ -19,6 +27,8 @@ TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction i
 _SURE = 1.5  # times as uncertain as without rotations a translation may become
 _TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
 UNSEEN = 1e-6  # of the best-seen direction's information: less is rounding, and is not observed
+OF_UNCERTAINTY = 0.5
+_MOST = 1.0  # of the motion
 
 
 @dataclass(frozen=True)
@@ -186,3 +196,43 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong sinusoid fills
     power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())
+
+
+def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
+    """The series with `model_share` and with it in `deviation`: σ_f² = noise² + (share · |u_f|)²."""
+    size = np.linalg.norm(np.where(series.is_resolved, series.displacement, 0), axis=1)
+    rms = float(np.sqrt((size**2).mean()))
+    base = min(shared_error(scene, body) / rms, _MOST) if rms > 0 else 0.0
+    base = _MOST if scene.fit.undetermined_hz else base
+    least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
+    ratio = np.sqrt(np.where(series.is_observed, series.unit_variance, 0) / least)
+    share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
+    share = np.hypot(share, np.where(series.is_observed, series.false_share, 0))
+    deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
+    return replace(series, model_share=share, deviation=deviation)
+
+
+def shared_error(scene: Prepared, body: Body) -> float:
+    """Scene units rms, along one axis: by the run's uncertainty of the region's Gaussians; 0 where it has none."""
+    known = _along_an_axis(scene)
+    if known is None:
+        return 0.0
+    ground = scene.fit.uncertainty.get("ground", np.zeros(1))
+    return float(np.hypot(OF_UNCERTAINTY * _rms(scene, body, known), _rms(scene, body, ground)))
+
+
+def _rms(scene: Prepared, body: Body, values: np.ndarray) -> float:
+    """Over what is seen of a region, of values [N]."""
+    seen = body.weights * scene.seen
+    return float(np.sqrt((seen @ np.broadcast_to(values.astype(np.float64) ** 2, seen.shape)) / seen.sum()))
+
+
+def _along_an_axis(scene: Prepared) -> np.ndarray | None:
+    """[N] standard deviation of every Gaussian along one axis, scene units: of one camera across its sight."""
+    found = scene.fit.uncertainty
+    if "across_sight" in found:
+        return found["across_sight"]
+    if not found:
+        return None
+    of_model = found["displacement"] ** 2 - found.get("ground", np.zeros(1)) ** 2
+    return np.asarray(np.sqrt(np.maximum(of_model, 0) / 3))

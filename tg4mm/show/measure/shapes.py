@@ -1,16 +1,34 @@
-"""Operating deflection shapes: how every Gaussian moves at the frequencies that stand out."""
+"""Operating deflection shapes: how every Gaussian moves at the frequencies of peaks, also as animated pictures."""
 
+import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
+import torch
+from PIL import Image
 
+from tg4mm.core.files import write_atomic
+from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animate
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_image
 
 _SAME = 0.75  # of 1 / duration: nearer than this two frequencies are one
 _TOLD = 2.0  # deviations that a Gaussian's motion must stand out of
 _MOST = 6
+FRAMES = 16  # of a period
+_SHOWN_PX = 0.02  # of the picture's width: what the strongest motion is magnified to
+_MILLISECONDS = 60  # a frame
+_LONGER = 384  # pixels of the longer side, at least: smaller pictures are enlarged by a whole factor
+_GREY = 0.75  # of the way to grey
 
 
 @dataclass(frozen=True)
@@ -58,3 +76,78 @@ def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndar
     times = scene.clocks[0].times_s
     turn = np.exp(2j * np.pi * np.outer(motion.freqs_hz[near] - frequency_hz, times))
     return np.tensordot(turn.mean(1).astype(np.complex64), motion.displacement[near], 1)
+
+
+def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> list[tuple[Path, float]]:
+    """OUT/shapes/<frequency>Hz.gif of every shape, and by what its motion is magnified (1 + α)."""
+    folder, written = out / "shapes", []
+    shown = [s for s in shapes if s.is_above.any()]
+    if not shown:
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress("shapes", len(shown) * FRAMES, "pictures") as update:
+        for k, shape in enumerate(shown):
+            camera, pixels = _best(scene, shape)
+            gain = max(_SHOWN_PX * camera.width / max(pixels, 1e-9), 1.0)
+            pictures = []
+            for frame, gaussians in enumerate(_period(scene, shape, gain)):
+                pictures.append(
+                    to_bytes(
+                        np.asarray(
+                            render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height)
+                        )
+                    )
+                )
+                update(k * FRAMES + frame + 1)
+            path = folder / f"{f'{shape.frequency_hz:.3f}'.replace('.', '_')}Hz.gif"
+            data = _gif(pictures)
+            write_atomic(path, partial(Path.write_bytes, data=data))
+            written.append((path, gain))
+    return written
+
+
+def _period(scene: Prepared, shape: Shape, gain: float):
+    """The Gaussians at each frame."""
+    phasors = np.where(shape.is_above[:, None], shape.phasors, 0).astype(np.complex64)[None]
+    motion = ModalMotion(np.array([1.0]), phasors, np.zeros_like(phasors), float(FRAMES), FRAMES)
+    greyed = _greyed(scene.gaussians, ~shape.is_above & (np.abs(shape.phasors).sum(1) > 0))
+    return (animate(greyed, motion, t, gain - 1) for t in range(FRAMES))
+
+
+def _greyed(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
+    which = torch.from_numpy(rows)
+    sh = gaussians.sh.clone()
+    sh[which] = (1 - _GREY) * sh[which] + _GREY * sh[which].mean(2, keepdim=True)
+    return replace(gaussians, sh=sh)
+
+
+def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
+    """The camera in which the shape moves by most pixels, and how many (99th percentile of what is seen)."""
+    rows = np.flatnonzero(shape.is_above & (scene.seen > 0.5))
+    rows = rows if len(rows) else np.flatnonzero(shape.is_above)
+    best, most = 0, -1.0
+    for k, frames in enumerate(scene.observations.frames):
+        across = np.abs(shape.phasors[rows] @ frames.viewmat[:2, :3].T)
+        depth = scene.means[rows] @ frames.viewmat[2, :3] + frames.viewmat[2, 3]
+        pixels = float(
+            np.percentile(np.linalg.norm(across, axis=1) * frames.K[0, 0] / np.maximum(depth, 1e-6), 99)
+        )
+        if pixels > most:
+            best, most = k, pixels
+    frames = scene.observations.frames[best]
+    width, height = scene.observations.size
+    return Camera(
+        frames.name, frames.viewmat.astype(np.float64), frames.K.astype(np.float64), width, height
+    ), most
+
+
+def _gif(pictures: list[np.ndarray]) -> bytes:
+    """Return a GIF of pictures [H, W, 3] uint8."""
+    data = io.BytesIO()
+    height, width = pictures[0].shape[:2]
+    k = -(-_LONGER // max(height, width))
+    images = [Image.fromarray(p).resize((k * width, k * height), Image.Resampling.BICUBIC) for p in pictures]
+    images[0].save(
+        data, "GIF", save_all=True, append_images=images[1:], duration=_MILLISECONDS, loop=0, disposal=1
+    )
+    return data.getvalue()

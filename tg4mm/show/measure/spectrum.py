@@ -1,12 +1,16 @@
-"""Amplitude spectrum of a sensor with its noise floor, and the peaks that stand out of it.
+"""Amplitude spectrum of a sensor with its noise floor, the peaks that stand out of it, and what may have made them.
 
 The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero
 to peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
 √(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone passes anywhere in the whole spectrum, on any of the
 axes, in one record of a hundred; s is what is known of the samples, and where that is more, what is left around a
-frequency when the lines are taken out. What lies under the floor is not told from noise.
+frequency when the lines are taken out. Peaks are the record's lines (`core.lines`), each tested.
 
-Peaks are the record's lines (`core.lines`): steady, ringing down, growing, or beginning in the record, each tested.
+A peak may be a harmonic: where pictures do not change in proportion to motion, f makes peaks at 2f and 3f too. It may
+also be a sideband made by a video codec. Every P frames one is predicted forward, those between it from both sides and
+more coarsely, so that a motion of f Hz also appears at k / (P Δt) ± f. Seen on H.264 of x264, P = 4: 3.4 Hz at 30 Hz
+made peaks at 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec removes most of a small
+motion, what is left is up to three times the sideband. Encoders without such a period make lines at these places too.
 """
 
 from collections.abc import Sequence
@@ -16,8 +20,111 @@ import numpy as np
 
 from tg4mm.core.lines import Line, Lines, find_lines
 from tg4mm.core.lines.band import Tone, tone_in
-from tg4mm.show.measure.fourier import floor_factor, frequency_grid, is_resolved, rayleigh, transformed
-from tg4mm.show.measure.harmonics import Harmonic, Sideband, harmonics_of
+
+CHANCE = 0.01  # that noise alone passes the floor anywhere
+OVERSAMPLED = 8  # frequencies to each 1 / duration
+_TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_ORDERS = 2, 3
+NEAR = 0.5  # of 1 / duration
+SURE = 3.0  # deviations
+USUAL_PERIOD = 4  # frames, of a video whose kinds of frames show none
+WEAKER = 2.5  # times weaker than the vibration that it comes of, at least
+
+
+def frequency_grid(times_s: np.ndarray) -> np.ndarray:
+    """[F] Hz, from 0 to half the frame rate."""
+    step = float(np.median(np.diff(times_s)))
+    duration = float(np.ptp(times_s)) + step  # frames may be missing
+    count = int(duration / (2 * step) * OVERSAMPLED + 1e-9) + 1
+    return np.arange(count) / (duration * OVERSAMPLED)
+
+
+def sinusoid_columns(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """[T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
+    angles = 2 * np.pi * times_s[:, None] * np.asarray(hz)[None]
+    return np.concatenate([np.ones((len(times_s), 1)), np.cos(angles), -np.sin(angles)], 1)
+
+
+def hann(times_s: np.ndarray) -> np.ndarray:
+    """[T] Hann's window over the record."""
+    step = float(np.median(np.diff(times_s)))
+    share = (times_s - times_s[0] + step / 2) / (np.ptp(times_s) + step)
+    return np.sin(np.pi * share) ** 2
+
+
+def transformed(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """[F, 3] complex: 2 Σ w u exp(−i 2πν t) / Σ w of values [T, 3] less their mean; a sinusoid has its phasor there."""
+    window = hann(times_s)
+    turned = np.exp(-2j * np.pi * grid[:, None] * times_s) * window
+    own = values - (window @ values) / window.sum()
+    return np.asarray(turned @ own * (2 / window.sum()))
+
+
+def rayleigh(times_s: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """[3] parameter of the distribution of |`transformed`| of noise with standard deviations [T, 3]."""
+    window = hann(times_s)
+    return np.asarray(np.sqrt(2 * (window[:, None] ** 2 * deviation**2).sum(0)) / window.sum())
+
+
+def floor_factor(n_samples: int) -> float:
+    """The floor over `rayleigh`: the level that noise alone passes anywhere in one record of a hundred."""
+    return float(np.sqrt(-2 * np.log(CHANCE / (3 * max(n_samples // 2, 1)))))
+
+
+def is_resolved(level: np.ndarray) -> np.ndarray:
+    """[3] bool of a floor [3]: seen, and not ten times less sure than the best direction, as one camera's sight is."""
+    finite = np.where(np.isfinite(level), level, np.inf)
+    return np.isfinite(level) & (finite <= _TOLD * finite.min())
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """`order` times the frequency `of_hz` of a stronger peak."""
+
+    order: int
+    of_hz: float
+
+    def __str__(self) -> str:
+        return f"may be a harmonic: {self.order} × {self.of_hz:.4g} Hz"
+
+
+@dataclass(frozen=True)
+class Sideband:
+    """|`codec_hz` ± `of_hz`|, of a stronger peak's frequency."""
+
+    codec_hz: float
+    of_hz: float
+    is_sum: bool
+
+    def __str__(self) -> str:
+        sign = "+" if self.is_sum else "−"
+        return f"may be of the video's compression: {self.codec_hz:.4g} {sign} {self.of_hz:.4g} Hz"
+
+
+def harmonics_of(
+    hz: Sequence[float], deviation: Sequence[float], size: Sequence[float], fps: float, resolution: float
+) -> list[Harmonic | None]:
+    """For each of several peaks, the strongest peak that it may be a harmonic of; None where there is none.
+
+    hz and deviation of the frequencies, size: amplitudes; resolution: 1 / duration, Hz. What lies above half the frame
+    rate is looked for where it appears in the record.
+    """
+
+    def of(k: int) -> Harmonic | None:
+        for j in sorted(range(len(hz)), key=lambda j: -size[j]):
+            for order in _ORDERS if size[j] > size[k] else ():
+                error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
+                is_told = SURE * deviation[j] < resolution  # else many a peak would be near
+                if is_told and abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
+                    return Harmonic(order, hz[j])
+        return None
+
+    return [of(k) for k in range(len(hz))]
+
+
+def seen_at(hz: float, fps: float) -> float:
+    """Where a frequency appears in samples taken at `fps` Hz."""
+    return abs(hz - round(hz / fps) * fps)
 
 
 @dataclass(frozen=True)
@@ -168,3 +275,28 @@ def strength_of(peak: Peak) -> float:
     """Amplitude over floor, of the axis where that is largest."""
     scale = np.where(np.isfinite(peak.floor), np.maximum(peak.floor, 1e-300), np.inf)
     return float((peak.amplitude / scale).max())
+
+
+def with_sidebands(
+    peaks: Sequence[Peak], period: int | None, fps: float, duration_s: float
+) -> tuple[Peak, ...]:
+    """The peaks; weak ones that may be a stronger one's sideband say so. period: frames, `codec_period`."""
+    if period is None:
+        return tuple(peaks)
+    carriers = [k * fps / period for k in range(1, period // 2 + 1)]
+    return tuple(replace(p, sideband=_sideband_of(p, peaks, carriers, fps, duration_s)) for p in peaks)
+
+
+def _sideband_of(
+    peak: Peak, peaks: Sequence[Peak], carriers: Sequence[float], fps: float, duration_s: float
+) -> Sideband | None:
+    for other in sorted(peaks, key=size_of, reverse=True):
+        if size_of(other) < WEAKER * size_of(peak):
+            return None
+        error = SURE * (peak.frequency_deviation_hz**2 + other.frequency_deviation_hz**2) ** 0.5
+        for carrier in carriers:
+            for is_sum in (False, True):
+                hz = carrier + other.frequency_hz if is_sum else abs(carrier - other.frequency_hz)
+                if abs(seen_at(hz, fps) - peak.frequency_hz) < max(NEAR / duration_s, error):
+                    return Sideband(carrier, other.frequency_hz, is_sum)
+    return None

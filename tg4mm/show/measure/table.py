@@ -5,11 +5,10 @@ import numpy as np
 from tg4mm.capture.codec import Loss, before_compression
 from tg4mm.core.digits import aligned, value_with_deviation
 from tg4mm.core.lines import FEWEST, Line
-from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.measurement import Measurement, unit_of
 from tg4mm.show.measure.orbit import Orbit, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
-from tg4mm.show.measure.units import unit_of
 
 _WHOLE = 0.9  # of an amplitude that compression let through: less is said
 _NO_NOISE_PX = 1e-5  # of a floor: no sensor is so free of noise

@@ -12,11 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.core.files import write_atomic
-from tg4mm.show.measure.fourier import frequency_grid, transformed
-from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.measurement import Measurement, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.units import unit_of
+from tg4mm.show.measure.spectrum import frequency_grid, transformed
 
 MOST_NODES = 1500
 FIRST_GAUSSIAN = 1001

@@ -25,9 +25,8 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.nuisance.shake import BlockShifts
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.show.measure.errors import MeasureError
-from tg4mm.show.measure.modal_fields import ModalFields
-from tg4mm.show.measure.scene import GreyPictures, Prepared, SharedClock
+from tg4mm.show.measure.scene import GreyPictures, ModalFields, Prepared, SharedClock
+from tg4mm.show.measure.sensors import MeasureError
 
 _AT_ONCE = 32  # frames
 # as that of a flat dataset: x to the right, z up, y along the line of sight

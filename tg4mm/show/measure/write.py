@@ -12,19 +12,16 @@ from tg4mm.core.files import to_json, write_json
 from tg4mm.core.pictures.frames import write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
-from tg4mm.show.measure.animate import write_animations
-from tg4mm.show.measure.arrays import settings_of, write_hdf5, write_mat
 from tg4mm.show.measure.clips import ClipPhases
-from tg4mm.show.measure.errors import MeasureError
-from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.measurement import Measurement, unit_of
 from tg4mm.show.measure.orbit import main_is_above
-from tg4mm.show.measure.parts import parts_picture
-from tg4mm.show.measure.plots import PLOTS, write_plots
+from tg4mm.show.measure.plots import PLOTS, parts_picture, write_plots
 from tg4mm.show.measure.sensor_result import Record, SensorResult
+from tg4mm.show.measure.sensors import MeasureError
+from tg4mm.show.measure.shapes import write_animations
 from tg4mm.show.measure.table import format_table
-from tg4mm.show.measure.tables import write_csv_files, write_xlsx
+from tg4mm.show.measure.tables import settings_of, write_csv_files, write_hdf5, write_mat, write_xlsx
 from tg4mm.show.measure.uff import write_uff
-from tg4mm.show.measure.units import unit_of
 
 MARK = "measure.json"
 REGIONS = "regions.png"  # which part is which sensor

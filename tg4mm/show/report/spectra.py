@@ -14,10 +14,9 @@ from tg4mm.run import Run
 from tg4mm.show.analyse.channel import DISPLACEMENT, Channel
 from tg4mm.show.analyse.spectra import Averaging, waterfall_of
 from tg4mm.show.measure import Measurement, Sensor, SensorResult, measure
-from tg4mm.show.measure.parts import parts_picture
-from tg4mm.show.measure.plots import spectrum, waveform
+from tg4mm.show.measure.measurement import unit_of as unit_of_sensor
+from tg4mm.show.measure.plots import parts_picture, spectrum, waveform
 from tg4mm.show.measure.table import table_of
-from tg4mm.show.measure.units import unit_of as unit_of_sensor
 from tg4mm.show.report.summary import Material
 from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import amplitude_spectrum
