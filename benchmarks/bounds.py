@@ -33,7 +33,7 @@ from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.research.evaluate.displacement import STATIC_BELOW, displacement_figures, mean_squares
 from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.show.weights import blending_weights
+from tg4mm.show.maps import blending_weights
 
 OPTIONS: dict[str, Any] = {"runs": {"nargs": "+", "type": Path, "metavar": "RUN"}}
 BASES = ((20, False), (50, False), (12, True))  # control points, and whether they move affinely

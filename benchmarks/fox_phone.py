@@ -30,10 +30,10 @@ from tg4mm.core.metrics import ssim
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
+from tg4mm.show.maps import blending_weights
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features, render_image
 from tg4mm.show.render.sequence import RenderRequest, pose_of
-from tg4mm.show.weights import blending_weights
 
 ALPHA = 20
 FRAMES = (0, 6, 12, 18, 24)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from tg4mm.show.analyse.analysis import analyse
+from tg4mm.show.analyse.results import analyse
 from tg4mm.show.analyse.write import format_analysis
 from tg4mm.show.options import AnalyseOptions
 

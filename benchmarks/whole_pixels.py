@@ -19,7 +19,7 @@ from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.measure import Sensor, SensorResult, prepare_video
 from tg4mm.show.measure.measurement import measure_one
-from tg4mm.show.result.reach import pixel_rows
+from tg4mm.show.result.reading import pixel_rows
 
 OPTIONS: dict[str, Any] = {"out": Path, "--codec": "libx264", "--seed": 0}
 WIDTH, HEIGHT, FPS, FRAMES, BITS_PER_S, NOISE = 480, 270, 30, 160, 8_000_000, 2.5

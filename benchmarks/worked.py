@@ -14,7 +14,7 @@ from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, writ
 from tg4mm.capture.look import look
 from tg4mm.core.regions import Region, Regions, write_regions
 from tg4mm.core.scale import Scale
-from tg4mm.show.analyse.zones import LIMITS
+from tg4mm.show.analyse.quantities import LIMITS
 from tg4mm.show.look.words import Words
 
 OPTIONS: dict[str, Any] = {"out": Path, "--only": {"choices": ("pump", "bridge"), "help": "one of them"}}

@@ -103,7 +103,7 @@ def test_every_import_goes_down_a_floor(repo_root):
         ("tg4mm/run/train.py", "def f():\n    from tg4mm.research.paper import PAPER"),
         ("tg4mm/core/files.py", "import tg4mm.capture.model"),
         ("tg4mm/fit/device.py", "from tg4mm import show"),
-        ("tg4mm/show/weights.py", "import dataset_gen"),
+        ("tg4mm/show/maps.py", "import dataset_gen"),
         ("dataset_gen/run.py", "from tg4mm.fit.gaussians import Gaussians"),
         ("dataset_gen/farm/jobs.py", "from ...tg4mm.run import Run"),
         ("addon/nodes/points.py", "from ..panels import panel"),

@@ -268,7 +268,7 @@ def analyse(options: AnalyseCommand) -> None:
         raise Tg4mmError("--speed and --tacho exclude each other")
     if o.orders and o.speed is None and o.tacho is None:
         raise Tg4mmError("--order belongs to --speed or --tacho")
-    from tg4mm.show.analyse.analysis import analyse as analysed
+    from tg4mm.show.analyse.results import analyse as analysed
     from tg4mm.show.analyse.write import format_analysis, work_folder, write_analysis
 
     folder = work_folder(o.out)
@@ -309,7 +309,7 @@ def report(options: ReportCommand) -> None:
     from tg4mm.run import Run
     from tg4mm.show.measure.locate import check_sensors
     from tg4mm.show.report import write_report
-    from tg4mm.show.report.pdf import print_pdf, printer
+    from tg4mm.show.report.write import print_pdf, printer
 
     browser = printer() if options.pdf else None
     opened = Run.open(options.run)
@@ -370,9 +370,8 @@ def _draw(source: Path, options: ViewOptions) -> None:
 def _session(run: Path, options: ViewOptions) -> Session:
     from tg4mm.core.magnification import Magnification, check_band
     from tg4mm.run import Run
-    from tg4mm.show.view.painter import Look
     from tg4mm.show.view.scene import open_scene
-    from tg4mm.show.view.session import Clock, Session, slow_enough
+    from tg4mm.show.view.session import Clock, Look, Session, slow_enough
 
     scene = open_scene(Run.open(run))
     bands = [band for band in options.bands if band is not None]

@@ -21,8 +21,8 @@ from tg4mm.research.evaluate.truth import exact_motion
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_space
+from tg4mm.show.maps import blending_weights
 from tg4mm.show.render.image import render_image
-from tg4mm.show.weights import blending_weights
 
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)

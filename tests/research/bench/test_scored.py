@@ -19,7 +19,7 @@ from tg4mm.research.bench.scored import PROGRAMS, cameras_of, checkouts, score_p
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.subject import Subject
-from tg4mm.show.weights import blending_weights
+from tg4mm.show.maps import blending_weights
 
 
 @pytest.fixture(scope="module")

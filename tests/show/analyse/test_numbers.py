@@ -25,7 +25,7 @@ from tg4mm.show.analyse import (
     waterfall_of,
     zone_of,
 )
-from tg4mm.show.analyse.compare import _of_channel
+from tg4mm.show.analyse.record import _of_channel
 
 RATE, T = 60.0, np.arange(600) / 60.0
 BAND = 1.0, 20.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.show.analyse.systems import channel
-from tg4mm.show.analyse.octaves import midbands, third_octaves_of
+from tg4mm.show.analyse.quantities import midbands, third_octaves_of
 
 RATE, SECONDS = 60.0, 20.0
 T = np.arange(int(RATE * SECONDS)) / RATE

@@ -11,7 +11,7 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.show.export.splat import export_ply, export_ply_sequence
 from tg4mm.show.render.sequence import RenderRequest
-from tg4mm.show.result.line import mode_deviations
+from tg4mm.show.result.model import mode_deviations
 
 
 @pytest.fixture

@@ -20,10 +20,9 @@ from tg4mm.core.pages.page import (
     render_page,
 )
 from tg4mm.core.pages.svg import colour_bar
-from tg4mm.show.maps import image_motion, motion_maps, uncertainty_map
+from tg4mm.show.maps import blending_weights, image_motion, motion_maps, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.report.figures import Line, slice_picture
-from tg4mm.show.weights import blending_weights
 
 
 def moving_dot(axis):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.show.view.browser import browser
 from tg4mm.core.pages.page import Figure, Page, Section, film, render_page
-from tg4mm.show.report.videos import clip
+from tg4mm.show.report.figures import clip
 
 SECONDS = 4.0  # of each video, twice over what is shown
 RECORD = 2.0

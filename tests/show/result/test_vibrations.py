@@ -15,9 +15,8 @@ from tg4mm.core.magnification import check_band
 from tg4mm.core.phasors import series_modes
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.result.advice import suggested_bands
-from tg4mm.show.result.line import line_near, mode_deviations, phasors_at, why_no_damping
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
-from tg4mm.show.result.model import with_deviation
+from tg4mm.show.result.model import line_near, mode_deviations, phasors_at, why_no_damping, with_deviation
 
 FPS, N = 30.0, 120
 T = np.arange(N) / FPS

@@ -15,8 +15,7 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.show.analyse import read_channels
 from tg4mm.show.view.app import App, canvas_of
 from tg4mm.show.view.charts import LEFT, RIGHT, WIDTH
-from tg4mm.show.view.painter import Look
-from tg4mm.show.view.session import Clock, Session
+from tg4mm.show.view.session import Clock, Look, Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
 

@@ -11,8 +11,7 @@ from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.regions import Region, read_regions, write_regions
 from tg4mm.show.view.desk import Desk
-from tg4mm.show.view.drawing import Drawing, opened
-from tg4mm.show.view.texture import drawn, texture_of
+from tg4mm.show.view.drawing import Drawing, drawn, opened, texture_of
 
 SIZE = (160, 120)
 

@@ -23,10 +23,15 @@ from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App
 from tg4mm.show.view.charts import BAND_FIELD
-from tg4mm.show.view.guard import LARGEST_MESSAGE, _sensible
-from tg4mm.show.view.local_server import address, browsed, start_server, stop_server
-from tg4mm.show.view.painter import Look
-from tg4mm.show.view.session import Clock, Session
+from tg4mm.show.view.local_server import (
+    LARGEST_MESSAGE,
+    _sensible,
+    address,
+    browsed,
+    start_server,
+    stop_server,
+)
+from tg4mm.show.view.session import Clock, Look, Session
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, -4.0], "fov": 0.8,

@@ -15,10 +15,9 @@ from tg4mm.fit.motion.animate import animate
 from tg4mm.run import Run
 from tg4mm.show.render.image import render_image
 from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
-from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.scene import open_scene
 from tg4mm.show.view.screen import Canvas, Pace, Screen, picture_of
-from tg4mm.show.view.session import Clock, Session
+from tg4mm.show.view.session import Clock, Look, Painter, Session
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from tg4mm.show.maps import middle_depth
 from tg4mm.show.render.cameras import Camera, look_at
-from tg4mm.show.view.cameras import camera_of, standpoint_of
 from tg4mm.show.view.charts import waveform_chart
+from tg4mm.show.view.scene import camera_of, standpoint_of
 from tg4mm.show.view.session import Clock
 
 

@@ -7,11 +7,10 @@ import pytest
 from tests.show.view.conftest import DEVIATION
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import displacement_at
-from tg4mm.show.view.painter import Look, Painter
 from tg4mm.show.view.pixel_panel import Measurer, modal_waveform, seen_at
 from tg4mm.show.view.saving import save_clip
 from tg4mm.show.view.screen import Canvas
-from tg4mm.show.view.session import Clock, Session
+from tg4mm.show.view.session import Clock, Look, Painter, Session
 
 
 def on_the_ball(scene):

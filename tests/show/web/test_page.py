@@ -15,8 +15,7 @@ from tg4mm.cli import main
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.web.fit import packed_within
-from tg4mm.show.web.pack import SH_STEP, MotionFields, motion_fields, pack, unpack
+from tg4mm.show.web.pack import SH_STEP, MotionFields, motion_fields, pack, packed_within, unpack
 from tg4mm.show.web.write import export_html, make_page, render
 
 

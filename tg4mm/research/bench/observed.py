@@ -14,7 +14,7 @@ from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.scores import BACKGROUND, Candidate, render_views
 from tg4mm.research.evaluate.subject import Subject
-from tg4mm.show.weights import blending_weights, pixel_sums
+from tg4mm.show.maps import blending_weights, pixel_sums
 
 AGREES = 0.5  # correlation of both changes from which a Gaussian's motion counts as observed
 _SHIFT_PX = 1.0  # the α is taken that brings the motion nearest to it: large enough to show, small enough to be linear

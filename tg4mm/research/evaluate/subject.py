@@ -20,7 +20,7 @@ from tg4mm.run import Run
 from tg4mm.run.checks import check_times
 from tg4mm.run.poses import method_of, poses_of
 from tg4mm.run.tensor_file import model_hash
-from tg4mm.show.weights import blending_weights
+from tg4mm.show.maps import blending_weights
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 

@@ -9,13 +9,12 @@ docs/engineering.md says what each is.
 """
 
 from tg4mm.show.analyse.channel import AnalyseError, Channel, read_channels
-from tg4mm.show.analyse.compare import compared, lines_of
 from tg4mm.show.analyse.modal import from_transfers, mac, operational
 from tg4mm.show.analyse.orders import OrderTrack, orders_of, speed_of
-from tg4mm.show.analyse.quantities import Levels, Value, converted, levels_of
+from tg4mm.show.analyse.quantities import Levels, Value, converted, levels_of, zone_of
+from tg4mm.show.analyse.record import compared, lines_of
 from tg4mm.show.analyse.spectra import Averaging, Density, density_of, waterfall_of
 from tg4mm.show.analyse.transfer import Curve, Transfer, curve_of, lag_of, phases_of, transfer_of
-from tg4mm.show.analyse.zones import zone_of
 
 __all__ = [
     "AnalyseError",

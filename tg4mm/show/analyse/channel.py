@@ -14,8 +14,7 @@ import numpy as np
 from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
 from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.untrusted import read_json
-from tg4mm.show.analyse.tables import AnalyseError, read_table
-from tg4mm.show.analyse.universal import SUFFIXES, waveforms
+from tg4mm.show.analyse.tables import SUFFIXES, AnalyseError, read_table, waveforms
 
 G = 9806.65  # mm/s²
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (

@@ -9,9 +9,8 @@ import numpy as np
 from tg4mm.core.pages.plotstyle import COLOURS
 from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.modal import Modes
-from tg4mm.show.analyse.octaves import ThirdOctave
 from tg4mm.show.analyse.orders import OrderTrack
-from tg4mm.show.analyse.quantities import converted
+from tg4mm.show.analyse.quantities import ThirdOctave, converted
 from tg4mm.show.analyse.record import Record
 from tg4mm.show.analyse.spectra import Averaging, Density, waterfall_of
 from tg4mm.show.analyse.transfer import Curve, Transfer

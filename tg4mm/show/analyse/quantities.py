@@ -2,20 +2,33 @@
 
 H(f) = (2πi f)ⁿ B(f), B(f) = 1 / (1 + (lo/f)⁸) · 1 / (1 + (f/hi)⁸): differentiation, or integration, and a Butterworth
 filter of order 4 that runs forth and back, so that phases stay. A record's lines are multiplied by it as they are; what
-is left, continued at both ends by its odd reflection, in its Fourier transform. White noise of deviation σ leaves as
-σ √(mean |H|²).
+is left, continued at both ends by its odd reflection, in its Fourier transform. White noise of deviation σ leaves as σ
+√(mean |H|²).
 
 Noise adds to a level θ (peak, rms …). So levels are taken of û: the lines, and what is left of u with its spectrum
 multiplied by √(1 − noise / power), power smoothed over frequencies. Draws n of the same noise give û + n, to which the
 same is done: by what its θ² differs from û's in the mean, θ² is corrected, and it scatters by the deviation. To that is
 added what the errors that grow with the motion are.
+
+One-third-octave spectra: Bands are those of base 10: midbands 1000 · 10^(n/10) Hz, edges 10^(±1/20) from them. The
+power in a band is the sum of the periodogram of the whole record (Hann window) between its edges, less what the
+channel's white noise of deviation σ adds, 2σ²/rate a hertz. Noise n beside a signal s in one frequency scatters its
+power by √(2sn + n²); a Hann window correlates neighbouring frequencies, so that the variance of a sum is 1.5 times
+that.
+
+Zones of ISO 20816-1 by class of machine: velocity rms, 10 to 1000 Hz, on parts that do not rotate. The limits are those
+of classes I to IV as public tables give them of ISO 10816-1:1995, annex B, which ISO 20816-1 succeeds; the standard
+decides, and its part for a kind of machine before it. I small machines to 15 kW; II medium ones to 75 kW, or 300 kW on
+a foundation of their own; III large ones on a rigid, IV on a soft foundation.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import periodogram
 
 from tg4mm.core.lines import projected
 from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, G, unit_of
@@ -27,6 +40,14 @@ _LONGEST = 8192  # samples of a record whose lines are parted from the rest
 _CYCLES = 2.0  # of the lowest frequency in a record, where no band is given
 # what dB are against, where lengths are known (ISO 1683): mm, mm/s, mm/s²
 DB_REFERENCE = {"displacement": 1e-9, "velocity": 1e-6, "acceleration": 1e-3}
+_NARROWEST = 2.0  # frequencies of the periodogram, 1 / duration apart: the width of the lowest band
+_CORRELATED = 1.5  # equivalent noise bandwidth of the Hann window, in frequencies
+BAND_HZ = 10.0, 1000.0
+LIMITS = {  # mm/s rms: A to B, B to C, C to D
+    "I": (0.71, 1.8, 4.5), "II": (1.12, 2.8, 7.1), "III": (1.8, 4.5, 11.2), "IV": (2.8, 7.1, 18.0),
+}  # fmt: skip
+_ZONE_CYCLES = 10  # of the band's lowest frequency in a record
+_SURE = 2.0  # deviations
 
 
 @dataclass(frozen=True)
@@ -196,3 +217,87 @@ def _figures(values: np.ndarray) -> np.ndarray:
     """[4] peak, peak to peak, rms, crest factor."""
     peak, rms = float(np.abs(values).max()), float(np.sqrt((values**2).mean()))
     return np.array([peak, float(np.ptp(values)), rms, peak / max(rms, 1e-300)])
+
+
+@dataclass(frozen=True)
+class ThirdOctave:
+    """The rms of a channel, as one quantity, in one band; lengths in the channel's unit."""
+
+    channel: str
+    quantity: str
+    unit: str
+    midband_hz: float
+    band_hz: tuple[float, float]
+    rms: Value
+
+
+def midbands(lowest_hz: float, highest_hz: float) -> np.ndarray:
+    """Return the midband frequencies [B], Hz, of bands that lie between two frequencies."""
+    first = int(np.ceil(10 * np.log10(lowest_hz / 1000) + 0.5 - 1e-9))
+    last = int(np.floor(10 * np.log10(highest_hz / 1000) - 0.5 + 1e-9))
+    return np.asarray(1000 * 10 ** (np.arange(first, last + 1) / 10))
+
+
+def third_octaves_of(channel: Channel, quantity: str) -> Iterator[ThirdOctave]:
+    """Yield the bands of a channel as a quantity, from the lowest that the record resolves to half its rate.
+
+    quantity: the channel's, or a derivative or integral of it: displacement, velocity, acceleration.
+    """
+    step = 1 / channel.duration_s
+    lowest_hz = _NARROWEST * step / (10**0.05 - 10**-0.05) * 10**-0.05
+    hz, power = periodogram(channel.values, channel.rate, "hann", detrend="linear")
+    order = ORDER[quantity] - ORDER[channel.quantity] if quantity != channel.quantity else 0
+    with np.errstate(divide="ignore"):
+        gain = (2 * np.pi * hz) ** (2.0 * order)
+    width = hz[1] - hz[0]
+    noise = 2 * channel.noise**2 / channel.rate * width * gain
+    power = power * width * gain
+    for middle in midbands(lowest_hz, channel.rate / 2):
+        low, high = float(middle * 10**-0.05), float(middle * 10**0.05)
+        inside = np.clip((np.minimum(hz + width / 2, high) - np.maximum(hz - width / 2, low)) / width, 0, 1)
+        own = inside > 0
+        signal = power[own] - np.nan_to_num(noise[own])
+        scatter = 2 * np.maximum(signal, 0) * noise[own] + noise[own] ** 2
+        rms = np.sqrt(max(float(inside[own] @ signal), 0))
+        deviation = root_deviation(rms, np.sqrt(_CORRELATED * inside[own] @ scatter))
+        value = Value(float(rms), float(np.hypot(deviation, channel.share * rms)))
+        yield ThirdOctave(
+            channel.name, quantity, unit_of(quantity, channel.base), float(middle), (low, high), value
+        )
+
+
+@dataclass(frozen=True)
+class Zone:
+    """`zone` is a letter, or two where the deviation, doubled, reaches into the next; `notes`: what is not covered."""
+
+    channel: str
+    machine: str
+    rms: Value  # mm/s
+    zone: str
+    notes: tuple[str, ...]
+
+
+def zone_of(channel: Channel, machine: str) -> Zone:
+    """Raises AnalyseError for a class that is none, and for a channel whose unit or rate tells nothing of the band."""
+    if machine not in LIMITS:
+        raise AnalyseError(f"--machine-class {machine!r} is none; there are: {', '.join(LIMITS)}")
+    if channel.base != "mm":
+        raise AnalyseError(f"{channel.name} is in {channel.unit}: a zone needs millimetres (docs/scale.md)")
+    if channel.rate / 2 <= BAND_HZ[0]:
+        raise AnalyseError(
+            f"{channel.name}: half its rate, {channel.rate / 2:g} Hz, is below the band of a zone, 10 to 1000 Hz"
+        )
+    rms, notes = levels_of(channel, "velocity", BAND_HZ).rms, []
+    ends = [rms.value + k * _SURE * np.nan_to_num(rms.deviation) for k in (-1, 1)]
+    low, high = ("ABCD"[int(np.searchsorted(LIMITS[machine], end))] for end in ends)
+    if channel.rate / 2 < BAND_HZ[1]:
+        notes.append(
+            f"the record ends at {channel.rate / 2:g} Hz of 10 to 1000 Hz: the zone is {low} or worse"
+        )
+    if channel.duration_s * BAND_HZ[0] < _ZONE_CYCLES:
+        notes.append(
+            f"the record of {channel.duration_s:.2g} s holds fewer than {_ZONE_CYCLES} periods of 10 Hz"
+        )
+    if not np.isfinite(rms.deviation):
+        notes.append("the record states no noise: the value has no deviation")
+    return Zone(channel.name, machine, rms, low if low == high else f"{low} or {high}", tuple(notes))

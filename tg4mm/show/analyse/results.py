@@ -5,22 +5,30 @@ A new quantity is one entry of QUANTITIES: analysis.json, the printed tables, CS
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tg4mm.core.digits import value_with_deviation
+from tg4mm.core.progress import progress
 from tg4mm.show.analyse import plots
-from tg4mm.show.analyse.channel import ORDER
-from tg4mm.show.analyse.compare import Change
+from tg4mm.show.analyse.channel import ORDER, doubts_of
 from tg4mm.show.analyse.modal import Modes, from_transfers, operational
-from tg4mm.show.analyse.octaves import ThirdOctave, third_octaves_of
 from tg4mm.show.analyse.orders import OrderTrack, orders_of
-from tg4mm.show.analyse.quantities import Levels, Value, levels_of
-from tg4mm.show.analyse.record import Record
+from tg4mm.show.analyse.quantities import (
+    Levels,
+    ThirdOctave,
+    Value,
+    Zone,
+    levels_of,
+    third_octaves_of,
+    zone_of,
+)
+from tg4mm.show.analyse.record import Change, Record
 from tg4mm.show.analyse.spectra import Density, density_of
 from tg4mm.show.analyse.transfer import Curve, Phase, Transfer, curve_of, phases_of
-from tg4mm.show.analyse.zones import Zone, zone_of
+from tg4mm.show.options import AnalyseOptions
 
 Rows = Iterable[Sequence[Any]]
 
@@ -236,3 +244,30 @@ QUANTITIES = (
         rows=_density_rows, plot=plots.spectra,
     ),
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What was computed of a record: the results of each quantity of `results.QUANTITIES` by its name."""
+
+    record: Record
+    results: dict[str, tuple[Any, ...]]
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> tuple[Any, ...]:
+        return self.results[name]
+
+
+def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
+    """Compute all quantities of a folder of `tg4mm measure`, a CSV file or a universal file.
+
+    Raises AnalyseError for what cannot be computed of it.
+    """
+    record, results = Record(path, options or AnalyseOptions()), {}
+    with progress("analysis", len(QUANTITIES), "quantities", brief=True) as update:
+        for done, quantity in enumerate(QUANTITIES, 1):
+            results[quantity.name] = tuple(quantity.compute(record))
+            update(done)
+    zones = (note for zone in results["zones"] for note in zone.notes)
+    notes = [*record.changes[1], *zones, *doubts_of(path)]
+    return Analysis(record, results, tuple(dict.fromkeys(notes)))

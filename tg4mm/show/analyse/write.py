@@ -16,9 +16,8 @@ from tg4mm.core.digits import aligned
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.pages.plotstyle import STYLE
 from tg4mm.core.work_folder import WorkFolder
-from tg4mm.show.analyse.analysis import Analysis
 from tg4mm.show.analyse.channel import AnalyseError
-from tg4mm.show.analyse.results import QUANTITIES
+from tg4mm.show.analyse.results import QUANTITIES, Analysis
 
 MARK = "analysis.json"
 

@@ -22,7 +22,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_of, widened
 from tg4mm.show.render.sequence import RenderRequest, pose_of, record
-from tg4mm.show.result.line import mode_deviations
+from tg4mm.show.result.model import mode_deviations
 
 RECORD = "export.json"  # in the folder of a sequence: what it was asked for
 _LOG = logging.getLogger("tg4mm")

@@ -33,7 +33,7 @@ from tg4mm.show.measure.sensors import OF_PICTURE, MeasureError, Sensor
 from tg4mm.show.measure.series import Series, series_of
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features
-from tg4mm.show.result.reach import pixel_rows
+from tg4mm.show.result.reading import pixel_rows
 
 _AT_ONCE = 32  # frames
 _SMALLEST_PX = 0.75  # radius: a smaller disc could lie between the centres of pixels

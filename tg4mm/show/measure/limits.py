@@ -17,7 +17,7 @@ from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.result.reach import pixel_rows
+from tg4mm.show.result.reading import pixel_rows
 
 _FRAMES = 6  # of the largest motion
 _LOOKED_AT_PX = 0.3  # less is in proportion in every picture that a camera takes

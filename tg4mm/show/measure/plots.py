@@ -15,14 +15,13 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.plotstyle import COLOURS, STYLE
 from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.core.progress import progress
-from tg4mm.show.labels import write_labels
 from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import STILL, Sensor, file_name
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import is_resolved
 from tg4mm.show.regions import COLOURS as REGION_COLOURS
-from tg4mm.show.regions import composite
+from tg4mm.show.regions import composite, write_labels
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features, render_image
 

@@ -39,7 +39,7 @@ class Series:
     times_s: np.ndarray  # [T] seconds
     displacement: np.ndarray  # [T, A] scene units, along `axes`
     noise: np.ndarray  # [T, A] standard deviation of the noise; inf along a direction that is not observed
-    deviation: np.ndarray  # [T, A] standard deviation with errors of the model (`model_error.py`)
+    deviation: np.ndarray  # [T, A] standard deviation with errors of the model
     axes: np.ndarray  # [A, 3], rows: unit vectors in the world; two of a flat capture, else three
     labels: tuple[str, ...]  # [A] of the axes
     rotation: (

@@ -19,13 +19,12 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
 from tg4mm.run.log import read_figures
-from tg4mm.show.maps import image_motion, strongest
+from tg4mm.show.maps import blending_weights, image_motion, strongest
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_image
 from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.result.advice import suggested_alpha
 from tg4mm.show.result.reading import Reading
-from tg4mm.show.weights import blending_weights
 
 METRICS = "metrics.json"
 Evaluate = Callable[[Run], dict[str, Any]]  # scores against the ground truth, as metrics.json holds them

@@ -8,7 +8,7 @@ from tg4mm.capture import Capture
 from tg4mm.capture.transforms import SPLITS
 from tg4mm.run import Run
 from tg4mm.show.result.model import Band, Vibration
-from tg4mm.show.result.reach import Reach
+from tg4mm.show.result.reading import Reach
 
 _SHOWN = 0.04  # of the picture's shorter side: a motion so large is seen well
 _STEPS = (1.0, 2.0, 5.0)

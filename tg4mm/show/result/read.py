@@ -14,8 +14,13 @@ from tg4mm.fit.motion.observations import PERIODS, frames_of
 from tg4mm.run import Run
 from tg4mm.run.stages.look import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
-from tg4mm.show.result.line import (
+from tg4mm.show.result.looked import cannot_tell, depths_of, looked_vibrations
+from tg4mm.show.result.model import (
+    Band,
+    Length,
     Peak,
+    Result,
+    Vibration,
     drift_line,
     is_drift,
     line_near,
@@ -24,8 +29,6 @@ from tg4mm.show.result.line import (
     series_of,
     why_no_damping,
 )
-from tg4mm.show.result.looked import cannot_tell, depths_of, looked_vibrations
-from tg4mm.show.result.model import Band, Length, Result, Vibration
 from tg4mm.show.result.reading import Reading, reading_of
 
 

@@ -11,9 +11,8 @@ from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
 from tg4mm.run.poses import method_of
 from tg4mm.show.result.model import Band, Result, with_deviation
-from tg4mm.show.result.reach import NOISE_PX, TURN, Reach
 from tg4mm.show.result.read import result_from, result_of
-from tg4mm.show.result.reading import reading_of
+from tg4mm.show.result.reading import NOISE_PX, TURN, Reach, reading_of
 
 _LISTED = 8  # modes
 _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band

@@ -26,10 +26,9 @@ from tg4mm.core.regions import Regions, write_regions
 from tg4mm.fit.motion.observations import frames_of
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.view.charts import ACCENT_RGB, block, composite_chart, key_words
-from tg4mm.show.view.drawing import TOOLS, Drawing, opened
+from tg4mm.show.view.drawing import TOOLS, Drawing, Texture, drawn, opened, texture_of
 from tg4mm.show.view.local_server import address, start_server, stop_server
 from tg4mm.show.view.screen import NARROW
-from tg4mm.show.view.texture import Texture, drawn, texture_of
 
 _FIRST = 24  # pictures that tell the noise
 _PANEL = 400  # pixels

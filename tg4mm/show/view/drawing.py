@@ -1,10 +1,19 @@
-"""Regions and a scale as they are drawn: clicks on a picture, one after the other."""
+"""Regions and a scale as they are drawn, click by click; where texture makes motion measurable; the picture of both."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from tg4mm.capture.look.reading import CELL
+from tg4mm.capture.look.usual import LEAST_INFORMATION, QUANTISED
+from tg4mm.capture.tracking.template import FROZEN, Grid, Template, false_information
 from tg4mm.core.errors import RegionError
 from tg4mm.core.regions import POINT_RADIUS, Region, Regions
 from tg4mm.core.scale import Pixel, Scale
+from tg4mm.show.regions import COLOURS
 
 BOX, POLYGON, POINT, LENGTH, RECTANGLE = "box", "polygon", "point", "length", "rectangle"
 TOOLS = {
@@ -15,6 +24,10 @@ TOOLS = {
     RECTANGLE: "Give width and height, then click its corners: upper left, upper right, lower right, lower left.",
 }
 _NEEDED = {BOX: 2, POINT: 1, LENGTH: 2, RECTANGLE: 4}
+_EDGE = 10.0  # times as uncertain as the best direction: the other one is not told
+_BOTH, _ONE = (60, 190, 90), (250, 190, 40)
+_TINT = 0.35
+_WHOLE, _HALF = 0.95, 0.5  # of a cell that a region covers
 
 
 @dataclass(frozen=True)
@@ -97,3 +110,106 @@ class Drawing:
 def opened(regions: Regions) -> Drawing:
     """Return the drawing stored in a file."""
     return Drawing(regions.size, regions.regions, regions.scale)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """The precision with which one picture determines each cell's shift."""
+
+    grid: Grid
+    information: np.ndarray  # [C, 2, 2] px⁻²; 0 where there is no texture
+
+    def told(self) -> tuple[np.ndarray, np.ndarray]:
+        """[C] number of directions that are told, 0 to 2, and [C, 2] the better one, right and down."""
+        values, axes = np.linalg.eigh(self.information)
+        least = np.maximum(values[:, 1] / _EDGE**2, LEAST_INFORMATION)
+        return (values > least[:, None]).sum(1), axes[:, :, 1]
+
+    def words(self, region: Region, size: tuple[int, int]) -> str:
+        """Describe what can be measured in a region."""
+        share = self.grid.cut(region.mask(size)[None])[:, 0].mean(1)
+        cells = share >= (_WHOLE if (share >= _WHOLE).any() else _HALF)
+        if not cells.any():
+            return f"smaller than look's cells of {self.grid.size} px"
+        told, _ = self.told()
+        values, axes = np.linalg.eigh(self.information[cells & (told > 0)].sum(0))
+        if not told[cells].any():
+            return "no texture: nothing can be measured here"
+        best = f"± {values[1] ** -0.5:.2g} px a picture"
+        if values[0] > max(values[1] / _EDGE**2, LEAST_INFORMATION):
+            return f"{best} along its best direction, ± {values[0] ** -0.5:.2g} px across it"
+        right, down = axes[:, 1] * np.sign(axes[np.abs(axes[:, 1]).argmax(), 1])
+        return f"an edge: {best} along {right:+.2f} right {-down:+.2f} up alone".replace("-", "−")
+
+
+def texture_of(pictures: np.ndarray) -> Texture:
+    """Compute it from the first pictures [F, H, W], float32 grey levels, whose scatter gives the noise."""
+    height, width = pictures.shape[1:]
+    grid = Grid.of(width, height, min(CELL, height, width))
+    covariance = Template(pictures.mean(0, dtype=np.float32), grid).covariance
+    noise = np.full(len(grid), QUANTISED)
+    if len(pictures) > 1:  # neighbours differ by twice the variance
+        noise = np.maximum(
+            np.median((np.diff(grid.cut(pictures), axis=1) ** 2).mean(2) / 2, axis=1), QUANTISED
+        )
+    false = false_information(grid.size) / len(pictures)
+    information = np.linalg.inv(covariance * noise[:, None, None] + 1e-12 * np.eye(2)) - false * np.eye(2)
+    values, axes = np.linalg.eigh(information)
+    values = np.where(values > max(LEAST_INFORMATION, FROZEN * false), values, 0.0)
+    return Texture(grid, np.einsum("cik,ck,cjk->cij", axes, values, axes))
+
+
+def drawn(picture: np.ndarray, drawing: Drawing, texture: Texture | None, scale: float = 1.0) -> np.ndarray:
+    """[H·scale, W·scale, 3] uint8: a picture [H, W, 3] with texture, regions and marks on it.
+
+    Green cells tell both directions, amber ones the direction of their stroke alone, plain ones none.
+    """
+    shown = picture.astype(np.float32)
+    told, axes = (np.zeros(0, int), np.zeros((0, 2))) if texture is None else texture.told()
+    if texture is not None:
+        size = texture.grid.size
+        for count, colour in ((1, _ONE), (2, _BOTH)):
+            cells = np.kron(texture.grid.picture(told == count), np.ones((size, size), bool))
+            part = shown[: cells.shape[0], : cells.shape[1]]
+            part[cells] = (1 - _TINT) * part[cells] + _TINT * np.array(colour)
+    height, width = round(picture.shape[0] * scale), round(picture.shape[1] * scale)
+    image = Image.fromarray(shown.astype(np.uint8)).resize((max(width, 1), max(height, 1)))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(max(13, round(min(image.size) / 32)))
+    if texture is not None:
+        for (x, y), (right, down) in zip(texture.grid.centres()[told == 1], axes[told == 1], strict=True):
+            reach = 0.4 * texture.grid.size
+            ends = (x - reach * right, y - reach * down), (x + reach * right, y + reach * down)
+            draw.line([_at(end, scale) for end in ends], fill=_ONE, width=2)
+    for k, region in enumerate(drawing.regions):
+        if region.camera == drawing.camera:
+            colour = COLOURS[k % len(COLOURS)]
+            corners = [_at(corner, scale) for corner in region.corners]
+            draw.line([*corners, corners[0]], fill=colour, width=3, joint="curve")
+            _write(draw, corners[0], region.name, font)
+    if drawing.scale is not None:
+        for a, b, metres in drawing.scale.lengths:
+            draw.line([_at(a, scale), _at(b, scale)], fill=(255, 255, 255), width=3)
+            _write(draw, _at(b, scale), f"{1e3 * metres:.4g} mm", font)
+        if corners := [_at(corner, scale) for corner in drawing.scale.corners]:
+            draw.line([*corners, corners[0]], fill=(255, 255, 255), width=2)
+            width_m, height_m = drawing.scale.sides_m
+            _write(draw, corners[0], f"{1e3 * width_m:.4g} × {1e3 * height_m:.4g} mm", font)
+    _clicks(draw, [_at(at, scale) for at in drawing.clicks])
+    return np.asarray(image)
+
+
+def _at(place: Sequence[float] | np.ndarray, scale: float) -> tuple[float, float]:
+    return float(place[0] * scale), float(place[1] * scale)
+
+
+def _clicks(draw: ImageDraw.ImageDraw, places: Sequence[tuple[float, float]]) -> None:
+    if len(places) > 1:
+        draw.line(list(places), fill=(255, 60, 60), width=2)
+    for x, y in places:
+        draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline=(255, 60, 60), width=2)
+
+
+def _write(draw: ImageDraw.ImageDraw, at: tuple[float, float], text: str, font: Any) -> None:
+    draw.text(
+        (at[0] + 5, at[1] + 4), text, font=font, fill=(255, 255, 255), stroke_width=2, stroke_fill=(0, 0, 0)
+    )

@@ -11,7 +11,6 @@ from markupsafe import Markup
 
 from tg4mm.core.pages.svg import number
 from tg4mm.show.maps import middle_depth
-from tg4mm.show.view.cameras import Standpoint, standpoint_of
 from tg4mm.show.view.charts import BAND_FIELD, block, composite_chart, spectrum_chart
 from tg4mm.show.view.colours import (
     ALL,
@@ -24,6 +23,7 @@ from tg4mm.show.view.colours import (
     main_peaks,
     peak_labels,
 )
+from tg4mm.show.view.scene import Standpoint, standpoint_of
 from tg4mm.show.view.screen import NARROW
 from tg4mm.show.view.session import Session
 

@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.show.render.cameras import Camera
-from tg4mm.show.view.cameras import camera_of
 from tg4mm.show.view.charts import ACCENT_RGB
-from tg4mm.show.view.painter import Look, Painter
-from tg4mm.show.view.session import Session
+from tg4mm.show.view.scene import camera_of
+from tg4mm.show.view.session import Look, Painter, Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
 NARROW = 600  # pixels: a phone, whose lower half the panel covers

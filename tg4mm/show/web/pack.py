@@ -4,12 +4,15 @@ A block is a zlib stream of two tables, one after the other (docs/web.md):
     [4, N] float32            x, y, z in scene units, opacity
     [V, N] float16            what `Layout` lists
 each with its bytes taken apart, all first bytes, then all second ones …: like bytes beside each other compress better.
+
+What is too large for a page is reduced first: what no camera saw, then fine colours, then what counts least.
 """
 
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import torch
 
 from tg4mm.core.errors import RunError
 from tg4mm.fit.gaussians import Gaussians
@@ -18,6 +21,9 @@ from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion, fields_of
 SH_STEP = 2.0**-9  # coefficients above degree 0 are rounded to this: half a step is a quarter of a grey level
 MOST_FIELDS = 96  # of motion: what WebGL 2 promises in uniforms and texture layers
 _HALF = 65504.0  # float16's largest number
+_SEEN = 0.25  # pixels of blending weight over all pictures: less is seen by no camera
+_COARSEST = 1  # degree of the spherical harmonics: without it, colours would not change with the viewpoint
+_MARGIN = 0.98  # of the bytes that are aimed at, as not all Gaussians compress alike
 
 
 @dataclass(frozen=True)
@@ -146,3 +152,47 @@ def motion_fields(motion: ModalMotion, tolerance: float = TOLERANCE) -> MotionFi
     sizes = np.abs(fields.reshape(len(fields), fields.shape[1], 2, 3)).max(axis=(1, 3), initial=0)
     unit = np.where(sizes > 0, sizes, 1).repeat(3, axis=1)
     return MotionFields(fields / unit[:, None], sizes.astype(np.float64), series)
+
+
+def packed_within(
+    gaussians: Gaussians,
+    fields: MotionFields,
+    light: AppearanceModes | None,
+    weights: np.ndarray,
+    most_bytes: int,
+) -> Packed:
+    """Return the scene in a block of at most `most_bytes`.
+
+    weights [N]: blending weights summed over the training pictures, pixels. Where the whole scene does not fit, what
+    is not seen is left out; where that is too much still, the degree of the colours falls to 1; then the Gaussians
+    with the least weight are left out until it fits.
+    """
+    found = pack(gaussians, fields, light)
+    if len(found.block) <= most_bytes:
+        return found
+    kept = np.flatnonzero(weights > _SEEN)
+    for degree in range(gaussians.sh_degree, min(_COARSEST, gaussians.sh_degree) - 1, -1):
+        found = _pack_some(gaussians, fields, light, kept, degree)
+        if len(found.block) <= most_bytes:
+            return found
+    by_weight = kept[np.argsort(-weights[kept], kind="stable")]
+    while len(found.block) > most_bytes and len(by_weight) > 1:
+        share = _MARGIN * most_bytes / len(found.block)
+        by_weight = by_weight[: max(1, int(share * len(by_weight)))]
+        found = _pack_some(gaussians, fields, light, np.sort(by_weight), degree)
+    return found
+
+
+def _pack_some(
+    gaussians: Gaussians, fields: MotionFields, light: AppearanceModes | None, rows: np.ndarray, degree: int
+) -> Packed:
+    which = torch.from_numpy(rows)
+    some = Gaussians(
+        means=gaussians.means[which],
+        quats=gaussians.quats[which],
+        scales=gaussians.scales[which],
+        opacities=gaussians.opacities[which],
+        sh=gaussians.sh[which][:, : (degree + 1) ** 2],
+    )
+    own = None if light is None else replace(light, shapes=light.shapes[:, rows])
+    return pack(some, replace(fields, fields=fields.fields[:, rows]), own)

@@ -21,14 +21,12 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.show.maps import image_motion, middle_depth
+from tg4mm.show.maps import blending_weights, image_motion, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras
 from tg4mm.show.result.model import title_of, unit_of
 from tg4mm.show.result.read import peak_bands, result_from
 from tg4mm.show.result.reading import reading_of
-from tg4mm.show.web.fit import packed_within
-from tg4mm.show.web.pack import MotionFields, Packed, motion_fields, pack
-from tg4mm.show.weights import blending_weights
+from tg4mm.show.web.pack import MotionFields, Packed, motion_fields, pack, packed_within
 
 _HERE = Path(__file__).parent
 _PLAYER = _HERE / "player" / "dist"

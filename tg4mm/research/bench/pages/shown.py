@@ -17,8 +17,15 @@ from tg4mm.core.pictures.frames import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
 from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
-from tg4mm.show.report.figures import Line, line_that_moves, map_picture, marked, slice_picture
-from tg4mm.show.report.videos import clip, playing_rate
+from tg4mm.show.report.figures import (
+    Line,
+    clip,
+    line_that_moves,
+    map_picture,
+    marked,
+    playing_rate,
+    slice_picture,
+)
 from tg4mm.show.slices import difference_maps
 
 TRUTH = "ground truth"
