@@ -1,8 +1,8 @@
-"""Background jobs: dataset generation from the open scene and training, with panels, settings and preview."""
+"""Background jobs: dataset generation from the open scene and training, with panels and settings."""
 
-from . import commands, core_check, operators, panels, preview, settings
+from . import commands, core_check, operators, panels, settings
 
-_MODULES = (settings, preview, commands, core_check, operators, panels)
+_MODULES = (settings, commands, core_check, operators, panels)
 
 
 def register() -> None:

@@ -15,7 +15,7 @@ from dataset_gen.errors import GenerateError
 from tg4mm.core.files import write_json
 
 from .. import names, preferences
-from . import commands, kinds, objects, preview
+from . import commands, kinds, objects
 from .commands import Host
 from .runner import Job, State
 
@@ -100,8 +100,7 @@ def generate(context: Any, go_on: bool) -> Job:
 
 
 def save_copy(path: Path, scene: Any) -> None:
-    """Save the session as a .blend without the preview and without imported splats. Raises GenerateError."""
-    preview.stop()
+    """Save the session as a .blend without imported splats. Raises GenerateError."""
     with _splats_hidden(scene):
         try:
             bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)

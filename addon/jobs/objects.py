@@ -1,4 +1,4 @@
-"""The scene's objects as the generator sees them: moving objects, part names, rest vertices."""
+"""The scene's objects as the generator sees them: moving objects, part names, bounds."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,6 @@ import bpy
 import numpy as np
 
 from dataset_gen.errors import GenerateError
-from dataset_gen.vibration import Body
 
 from .. import names
 
@@ -36,7 +35,7 @@ def parts(chosen: Sequence[Any], depsgraph: Any) -> list[str]:
     return globs
 
 
-def previewed(view_layer: Any) -> list[Any]:
+def visible_meshes(view_layer: Any) -> list[Any]:
     """Return the mesh objects visible here and in renders, without splats and linked objects."""
     return [
         obj
@@ -47,28 +46,6 @@ def previewed(view_layer: Any) -> list[Any]:
         and obj.library is None
         and names.MARK not in obj
     ]
-
-
-def bodies(objects: Sequence[Any], depsgraph: Any, group: str = "") -> list[Body]:
-    """Return the evaluated objects in world space, with the weights of one vertex group."""
-    made = []
-    for obj in objects:
-        evaluated = obj.evaluated_get(depsgraph)
-        mesh = evaluated.data
-        local = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", local)
-        matrix = np.array(evaluated.matrix_world, np.float64)
-        world = local.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        weights = _weights(obj, mesh, group) if group else None
-        groups = {} if weights is None else {group: weights}
-        made.append(Body(obj.name, world, np.zeros((0, 3), np.int32), np.ones(len(world)), groups))
-    return made
-
-
-def to_local(obj: Any, depsgraph: Any, vectors: np.ndarray) -> np.ndarray:
-    """Convert world displacements [..., 3] to the object's local axes."""
-    linear = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)[:3, :3]
-    return np.asarray(vectors @ np.linalg.pinv(linear).T)
 
 
 def box(objects: Sequence[Any], depsgraph: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -87,19 +64,6 @@ def _vector(corner: Sequence[float]) -> Any:
     from mathutils import Vector
 
     return Vector(corner)
-
-
-def _weights(obj: Any, mesh: Any, group: str) -> np.ndarray | None:
-    """Return the weights [V] of a vertex group, or None if it is empty."""
-    found = obj.vertex_groups.get(group)
-    if found is None:
-        return None
-    weights = np.zeros(len(mesh.vertices))
-    for i, vertex in enumerate(mesh.vertices):
-        for entry in vertex.groups:
-            if entry.group == found.index:
-                weights[i] = entry.weight
-    return weights if weights.any() else None
 
 
 def unsaved_images() -> list[str]:
@@ -140,7 +104,7 @@ def chosen(context: Any) -> list[Any]:
     if found := moving(settings):
         return found
     active = context.object
-    return [active] if active is not None else previewed(context.view_layer)
+    return [active] if active is not None else visible_meshes(context.view_layer)
 
 
 def from_cursor(settings: Any, name: str, cursor: Any) -> None:

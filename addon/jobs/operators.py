@@ -10,7 +10,7 @@ from dataset_gen.errors import GenerateError
 
 from .. import names
 from ..declare import Declared
-from . import commands, generating, objects, preview
+from . import commands, generating, objects
 from .runner import Job, State
 
 _ui = Declared()
@@ -27,14 +27,12 @@ def use_selection(operator: Any, context: Any) -> None:
             moving.add().object = obj
     if not moving:
         raise GenerateError("No selected object can move in a dataset")
-    preview.refresh(context)
 
 
 @_ui.operator("Move Everything")
 def move_everything(operator: Any, context: Any) -> None:
     """Let every object of the scene move"""
     context.scene.tg4mm_generate.moving.clear()
-    preview.refresh(context)
 
 
 @_ui.operator("Fit to Objects")
@@ -42,7 +40,6 @@ def fit_mode(operator: Any, context: Any) -> None:
     """Fit positions, directions and lengths of the mode to the bounds of the moving objects, or of the active one"""
     corners = objects.box(objects.chosen(context), context.evaluated_depsgraph_get())
     objects.fit(context.scene.tg4mm_generate, *corners)
-    preview.refresh(context)
 
 
 _FIELDS = [(name, name, "") for name in (*objects.PLACES, *objects.HEADINGS, *objects.HEIGHTS)]
@@ -52,23 +49,6 @@ _FIELDS = [(name, name, "") for name in (*objects.PLACES, *objects.HEADINGS, *ob
 def mode_from_cursor(operator: Any, context: Any) -> None:
     """Set this from the 3D cursor: a position to its location, a direction to its z axis, a height to its z"""
     objects.from_cursor(context.scene.tg4mm_generate, operator.setting, context.scene.cursor)
-    preview.refresh(context)
-
-
-@_ui.operator("Start Preview", poll=lambda context: context.mode == "OBJECT")
-def preview_start(operator: Any, context: Any) -> str:
-    """Preview the motion in the 3D view, multiplied by Gain; the preview is not saved"""
-    try:
-        count = preview.start(context)
-    except ValueError as error:
-        raise GenerateError(str(error)) from None
-    return f"{count} object{' moves' if count == 1 else 's move'}; play the timeline"
-
-
-@_ui.operator("Stop Preview")
-def preview_stop(operator: Any, context: Any) -> None:
-    """Remove the preview"""
-    preview.stop()
 
 
 def _about_generate(context: Any, properties: Any) -> str:

@@ -8,7 +8,7 @@ from dataset_gen.cameras import KINDS
 
 from .. import preferences
 from ..declare import Declared
-from . import commands, generating, kinds, objects, preview
+from . import commands, generating, kinds, objects
 from .runner import Job, State
 
 _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
@@ -48,7 +48,6 @@ def draw_vibration(layout: Any, context: Any) -> None:
         _draw_objects(layout, settings)
         _draw_mode(layout, settings, context)
     layout.prop(settings, "fps")
-    _draw_preview(layout, settings, context.scene)
 
 
 def _draw_objects(layout: Any, settings: Any) -> None:
@@ -78,22 +77,6 @@ def _draw_mode(layout: Any, settings: Any, context: Any) -> None:
     row.prop(settings, "amplitude_px" if pixels else "amplitude")
     row.prop(settings, "amplitude_in", text="")
     layout.prop(settings, "phase")
-
-
-def _draw_preview(layout: Any, settings: Any, scene: Any) -> None:
-    if not preview.active():
-        layout.operator("tg4mm.preview_start", icon="PLAY")
-        if preview.problem():
-            _draw_lines(layout, preview.problem(), "ERROR")
-        return
-    layout.prop(settings, "gain", slider=True)
-    layout.operator("tg4mm.preview_stop", icon="SNAP_FACE")
-    row = layout.row(align=True)
-    row.operator("screen.animation_play", text="Play or Pause")
-    row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
-    times = scene.render.fps / scene.render.fps_base / settings.fps
-    if abs(times - 1.0) > 1e-3:
-        _draw_lines(layout, f"The timeline plays {times:.3g} times faster than real time", "INFO")
 
 
 @_ui.panel("VIEW3D_PT_tg4mm_views", "Cameras and Pictures", parent=_GENERATE, closed=True)

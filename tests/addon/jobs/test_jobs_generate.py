@@ -37,9 +37,7 @@ def settings(extension, tmp_path):
 def test_scene_becomes_a_dataset(extension, settings, splat_path):
     splat = import_splat(splat_path)
     bpy.context.scene.frame_set(4)
-    assert bpy.ops.tg4mm.preview_start() == {"FINISHED"}
     assert bpy.ops.tg4mm.generate() == {"FINISHED"}
-    assert not extension.jobs.preview.active()
     assert not splat.hide_render
     out = Path(settings.out)
     assert (out / "cubes.generating" / "scene.blend").is_file()
