@@ -35,7 +35,7 @@ from tg4mm.show.measure.sensors import Sensor
 from tg4mm.show.render import sequence
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.sequence import RenderRequest, work_folder
-from tg4mm.show.report import accuracy, summary
+from tg4mm.show.report import closing, summary
 
 ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
 FREQUENCY = {
@@ -74,7 +74,7 @@ def _read_metrics(root):
         metrics=log.read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
         train=SimpleNamespace(unit_scale_m=0.1, scene={}), view=SimpleNamespace(alpha=5.0, truth=None),
     )  # fmt: skip
-    accuracy.accuracy_section(found)
+    closing.accuracy_section(found)
     summary._ssim_stat(found)
     summary._error_stat(found)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.show import labels
+from tg4mm.show import regions as labels
 
 
 def test_labels_of_one_place_and_of_the_edge_are_apart_and_inside(monkeypatch):

@@ -12,7 +12,7 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.files import json_digest
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.run import Run
-from tg4mm.show.report import videos as video
+from tg4mm.show.report import figures as video
 from tg4mm.show.report.figures import clip
 from tg4mm.show.report.sources import choose_alpha, metrics_of
 from tg4mm.show.result.read import result_from

@@ -12,7 +12,7 @@ from tests.show.view.browser import browser
 from tg4mm.core.errors import RunError
 from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import Figure, Page, Section, drawing, render_page
-from tg4mm.show.report import pdf
+from tg4mm.show.report import write as pdf
 
 X = np.linspace(0, 10, 101)
 SPAN = "(() => { const s = window.plots[%d].scales; return [s.x.min, s.x.max, s.y.min, s.y.max]; })()"

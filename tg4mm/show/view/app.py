@@ -168,4 +168,5 @@ def _sender(client: viser.ClientHandle) -> Callable[[np.ndarray, int], None]:
 
 
 def _refreshed(client: viser.ClientHandle, screen: Screen, now: float) -> bool:
-    return screen.refresh(canvas_of(client), now)
+    canvas = canvas_of(client)
+    return canvas.can_be_drawn and screen.refresh(canvas, now)

@@ -2,7 +2,6 @@
 
 import hmac
 import logging
-import math
 import os
 import re
 import secrets
@@ -10,14 +9,13 @@ import socket
 import tempfile
 import warnings
 import webbrowser
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import msgspec
 import rich
 import viser
 import websockets.asyncio.server
@@ -29,10 +27,6 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.show.view.charts import SCRIPT, STYLE
 
 LARGEST_MESSAGE = 1 << 16  # bytes; a camera or a slider is a few hundred
-LARGEST_CANVAS = 1 << 14, 1 << 25  # pixels a side, and of the whole: 8K has 33 million
-_FARTHEST = 1e12  # scene units
-_NARROWEST = 1e-3  # radians, that a field of view is from 0 and from π
-_LONGEST = 1000  # characters of a text
 # Any port: a tunnel from another machine ends at one of its own.
 _HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d{1,5})?")
 _PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
@@ -79,65 +73,6 @@ class Guard:
                 HTTPStatus.NOT_FOUND, "the address is the one that tg4mm view prints, token included"
             )
         return None if websocket else _page(hosts[0])
-
-    def checked(self, handler: Callable[[ServerConnection], Awaitable[None]]) -> Any:
-        """`handler`, whose connections give sensible messages alone."""
-
-        async def handle(connection: ServerConnection) -> None:
-            receive = connection.recv
-
-            async def received(*_: object) -> object:
-                while not _sensible(raw := await receive()):
-                    pass
-                return raw
-
-            connection.recv = received  # type: ignore[assignment, method-assign]
-            await handler(connection)
-
-        return handle
-
-
-def _sensible(raw: object) -> bool:
-    """Whether a message is of a kind that the page sends, moves nothing but a value, and can be calculated with."""
-    try:
-        message = msgspec.msgpack.decode(raw) if isinstance(raw, bytes) else None
-    except (msgspec.DecodeError, RecursionError):
-        return False
-    if not isinstance(message, dict) or not _bounded(message):
-        return False
-    kind, updates = message.get("type"), message.get("updates")
-    if kind == "GuiUpdateMessage":  # viser sets whatever attribute is named
-        return isinstance(updates, dict) and updates.keys() == {"value"} and updates["value"] is not None
-    return kind == "ScenePointerMessage" or (kind == "ViewerCameraMessage" and _is_camera(message))
-
-
-def _bounded(value: object) -> bool:
-    """Whether all numbers in JSON-like data are finite and not huge, and all texts short."""
-    if isinstance(value, dict):
-        return all(map(_bounded, value.values()))
-    if isinstance(value, list):
-        return all(map(_bounded, value))
-    if isinstance(value, (int, float)):
-        return abs(value) < _FARTHEST
-    return value is None or (isinstance(value, str) and len(value) <= _LONGEST)
-
-
-def _is_camera(message: dict[str, Any]) -> bool:
-    """Whether it is whole, of a canvas that memory is there for, and looks somewhere."""
-    try:
-        sizes = message["image_width"], message["image_height"]
-        return (
-            all(0 < size <= LARGEST_CANVAS[0] for size in sizes)
-            and math.prod(sizes) <= LARGEST_CANVAS[1]
-            and _NARROWEST < message["fov"] < math.pi - _NARROWEST
-            and len(message["wxyz"]) == 4
-            and 0.5 < math.hypot(*message["wxyz"]) < 2.0
-            and all(len(message[name]) == 3 for name in ("position", "look_at", "up_direction"))
-            and min(math.dist(message["position"], message["look_at"]), math.hypot(*message["up_direction"]))
-            > 0
-        )
-    except (KeyError, TypeError):
-        return False
 
 
 def _page(host: str) -> Response:
@@ -201,7 +136,7 @@ def start_server(port: int) -> LocalServer:
 
         def guarded(handler: Any, *args: Any, **options: Any) -> Any:
             options |= {"process_request": guard.answer, "max_size": LARGEST_MESSAGE}
-            return serve(guard.checked(handler), *args, **options)
+            return serve(handler, *args, **options)
 
         # viser hands on no guard; its announcements say what the command says itself
         websockets.asyncio.server.serve = guarded  # type: ignore[assignment, misc]

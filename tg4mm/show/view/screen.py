@@ -38,6 +38,18 @@ class Canvas:
         return camera_of(np.array(self.position), rotation, self.fov, self.width / self.height, size)
 
     @property
+    def can_be_drawn(self) -> bool:
+        """Return whether it has a size and looks somewhere, unlike that of a hidden page."""
+        numbers = np.array([*self.position, *self.wxyz, self.fov])
+        turns = 0.5 < float(np.linalg.norm(self.wxyz)) < 2.0
+        return (
+            min(self.width, self.height) > 0
+            and turns
+            and 0 < self.fov < np.pi
+            and np.abs(numbers).max() < 1e12
+        )
+
+    @property
     def holds_two(self) -> bool:
         """Return whether there is room for two pictures, which a phone lacks."""
         return self.width >= NARROW
