@@ -19,7 +19,7 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-SETTING = {"clear", "view", "prepare_render"}
+SETTING = {"clear", "view"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -131,38 +131,6 @@ def clear():
     bpy.data.batch_remove(list(bpy.data.objects))
 
 
-@answer
-def prepare_render(engine, size, frames, to):
-    """A camera that sees the drum, and a small picture; `frames` first and last, `to` where they are written."""
-    import mathutils
-
-    scene = bpy.context.scene
-    if scene.camera is None:
-        scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-        scene.collection.objects.link(scene.camera)
-    place = mathutils.Vector((1.2, -3.6, 2.6))
-    scene.camera.location, scene.camera.rotation_euler = place, (-place).to_track_quat("-Z", "Y").to_euler()
-    scene.render.engine = engine
-    scene.render.resolution_x, scene.render.resolution_y = size
-    scene.render.resolution_percentage = 100
-    scene.cycles.samples, scene.cycles.use_denoising = 4, False
-    scene.frame_start, scene.frame_end = frames
-    scene.render.filepath = str(FOLDER / to)
-
-
-@answer
-def save_rendered(file):
-    """Write the picture that was rendered last; False where there is none."""
-    result = bpy.data.images.get("Render Result")
-    if result is None:
-        return False
-    try:
-        result.save_render(str(FOLDER / file))
-    except RuntimeError:  # rendered nothing yet
-        return False
-    return True
-
-
 def _window():
     return bpy.context.window_manager.windows[0]
 
@@ -203,5 +171,4 @@ def _answer_what_is_asked():
 bpy.context.preferences.view.show_splash = False
 # In a window of its own it would lie across the screen's edge, as no window manager is there to place it.
 bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
-bpy.context.preferences.view.render_display_type = "NONE"
 bpy.app.timers.register(_answer_what_is_asked, first_interval=1.0, persistent=True)

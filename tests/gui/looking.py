@@ -1,4 +1,4 @@
-"""What a test says of a screenshot: is anything on it, did it change, has it colours."""
+"""What a test says of a screenshot: is anything on it, did it change."""
 
 import numpy as np
 
@@ -19,8 +19,3 @@ def is_blank(picture):
 def changed(a, b, by=12):
     """Share of the pixels of which some channel differs by more than `by` of 255."""
     return float((np.abs(a.astype(int) - b.astype(int)).max(axis=2) > by).mean())
-
-
-def coloured(picture, by=40):
-    """Share of the pixels that are not grey: largest less smallest channel above `by` of 255."""
-    return float((picture.max(axis=2).astype(int) - picture.min(axis=2) > by).mean())

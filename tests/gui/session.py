@@ -70,7 +70,6 @@ class Session:
     def __init__(self, folder):
         self.folder = folder  # seen from here
         self.inside = "/" + str(folder.relative_to(ROOT))  # seen by Blender
-        self.seen: dict[str, tuple[int, int]] = {}  # where controls were found last
         self._number = 0
         self._display = ""
 
@@ -111,10 +110,6 @@ class Session:
         self.move(x, y)
         self._xdotool("click", str(button))
 
-    def double_click(self, x, y):
-        self.move(x, y)
-        self._xdotool("click", "--repeat", "2", "--delay", "60", "1")
-
     def drag(self, start, by, steps=10, button=1):
         """Press at `start`, move by pixels in steps, let go. Relative, as a number field holds the pointer."""
         self.move(*start)
@@ -152,15 +147,6 @@ class Session:
     def now(self):
         """The whole screen, uint8 [H, W, 3]."""
         return read_xwd((self.folder / "screen" / "Xvfb_screen0").read_bytes())
-
-    def take(self, name, path):
-        """Move a picture that Blender wrote into the session's folder to `path`; returns uint8 [H, W, 3]."""
-        from PIL import Image
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.move(self.folder / name, path)
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
 
     def region(self, area, region="WINDOW"):
         """A region of the first area of a type: `region("VIEW_3D", "UI")`."""

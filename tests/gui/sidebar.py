@@ -1,7 +1,7 @@
 """The sidebar's tab TG4MM by mouse: opening it, finding its controls, importing a file through the menu.
 
 Blender tells no one where a button is, so the pointer is led down the panel and Blender's own shortcut copies what
-lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command of an operator (Ctrl C).
+lies under it: the data path of a value (Ctrl Shift Alt C).
 """
 
 import time
@@ -26,47 +26,28 @@ def open_tab(blender):
     raise SessionError(f"the sidebar has no tab {TAB}\n{blender.log()}")
 
 
-def find(blender, wanted, at=0.55):
-    """Where the control is whose data path or Python command ends with `wanted`.
+def find(blender, name, at=0.55):
+    """Where the control of an input of the active object's modifier is, among what is in sight.
 
-    `at`: where in a row it is looked for, 0 on the left edge of the sidebar and 1 on the right. An input of the
-    active object's modifier is found by its name, among what is in sight.
+    `at`: where in a row it is looked for, 0 on the left edge of the sidebar and 1 on the right. Over a header or label
+    Blender copies the path of the value that the pointer was over last. So a path counts only where the value itself
+    can be copied too, which takes a pointer over it, or once another path was met in this search.
     """
-    path = wanted if wanted.startswith(("bpy.", "tg4mm_")) else blender.ask("paths").get(wanted, wanted)
-    box = blender.region("VIEW_3D", "UI")
-    place = blender.seen.get(path)
-    met: set[str] = set()
-    if place and _in_rows(blender, path, place[0], place[1] - 10, place[1] + 10, met):
-        return place
-    x = box.left + round(at * box.width)
-    place = _in_rows(blender, path, x, box.top, box.top + box.height, met)
-    if place is None:
-        raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
-    blender.seen[path] = place
-    return place
-
-
-def _in_rows(blender, path, x, top, bottom, met):
-    """The control of a path at x among the rows from `top` to `bottom`.
-
-    Over a header or a label Blender copies the path of the value that the pointer was over last. So a path counts
-    only where the value itself can be copied too, which takes a pointer over it, or once another path was `met`
-    in this search: checkboxes and menus have no value to copy. No operator is copied from elsewhere.
-    """
-    is_operator = path.startswith("bpy.")
-    for y in range(top + 10, bottom - 6, ROW_STEP):
-        found = under_pointer(blender, x, y, is_operator)
+    path, box = blender.ask("paths")[name], blender.region("VIEW_3D", "UI")
+    x, met = box.left + round(at * box.width), False
+    for y in range(box.top + 10, box.top + box.height - 6, ROW_STEP):
+        found = under_pointer(blender, x, y)
         if not found.endswith(path):
-            met.update({found} - {""})
-        elif is_operator or met or under_pointer(blender, x, y, operator=True):
+            met |= found != ""
+        elif met or under_pointer(blender, x, y, "ctrl+c"):
             return x, y
-    return None
+    raise SessionError(f"no control for {name} in the sidebar\n{blender.log()[-2000:]}")
 
 
-def under_pointer(blender, x, y, operator):
-    """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
+def under_pointer(blender, x, y, keys="ctrl+shift+alt+c"):
+    """Data path of the value under the pointer, with ctrl+c the value itself; empty where there is none."""
     blender.value("setattr(bpy.context.window_manager, 'clipboard', '')")  # without a redraw
-    blender.key_at(x, y, "ctrl+c" if operator else "ctrl+shift+alt+c")
+    blender.key_at(x, y, keys)
     return str(blender.value("bpy.context.window_manager.clipboard"))
 
 
@@ -77,16 +58,6 @@ def drag_value(blender, name, pixels):
     if not _soon(lambda: blender.ask("inputs")[name] != before, 30.0):
         raise SessionError(f"dragging {name} by {pixels} pixels left it at {before}")
     return float(blender.ask("inputs")[name])
-
-
-def type_value(blender, name, text):
-    """Double-click a number field and type into it."""
-    blender.double_click(*find(blender, name))
-    blender.key("ctrl+a")
-    blender.write(text)
-    blender.key("Return")
-    if not _soon(lambda: abs(blender.ask("inputs")[name] - float(text)) < 1e-4, 30.0):
-        raise SessionError(f"{name} is {blender.ask('inputs')[name]} after {text} was typed")
 
 
 def import_by_menu(blender, file, wait=30.0):

@@ -1,4 +1,4 @@
-"""The extension in the real Blender, by mouse: import, the tab, the slider, playback, a render.
+"""The extension in the real Blender, by mouse: import, the tab, the slider, playback.
 
 One Blender for all of it; each test goes on from the one before. `make test-gui` builds what is needed and runs it.
 """
@@ -24,7 +24,6 @@ pytestmark = [
         reason=f"drives the real Blender on a virtual screen: make test-gui ({missing() or 'ready'})",
     ),
 ]
-F12 = "96"  # its number: by its name xdotool presses it with Alt
 SAME = 2e-5  # scene units, of a scene 2 units wide
 
 
@@ -72,7 +71,7 @@ def test_the_tab_opens_in_the_sidebar(blender, pictures):
 
 
 def test_dragging_the_alpha_slider_moves_the_points(blender, splat, pictures):
-    before = blender.places()
+    before, first = blender.places(), blender.picture(pictures / "04_before.png")
     alpha = sidebar.drag_value(blender, "Magnification", 150)
     assert alpha > 0.5
     now = blender.places()
@@ -80,14 +79,7 @@ def test_dragging_the_alpha_slider_moves_the_points(blender, splat, pictures):
     grown = (now - splat.means)[:, 2], (before - splat.means)[:, 2]
     np.testing.assert_allclose(grown[0], (1 + alpha) * grown[1], atol=SAME)
     assert np.abs(grown[1]).max() > 0.005  # there was something to grow
-    blender.picture(pictures / "04_dragged.png")
-
-
-def test_a_typed_alpha_shows_in_the_view(blender, splat, pictures):
-    first = blender.picture(pictures / "05_before_typing.png")
-    sidebar.type_value(blender, "Magnification", "25")
-    np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
-    second = blender.picture(pictures / "06_alpha_25.png")
+    second = blender.picture(pictures / "05_dragged.png")
     assert looking.changed(view_of(blender, first), view_of(blender, second)) > 0.01
     assert blender.complaints() == []
 
@@ -108,24 +100,6 @@ def test_the_timeline_plays(blender, splat, pictures):
     assert len(set(frames)) > 1
     assert all(looking.changed(a, b) > 0.005 for a, b in itertools.pairwise(shots))
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
-
-
-def test_f12_renders_the_splats(blender, pictures):
-    blender.ask("prepare_render", engine="CYCLES", size=[160, 120], frames=[3, 5], to="frame_")
-    blender.move(*blender.region("VIEW_3D").middle)
-    blender.key(F12)
-    name = "15_f12.png"
-    wait_for_render(blender, lambda: blender.ask("save_rendered", file=name))
-    picture = blender.take(name, pictures / name)
-    assert picture.shape[:2] == (120, 160)
-    assert looking.coloured(picture) > 0.1
-
-
-def wait_for_render(blender, done):
-    """Wait until a render that was begun by a key has ended and left what it should."""
-    blender.wait(
-        lambda: not blender.value("bpy.app.is_job_running('RENDER')") and done(), "the render", 300.0, 0.5
-    )
 
 
 def test_nothing_was_complained_about(blender):

@@ -8,6 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from tg4mm.capture.codec import Loss, Tone, codec_losses
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.spectrum import Peak
 
 _NEAR_PX = 4.0  # of the Gaussians of a region: a pixel that belongs to it
 
@@ -28,13 +29,14 @@ def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[Sensor
         return [tuple(own) for own in found]
 
     losses = tested([_tones(result) for result in results])
-    faded = tested([_tones(result, 1 / np.e) if _rings(result) else [] for result in results])
+    rings = [any(_decays(p) for p in result.spectrum.peaks) for result in results]
+    faded = tested([_tones(r, 1 / np.e) if own else [] for r, own in zip(results, rings, strict=True)])
     each = zip(results, losses, faded, strict=True)
     return [result.with_(losses=own, faded=weaker) for result, own, weaker in each]
 
 
-def _rings(result: SensorResult) -> bool:
-    return any(p.line is not None and p.line.decay_per_s > 0 for p in result.spectrum.peaks)
+def _decays(peak: Peak) -> bool:
+    return peak.line is not None and peak.line.decay_per_s > 0
 
 
 def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
@@ -43,8 +45,7 @@ def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
     flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
     out = []
     for p in result.spectrum.peaks:
-        decays = p.line is not None and p.line.decay_per_s > 0
-        scale = result.px_per_unit * (of_decaying if decays else 1.0)
+        scale = result.px_per_unit * (of_decaying if _decays(p) else 1.0)
         moved = (p.phasor @ result.axes)[[0, 2]] if flat else p.phasor[[right, up]]
         out.append(Tone(p.frequency_hz, moved * [1, -1] * scale))
     return out

@@ -1,6 +1,7 @@
 """A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -38,6 +39,8 @@ from tg4mm.show.measure.series import Series, series_of, shared_error, with_mode
 from tg4mm.show.measure.shapes import Shape, shapes_of
 from tg4mm.show.measure.spectrum import USUAL_PERIOD
 from tg4mm.show.measure.video import looked_at
+
+_LONG = 5e5  # pixels times views and sensors: from here on progress is shown
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def measure(
     results = with_losses(scene, results)
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)
-    results = [r if r is against else _related(r, against) for r in results]
+    results = [r if r is against else r.with_(relation=relation_of(r, against)) for r in results]
     shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
     if scale is not None:
@@ -152,13 +155,15 @@ def _results(
     if not scene.capture.kind.sees_depth:
         return _flat_results(scene, wanted, clusters), None
     bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
-    views = [_views_of(scene, clock) for clock in scene.clocks]
+    views = [scene.views if scene.is_moving else [scene.views[v] for v in c.views] for c in scene.clocks]
     # a moving camera's views are made when they are asked for
     halves = (
         HALVES * len(scene.views) if scene.is_moving else sum(len(v.halves) for own in views for v in own)
     )
     total = halves * len(bodies)
-    with progress("sensors", total, "steps") if _is_long(scene, wanted) else _silent() as update:
+    width, height = scene.observations.size
+    is_long = len(scene.views) * len(wanted) * width * height > _LONG
+    with progress("sensors", total, "steps") if is_long else nullcontext(lambda done: None) as update:
         done = count(1)
         series = [
             _series(scene, clock, own, bodies, lambda: update(next(done)))
@@ -185,10 +190,6 @@ def _flat_results(
         result = _result(scene, sensor, own.body, [own.series], None)
         out.append(replace(result, mask=own.mask, motion=own.motion))
     return out
-
-
-def _views_of(scene: Prepared, clock: SharedClock) -> Sequence[MeasuredView]:
-    return scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
 
 
 def _series(
@@ -237,23 +238,6 @@ def _result(
     period = scene.observations.codec_period or (None if scene.video is None else USUAL_PERIOD)
     found = tuple(series), scales[best], frames[best].name, clips, period, between
     return SensorResult(sensor, body, *found)
-
-
-def _related(result: SensorResult, against: SensorResult) -> SensorResult:
-    return result.with_(relation=relation_of(result, against))
-
-
-def _is_long(scene: Prepared, sensors: Sequence[Sensor]) -> bool:
-    width, height = scene.observations.size
-    return len(scene.views) * len(sensors) * width * height > 5e5
-
-
-class _silent:
-    def __enter__(self):
-        return lambda done, **figures: None
-
-    def __exit__(self, *error: object) -> None:
-        return None
 
 
 def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:

@@ -111,12 +111,9 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
     if _told(series):
         axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, frameon=False)
     if unit.name != "px":
-        second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
+        scale = result.px_per_unit / unit.factor
+        second = axes.secondary_yaxis("right", functions=(lambda v: v * scale, lambda v: v / scale))
         second.set_ylabel(f"px in {result.best_view}")
-
-
-def _factors(factor: float) -> tuple[Any, Any]:
-    return (lambda v: v * factor), (lambda v: v / factor)
 
 
 def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:

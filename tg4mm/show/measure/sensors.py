@@ -188,23 +188,16 @@ def _sensor(name: str, region: str, parts: list[str], where: str) -> Sensor:
         parts = [*parts, f"{PIXEL_RADIUS:g}"]
     if region == "cluster" and parts == ["still"]:
         parts = [str(STILL)]
-    try:
-        values = tuple(float(p) for p in parts)
-    except ValueError:
-        bad = next(p for p in parts if not _is_number(p))
-        raise MeasureError(f"{where}: {bad!r} is not a number, expected {_FORMS[region]}") from None
+    values: tuple[float, ...] = ()
+    for part in parts:
+        try:
+            values += (float(part),)
+        except ValueError:
+            raise MeasureError(f"{where}: {part!r} is not a number, expected {_FORMS[region]}") from None
     try:
         return Sensor(name or _default_name(region, camera, values), region, values, camera)
     except MeasureError as error:
         raise MeasureError(f"{where}: {error}") from None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _default_name(region: str, camera: str, values: tuple[float, ...]) -> str:

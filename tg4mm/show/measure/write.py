@@ -30,7 +30,10 @@ FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # 
     "uff": ("measure.uff", write_uff),
     "mat": ("measure.mat", write_mat),
     "hdf5": ("measure.h5", write_hdf5),
-    "xlsx": ("measure.xlsx", lambda found, path: write_xlsx(found, path, _settings_rows(found))),
+    "xlsx": (
+        "measure.xlsx",
+        lambda found, path: write_xlsx(found, path, [(k, *v) for k, v in settings_of(found).items()]),
+    ),
 }
 
 
@@ -246,7 +249,3 @@ def _plain(values: np.ndarray) -> list[Any]:
     if values.ndim > 1:
         return [_plain(v) for v in values]
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in values]
-
-
-def _settings_rows(found: Measurement) -> list[tuple[Any, ...]]:
-    return [(name, *value) for name, value in settings_of(found).items()]
