@@ -38,7 +38,7 @@ from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_seque
 from tg4mm.show.render.sequence import record as record_of
 from tg4mm.show.report.sources import Shown
 from tg4mm.show.report.write import write_report
-from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
+from tg4mm.show.result.model import Length, Result, Vibration, amount, with_deviation
 from tg4mm.show.result.read import result_of
 from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
@@ -134,13 +134,9 @@ def _each(texts: list[str]) -> str:
 
 def _size(v: Vibration, result: Result) -> str:
     """Millimetres where the scale is known, else pixels."""
-    if result.unit_scale_m is not None:
-        millimetres = v.amplitude.times(1000 * result.unit_scale_m)
-        fine = millimetres.value < 0.1
-        return f"{with_deviation(millimetres.times(1000 if fine else 1))} {'µm' if fine else 'mm'}"
-    return (
-        f"{with_deviation(v.amplitude)} scene units" if v.pixels is None else f"{with_deviation(v.pixels)} px"
-    )
+    if result.unit_scale_m is None and v.pixels is not None:
+        return f"{with_deviation(v.pixels)} px"
+    return " ".join(amount(v.amplitude, result.unit_scale_m))
 
 
 def _where(v: Vibration) -> str:

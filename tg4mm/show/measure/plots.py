@@ -188,10 +188,7 @@ def parts_picture(found: Measurement) -> np.ndarray | None:
     features = np.stack([np.clip(s.body.weights, 0, 1) for s in parts], 1).astype(np.float32)
     frames, (width, height) = scene.observations.frames, scene.observations.size
     some = np.unique(np.linspace(0, len(frames) - 1, min(_CAMERAS, len(frames))).round().astype(int))
-    cameras = [
-        Camera(frames[i].name, frames[i].viewmat.astype(float), frames[i].K.astype(float), width, height)
-        for i in some
-    ]
+    cameras = [Camera.of(frames[i], scene.observations.size) for i in some]
     maps = [render_features(scene.gaussians, features, camera)[0] for camera in cameras]
     best = int(np.argmax([np.sqrt((own > _VISIBLE).sum((0, 1))).sum() for own in maps]))
     camera, shares = cameras[best], maps[best]

@@ -134,11 +134,7 @@ def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
         )
         if pixels > most:
             best, most = k, pixels
-    frames = scene.observations.frames[best]
-    width, height = scene.observations.size
-    return Camera(
-        frames.name, frames.viewmat.astype(np.float64), frames.K.astype(np.float64), width, height
-    ), most
+    return Camera.of(scene.observations.frames[best], scene.observations.size), most
 
 
 def _gif(pictures: list[np.ndarray]) -> bytes:

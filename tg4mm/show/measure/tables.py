@@ -62,12 +62,13 @@ def write_csv_files(found: Measurement, out: Path) -> list[Path]:
     return paths
 
 
-def write_xlsx(found: Measurement, path: Path, settings: Iterable[Sequence[Any]]) -> None:
-    """The same tables as sheets, and `settings`, rows of name, value and unit; numbers are cells of numbers."""
+def write_xlsx(found: Measurement, path: Path) -> None:
+    """The same tables as sheets, and `settings_of` as rows of name, value and unit; numbers are cells of numbers."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
     names = {"spectra": "spectrum", "peaks": "lines"}
+    settings = [(name, *value) for name, value in settings_of(found).items()]
     tables = [*tables_of(found), Table("settings", ("name", "value", "unit"), settings)]
     for table in tables:
         rows, part = iter(table.rows), 1

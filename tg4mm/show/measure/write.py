@@ -20,7 +20,7 @@ from tg4mm.show.measure.sensor_result import Record, SensorResult
 from tg4mm.show.measure.sensors import MeasureError
 from tg4mm.show.measure.shapes import write_animations
 from tg4mm.show.measure.table import format_table
-from tg4mm.show.measure.tables import settings_of, write_csv_files, write_hdf5, write_mat, write_xlsx
+from tg4mm.show.measure.tables import write_csv_files, write_hdf5, write_mat, write_xlsx
 from tg4mm.show.measure.uff import write_uff
 
 MARK = "measure.json"
@@ -30,10 +30,7 @@ FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # 
     "uff": ("measure.uff", write_uff),
     "mat": ("measure.mat", write_mat),
     "hdf5": ("measure.h5", write_hdf5),
-    "xlsx": (
-        "measure.xlsx",
-        lambda found, path: write_xlsx(found, path, [(k, *v) for k, v in settings_of(found).items()]),
-    ),
+    "xlsx": ("measure.xlsx", write_xlsx),
 }
 
 

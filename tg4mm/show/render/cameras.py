@@ -20,6 +20,7 @@ from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.pictures.decode import image_header
 from tg4mm.core.records import Record, read_record
 from tg4mm.core.values import shown
+from tg4mm.fit.motion.observations import PosedFrames
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LARGEST = 16_384  # pixels a side
@@ -36,6 +37,11 @@ class Camera:
     K: np.ndarray  # [3, 3] float64, pixels, pixel centres at +0.5
     width: int  # pixels
     height: int  # pixels
+
+    @staticmethod
+    def of(frames: PosedFrames, size: tuple[int, int]) -> "Camera":
+        """The camera that took some frames of `size` (w, h)."""
+        return Camera(frames.name, frames.viewmat.astype(float), frames.K.astype(float), *size)
 
     @property
     def position(self) -> np.ndarray:

@@ -169,7 +169,8 @@ def gather_view(
     best = _most_telling(train, model, shots) if there is None else there
     alpha = magnified.alpha
     pose, n_timesteps, fps = pose_of(run, RenderRequest(magnified))
-    camera = _camera(train, shots[best])
+    size = train.width, train.height
+    camera = Camera.of(shots[best], size)
     if n_timesteps == 1:
         ours = _rendered(pose, [(0.0, camera)], "report")
         return View(
@@ -178,7 +179,7 @@ def gather_view(
     own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
     kept = _kept(len(rows), train)
-    jobs = [(float(split.times_s[rows[i]]) * fps, _camera(train, own[i])) for i in range(kept)]
+    jobs = [(float(split.times_s[rows[i]]) * fps, Camera.of(own[i], size)) for i in range(kept)]
     jobs = [(t - jobs[0][0] if clock == Clock.independent else t, c) for t, c in jobs]
     found = None if there is None or shown is None else shown.pictures(shots[best].name, kept)
     ours = _rendered(pose, jobs, f"magnified view, α = {alpha:g}") if found is None else found
@@ -212,17 +213,17 @@ def _posed(capture: Capture, rows: np.ndarray) -> PosedFrames:
     return PosedFrames(capture.paths[i].stem, capture.viewmats[i], capture.Ks[i], rows, capture.times_s[rows])
 
 
-def _camera(capture: Capture, shot: PosedFrames) -> Camera:
-    viewmat, K = shot.viewmat.astype(np.float64), shot.K.astype(np.float64)
-    return Camera(shot.name, viewmat, K, capture.width, capture.height)
-
-
 def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) -> int:
     if model.motion is None:
         return 0
     phasors = model.motion.displacement[model.main]
     some = np.unique(np.linspace(0, len(shots) - 1, min(len(shots), _MANY)).round().astype(int))
-    seen = [image_motion(model.gaussians, phasors, model.weights, _camera(train, shots[i])) for i in some]
+    seen = [
+        image_motion(
+            model.gaussians, phasors, model.weights, Camera.of(shots[i], (train.width, train.height))
+        )
+        for i in some
+    ]
     return int(some[int(np.argmax(seen))])
 
 

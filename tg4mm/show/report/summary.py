@@ -16,7 +16,7 @@ from tg4mm.core.phasors import main_direction
 from tg4mm.run import Run
 from tg4mm.show.measure import Measurement
 from tg4mm.show.report.sources import Model, View
-from tg4mm.show.result.model import Length, Result, Vibration, with_deviation
+from tg4mm.show.result.model import Length, Result, Vibration, amount, percent, with_deviation
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,6 @@ class Material:
         """The strongest vibration that is magnified."""
         inside = (v for v in self.result.vibrations if self.view.magnified.inside(np.array(v.hz)))
         return next(inside, None)
-
-
-def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
-    """(value ± deviation, unit): mm or µm where the scale is known, else scene units."""
-    if unit_scale_m is None:
-        return with_deviation(length), "scene units"
-    millimetres = length.times(1000.0 * unit_scale_m)
-    if 0 < millimetres.value < 0.1:
-        return with_deviation(millimetres.times(1000.0)), "µm"
-    return with_deviation(millimetres), "mm"
 
 
 def size_of(v: Vibration, result: Result) -> tuple[str, str]:
@@ -242,10 +232,7 @@ def vibrations_table(m: Material) -> list[Block]:
 def _row(m: Material, v: Vibration) -> list[str]:
     value, unit = size_of(v, m.result)
     pixels = "–" if v.pixels is None else f"{with_deviation(v.pixels)} px"
-    damping = "–"
-    if v.damping is not None:
-        percent = None if v.damping_deviation is None else 100 * v.damping_deviation
-        damping = f"{with_deviation(Length(100 * v.damping, percent))} %"
+    damping = percent(v.damping, v.damping_deviation)
     place = ", ".join(f"{c:.3g}" for c in v.place)
     if v.place_px is not None:
         place = f"{v.place_px[0]:.0f}, {v.place_px[1]:.0f}"

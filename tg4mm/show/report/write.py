@@ -36,7 +36,7 @@ from tg4mm.show.report.sources import (
 )
 from tg4mm.show.report.spectra import measured, sensors_section
 from tg4mm.show.report.summary import Material, limits_section, stats, summary
-from tg4mm.show.result.model import Length, title_of, with_deviation
+from tg4mm.show.result.model import Length, percent, title_of, with_deviation
 from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import reading_of
 from tg4mm.show.result.requested import too_far
@@ -239,14 +239,10 @@ def regions_section(m: Material) -> list[Section]:
 
 
 def _row(line: LookLine) -> list[str]:
-    damping = "–"
-    if line.damping is not None:
-        percent = None if line.damping_deviation is None else 100 * line.damping_deviation
-        damping = f"{with_deviation(Length(100 * line.damping, percent))} %"
     return [
         with_deviation(Length(line.hz, line.hz_deviation)),
         with_deviation(Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))),
-        damping,
+        percent(line.damping, line.damping_deviation),
         f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})",
         line.change,
         line.mark,

@@ -155,15 +155,12 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
     if v.pixels is not None:
         lengths.insert(0, f"{with_deviation(v.pixels)} px")
     if result.unit_scale_m is not None:
-        millimetres = v.amplitude.times(1000 * result.unit_scale_m)
-        fine = millimetres.value < 0.1
-        lengths.append(f"{with_deviation(millimetres.times(1000 if fine else 1))} {'µm' if fine else 'mm'}")
+        lengths.append(" ".join(amount(v.amplitude, result.unit_scale_m)))
     where = ", ".join(f"{c:.3g}" for c in v.place)
     near = f"({where})" if v.place_px is None else f"pixel {v.place_px[0]:.0f}, {v.place_px[1]:.0f}"
     damping = f"not determined: {v.why_no_damping}"
     if v.damping is not None:
-        percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
-        damping = f"ratio {with_deviation(percent)} %"
+        damping = f"ratio {percent(v.damping, v.damping_deviation)}"
     if v.begins_s is not None:
         damping += f"; begins {v.begins_s:.3g} s into the record"
     return [
@@ -197,6 +194,23 @@ def _row(name: str, text: str) -> str:
 def with_deviation(length: Length) -> str:
     """`0.223 ± 0.008`, as `tg4mm.core.digits`; `> 0.223 ± 0.008` of a bound."""
     return ("> " if length.is_bound else "") + value_with_deviation(length.value, length.deviation)
+
+
+def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
+    """(value ± deviation, unit): mm or µm where the scale is known, else scene units."""
+    if unit_scale_m is None:
+        return with_deviation(length), "scene units"
+    millimetres = length.times(1000.0 * unit_scale_m)
+    if 0 < millimetres.value < 0.1:
+        return with_deviation(millimetres.times(1000.0)), "µm"
+    return with_deviation(millimetres), "mm"
+
+
+def percent(ratio: float | None, deviation: float | None) -> str:
+    """A damping ratio in percent; a dash where there is none."""
+    if ratio is None:
+        return "–"
+    return f"{with_deviation(Length(100 * ratio, None if deviation is None else 100 * deviation))} %"
 
 
 def unit_of(capture: Capture | None) -> tuple[str, float]:
