@@ -1,12 +1,27 @@
-"""What a pass through the pictures keeps in a byte for each number: sums over a region are what they were."""
+"""The pass through the pictures: what is kept of it, and a camera that moves."""
 
 import numpy as np
 import pytest
 
+from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
+from tg4mm.show.measure import measure, parse_sensor, prepare
 from tg4mm.show.measure.kept import Sides
 
+AMPLITUDE = np.array([0.016, 0.0, 0.012])
 N, FRAMES = 400, 60
 SEEN = np.arange(50, 350)
+
+
+def test_a_moving_camera_shows_what_moves_before_it(tmp_path):
+    run = run_of(tmp_path, of_parts(ball=sine(9.0, AMPLITUDE)), n_timesteps=40, walks=True, noise=0.004)
+    scene = prepare(run)
+    found = measure(scene, [parse_sensor(BALL_SPHERE)])
+    ball = found["ball"]
+    assert ball.labels == ("x", "y", "z")
+    assert ball.spectrum.peaks[0].frequency_hz == pytest.approx(9.0, abs=0.1)
+    assert any("moving camera" in note for note in found.notes)
+    again = measure(prepare(run), [parse_sensor(BALL_SPHERE)])["ball"]  # from what was kept
+    assert again.displacement == pytest.approx(ball.displacement, rel=1e-6, abs=1e-9)
 
 
 @pytest.fixture
