@@ -9,7 +9,7 @@ from .. import compat, names, preferences
 from ..declare import TAB, Declared, on_motion, on_splats
 from ..nodes import blending, clock, drawing, scene
 from ..nodes.shapes import DRAW_MODES
-from . import analysis, colour_range, cropping, look, overlay, pictures, plots
+from . import analysis, colour_range, look, overlay, pictures, plots
 
 _ui = Declared()
 
@@ -92,7 +92,7 @@ def draw_look(layout: Any, context: Any) -> None:
     on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
     if not drawn.native and (on or shading == "SOLID"):  # else the colours are seen anyway
         layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
-    if blind := cropping.modifiers_after(obj):
+    if blind := _modifiers_after(obj):
         layout.label(text=f"{', '.join(blind)}: works on meshes only", icon="INFO")
         layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
     if drawn.soft and not drawn.native and names.LOW_PASS not in obj:
@@ -165,6 +165,15 @@ def _fields(layout: Any) -> Any:
     column = layout.column(align=True)
     column.use_property_split = True
     return column
+
+
+def _modifiers_after(obj: Any) -> list[str]:
+    """Return the names of later modifiers that only see meshes while ours outputs instances or points."""
+    ours = scene.splat_modifier(obj)
+    if ours is None or compat.get_input(ours, names.SOLID_COLOUR):
+        return []
+    after = list(obj.modifiers)[obj.modifiers.find(ours.name) + 1 :]
+    return [other.name for other in after if other.type != "NODES"]
 
 
 def _shading(context: Any) -> str | None:
