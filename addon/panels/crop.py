@@ -112,8 +112,7 @@ def remove(obj: Any, choice: Choice) -> tuple[int, int]:
         )
     for mesh, drop in zip(meshes, dropped, strict=True):
         if drop.any():
-            rows = np.flatnonzero(points.gaussians(mesh))[drop].tolist()
-            _delete(mesh, lambda vertices, rows=rows: [vertices[i] for i in rows])
+            _delete(mesh, np.flatnonzero(points.gaussians(mesh))[drop].tolist())
     if gone and frames is None:
         scene.measure_modes(obj)
     return gone, total - gone
@@ -131,13 +130,15 @@ def add_box(obj: Any, collection: Any) -> Any:
     return box
 
 
-def _delete(mesh: Any, chosen: Callable[[Any], Sequence[Any]]) -> None:
-    """Delete the vertices that `chosen` picks from the mesh's `verts`."""
+def _delete(mesh: Any, rows: Sequence[int] | None = None) -> None:
+    """Delete the vertices with these numbers; by default those without an edge."""
     edited = bmesh.new()
     try:
         edited.from_mesh(mesh)
         edited.verts.ensure_lookup_table()
-        bmesh.ops.delete(edited, geom=chosen(edited.verts), context="VERTS")
+        loose = (vertex for vertex in edited.verts if not vertex.link_edges)
+        gone = [*loose] if rows is None else [edited.verts[i] for i in rows]
+        bmesh.ops.delete(edited, geom=gone, context="VERTS")
         edited.to_mesh(mesh)
     finally:
         edited.free()
@@ -165,8 +166,7 @@ def make(obj: Any, collection: Any, context: Any) -> Any:
         mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
     finally:
         compat.set_input(modifier, names.SOLID_COLOUR, before)
-    # the points themselves
-    _delete(mesh, lambda vertices: [vertex for vertex in vertices if not vertex.link_edges])
+    _delete(mesh)  # the points themselves
     made = bpy.data.objects.new(f"{obj.name} mesh", mesh)
     made.matrix_world = obj.matrix_world
     collection.objects.link(made)
