@@ -118,7 +118,7 @@ def test_the_numbers_are_those_of_the_drawing(html):
     assert render_page(Page("T", "k", "", [], [], [], "")).count("uPlot") == 0
 
 
-def test_a_drag_zooms_and_a_double_click_shows_all(html, tmp_path):
+def test_a_drag_zooms_and_a_double_click_shows_all(html, chromium, tmp_path):
     path = tmp_path / "page.html"
     told = "window.plots = []; const U = uPlot; uPlot = (...a) => plots[plots.push(new U(...a)) - 1];"
     assert "new uPlot(" in html
@@ -126,38 +126,35 @@ def test_a_drag_zooms_and_a_double_click_shows_all(html, tmp_path):
         "// A chart that has", f"{told}\n// A chart that has", 1
     )
     path.write_text(kept, encoding="utf-8")
-    with browser() as chromium:
-        page = chromium.new_page(viewport={"width": 390, "height": 800})
-        errors: list[object] = []
-        page.on("pageerror", lambda error: errors.append(error))
-        page.goto(path.as_uri())
-        until(page, "document.querySelectorAll('.zoomed .uplot').length == 2")
-        assert page.evaluate("document.documentElement.scrollWidth") == 390
-        box = page.locator(".u-over").first.bounding_box()
-        page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 60)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 62, steps=4)
-        page.mouse.up()
-        until(page, f"{SPAN % 0}[1] < 7")
-        assert page.evaluate(SPAN % 0) == pytest.approx([2, 6, 0.5, 4], abs=0.1)
-        page.mouse.dblclick(box["x"] + 50, box["y"] + 50)
-        until(page, f"{SPAN % 0}[1] > 9")
-        page.locator(".zooms button").first.click()
-        until(page, f"{SPAN % 0}[0] > 2")
-        assert page.evaluate(SPAN % 0) == pytest.approx([2.5, 7.5, 0.5, 4])
-        place = page.locator(".u-over").nth(1)
-        place.scroll_into_view_if_needed()
-        place.hover()
-        until(page, "document.querySelectorAll('.zooms output')[1].textContent.endsWith('dB')")
-        assert not errors
-        page.close()
+    page = chromium.new_page(viewport={"width": 390, "height": 800})
+    errors: list[object] = []
+    page.on("pageerror", lambda error: errors.append(error))
+    page.goto(path.as_uri())
+    until(page, "document.querySelectorAll('.zoomed .uplot').length == 2")
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    box = page.locator(".u-over").first.bounding_box()
+    page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 62, steps=4)
+    page.mouse.up()
+    until(page, f"{SPAN % 0}[1] < 7")
+    assert page.evaluate(SPAN % 0) == pytest.approx([2, 6, 0.5, 4], abs=0.1)
+    page.mouse.dblclick(box["x"] + 50, box["y"] + 50)
+    until(page, f"{SPAN % 0}[1] > 9")
+    page.locator(".zooms button").first.click()
+    until(page, f"{SPAN % 0}[0] > 2")
+    assert page.evaluate(SPAN % 0) == pytest.approx([2.5, 7.5, 0.5, 4])
+    place = page.locator(".u-over").nth(1)
+    place.scroll_into_view_if_needed()
+    place.hover()
+    until(page, "document.querySelectorAll('.zooms output')[1].textContent.endsWith('dB')")
+    assert not errors
+    page.close()
 
 
-def test_a_page_is_printed_or_it_is_said_what_prints(html, tmp_path, monkeypatch):
+def test_a_page_is_printed_or_it_is_said_what_prints(html, chromium, tmp_path, monkeypatch):
     path = tmp_path / "page.html"
     path.write_text(html, encoding="utf-8")
-    with browser():  # is there
-        pass
     made = pdf.print_pdf(path, pdf.printer())
     assert made.read_bytes().startswith(b"%PDF")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.pdf"]
