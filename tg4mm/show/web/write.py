@@ -46,7 +46,7 @@ class Page:
 def export_html(run: Run, out: Path, most_bytes: int | None = None, regions: Path | None = None) -> Path:
     """Write the run as one page that plays in a browser, from the file alone (docs/web.md).
 
-    most_bytes: of the file, where the whole scene would be larger (`fit.py` says what is left out); None: any size.
+    most_bytes: of the file, where the whole scene would be larger (`pack.py` says what is left out); None: any size.
     regions: a PNG that shows which part is which sensor, for the panel. A run without motion gives a page of the still
     scene. Raises Tg4mmError for an `out` that is a folder, or a file that is no page; RunError for a run without a
     space stage or whose dataset is gone; CaptureError for a bad one.
