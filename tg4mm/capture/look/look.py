@@ -31,7 +31,9 @@ _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is 
 _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
-_ITS_RIM = 2  # cells from one that moves by itself, whose neighbours are left out, to the nearest that is used
+_ITS_RIM = (
+    2  # cells from one that moves by itself, whose neighbours are left out, to the nearest that is used
+)
 _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels

@@ -61,7 +61,9 @@ def train_motion(
         observations = held(observations, own[None])
     if found is not None and found.vibrations and observations.clock == Clock.synchronous:
         times = observations.frames[0].times_s
-        lines = {line.hz: line for line in found.vibrations}.values()  # parts of one frequency share its course
+        lines = {
+            line.hz: line for line in found.vibrations
+        }.values()  # parts of one frequency share its course
         courses = np.concatenate([line.course(times) for line in lines])
         steady = tuple(line.hz for line in lines if line.start_s is None and not line.damping)
         observations = dataclasses.replace(observations, courses=courses, steady_hz=steady)
