@@ -20,14 +20,13 @@ from tg4mm.show.analyse.quantities import (
     Levels,
     ThirdOctave,
     Value,
-    Zone,
     levels_of,
     third_octaves_of,
     zone_of,
 )
 from tg4mm.show.analyse.record import Change, Record
-from tg4mm.show.analyse.spectra import Density, density_of
-from tg4mm.show.analyse.transfer import Curve, Phase, Transfer, curve_of, phases_of
+from tg4mm.show.analyse.spectra import density_of
+from tg4mm.show.analyse.transfer import Curve, Transfer, curve_of, phases_of
 from tg4mm.show.options import AnalyseOptions
 
 Rows = Iterable[Sequence[Any]]
@@ -71,19 +70,10 @@ def _level_rows(v: Levels) -> Rows:
             yield v.channel, v.quantity, v.unit, *v.band_hz, name, own.value, own.deviation
 
 
-def _zones(record: Record) -> list[Zone]:
-    machine = record.options.machine
-    return [] if machine is None else [zone_of(c, machine) for c in record.moving]
-
-
 def _third_octaves(record: Record) -> Iterator[ThirdOctave]:
     for channel in record.channels:
         for quantity in record.quantities(channel):
             yield from third_octaves_of(channel, quantity)
-
-
-def _phase_lines(p: Phase) -> Rows:
-    yield p.channel, p.reference, _both(p.frequency_hz), _both(p.ratio), _degrees(p.phase)
 
 
 def _transfer_lines(t: Transfer) -> Rows:
@@ -161,11 +151,6 @@ def _change_lines(c: Change) -> Rows:
     yield c.where, c.figure, _both(c.before), after, f"{c.score:+.1f}", "changed" if c.changed else ""
 
 
-def _density_rows(d: Density) -> Rows:
-    for values in zip(d.freqs_hz, d.density, d.low, d.high, strict=True):
-        yield d.channel, d.unit, *values, d.noise
-
-
 def _range(values: Sequence[float]) -> str:
     return f"{values[0]:.3g} to {values[1]:.4g}"
 
@@ -189,7 +174,7 @@ QUANTITIES = (
         "levels.csv", ("channel", "quantity", "unit", "low_hz", "high_hz", "figure", "value", "deviation"), _level_rows,
     ),
     Quantity(
-        "zones", _zones,
+        "zones", lambda r: [zone_of(c, r.options.machine) for c in r.moving] if r.options.machine else [],
         ("channel", "velocity, mm/s rms", "class", "zone (ISO 20816-1)"),
         lambda z: [(z.channel, _both(z.rms), z.machine, z.zone)],
     ),
@@ -204,7 +189,8 @@ QUANTITIES = (
     ),
     Quantity(
         "phases", lambda record: phases_of(record.channels, record.channels[0]),
-        ("channel", "against", "Hz", "ratio", "phase, deg"), _phase_lines,
+        ("channel", "against", "Hz", "ratio", "phase, deg"),
+        lambda p: [(p.channel, p.reference, _both(p.frequency_hz), _both(p.ratio), _degrees(p.phase))],
     ),
     Quantity(
         "transfers", lambda record: record.transfers,
@@ -241,7 +227,11 @@ QUANTITIES = (
     Quantity(
         "psd", lambda record: [density_of(c, record.averaging) for c in record.channels],
         file="psd.csv", columns=("channel", "unit", "frequency_hz", "density", "low", "high", "noise"),
-        rows=_density_rows, plot=plots.spectra,
+        rows=lambda d: (
+            (d.channel, d.unit, *values, d.noise)
+            for values in zip(d.freqs_hz, d.density, d.low, d.high, strict=True)
+        ),
+        plot=plots.spectra,
     ),
 )  # fmt: skip
 

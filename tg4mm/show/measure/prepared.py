@@ -24,7 +24,7 @@ from tg4mm.fit.motion.checkpoints import no_checkpoint
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.first_look import look_at, rest_views
+from tg4mm.fit.motion.nuisance.first_look import FixedCameras, look_at, rest_views
 from tg4mm.fit.motion.nuisance.poses import corrected_poses, left_of, pictures_of
 from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, Nuisance, nuisances_of, without
 from tg4mm.fit.motion.nuisance.registration import mean_pictures
@@ -239,16 +239,6 @@ def _prepared(
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What the cameras' pictures have in common."""
-
-    observations: Observations  # turned back to one pose where cameras shake
-    mean: np.ndarray  # [V, H, W, 3]
-    active: np.ndarray  # [V, 12] bool, nuisance columns
-    notes: list[str]
-
-
-@dataclass(frozen=True)
 class _Fixed:
     fit: MotionFit
     folder: Path | None
@@ -266,19 +256,14 @@ class _Fixed:
 
         Shake is taken out, nothing is read.
         """
-        observations, notes = self._still()
+        observations, notes = self.observations, []
+        if "pose" in self.fit.figures.get("nuisance", ["pose"]):
+            found = self._look()
+            observations, notes = found.observations, found.notes
         seen = seen_weights(rest_views(self.gaussians, self.observations), len(self.gaussians))
-        clocks = [replace(c, sides=None) for c in self._clocks(self.observations.frames)]
+        clocks = tuple(replace(c, sides=None) for c in self._clocks(self.observations.frames))
         return Prepared(
-            self.fit,
-            self.folder,
-            self.capture,
-            observations,
-            self.modal,
-            (),
-            tuple(clocks),
-            seen,
-            tuple(notes),
+            self.fit, self.folder, self.capture, observations, self.modal, (), clocks, seen, tuple(notes)
         )
 
     def prepared(self) -> Prepared:
@@ -293,11 +278,13 @@ class _Fixed:
             views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
             notes = tuple(self.kept.notes)
         else:
-            seen = self._seen()
-            means = unpacked_mean(packed_mean(seen.mean))  # as a later call will have it
-            views = self._views(seen.observations.frames, means, seen.active)
-            views, sides = self._passed(seen.observations, views, clocks)
-            notes = tuple(seen.notes)
+            observations, means, active, seen_notes = self._seen()
+            means, notes = (
+                unpacked_mean(packed_mean(means)),
+                tuple(seen_notes),
+            )  # as a later call will have it
+            views = self._views(observations.frames, means, active)
+            views, sides = self._passed(observations, views, clocks)
             if self.kept is not None:
                 self._keep(self.kept, views, sides, notes)
         clocks = [replace(c, sides=s) for c, s in zip(clocks, sides, strict=True)]
@@ -318,26 +305,25 @@ class _Fixed:
         n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
         return kept.load(wanted, n_frames, len(self.gaussians))
 
-    def _still(self) -> tuple[Observations, list[str]]:
-        """The pictures without the camera's shake, where the motion stage found some, and what to say of it."""
-        if "pose" not in self.fit.figures.get("nuisance", ["pose"]):
-            return self.observations, []
-        seen = look_at(
+    def _look(self) -> FixedCameras:
+        """Look at the pictures as the motion stage does: shake, exposure, mean pictures."""
+        return look_at(
             self.gaussians, self.observations, self.fit.config, "cpu", no_checkpoint, refines=False
         )
-        return seen.observations, seen.notes
 
-    def _seen(self) -> _Seen:
-        """As the motion stage finds it. Where it says that no camera shakes, there is no need to look again."""
-        told = self.fit.figures.get("nuisance")
-        if told is not None and "pose" not in told:
+    def _seen(self) -> tuple[Observations, np.ndarray, np.ndarray, list[str]]:
+        """Observations without shake, mean pictures [V, H, W, 3], active nuisance columns [V, 12], notes.
+
+        Where the motion stage says that no camera shakes, there is no need to look again.
+        """
+        known = self.fit.figures.get("nuisance")
+        if known is not None and "pose" not in known:
             active = np.zeros((len(self.observations.frames), COLUMNS), bool)
-            active[:, EXPOSURE] = "exposure" in told
-            return _Seen(self.observations, mean_pictures(self.observations), active, [])
-        config = self.fit.config
-        seen = look_at(self.gaussians, self.observations, config, "cpu", no_checkpoint, refines=False)
-        active = np.stack([n.active for n in seen.nuisances])
-        return _Seen(seen.observations, seen.look.mean, active, seen.notes)
+            active[:, EXPOSURE] = "exposure" in known
+            return self.observations, mean_pictures(self.observations), active, []
+        found = self._look()
+        active = np.stack([n.active for n in found.nuisances])
+        return found.observations, found.look.mean, active, found.notes
 
     def _views(
         self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
