@@ -47,6 +47,15 @@ def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
     assert not marked([line], 30.0, 6.0, taken_off={7.7: "the codec's turns at"})[0].mark
 
 
+def test_no_line_is_made_of_one_that_the_codec_makes():
+    codec = replace(found().lines[0], hz=7.4, amplitude_px=0.3)
+    own = replace(codec, hz=7.8, amplitude_px=0.013)  # 3 × 7.4 Hz, seen at 30 Hz
+    assert "3 × 7.400 Hz" in marked([codec, own], 30.0, 4.0)[1].mark
+    of_codec, other = marked([codec, own], 30.0, 4.0, taken_off={7.5: "the codec's turns at"})
+    assert "codec's turns" in of_codec.mark
+    assert not other.mark
+
+
 def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_frequency_is_not():
     line = replace(found().lines[0], hz=7.4)
     clear, clipped = np.zeros_like(line.region), np.ones_like(line.region)

@@ -36,6 +36,7 @@ _ITS_RIM = (
 )
 _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
+_APART = 2.0  # times the resolution, from a frequency to its mirror image at half the rate
 _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels
 
 
@@ -97,6 +98,8 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
     lines = marked(
         lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light, _clipped(series)
     )
+    first = {line.hz: line for line in reversed(lines)}
+    lines = [line for line in lines if not line.mark or line is first[line.hz]]
     swings = tuple(swings_of(scene))
     lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
     found = _result(
@@ -185,13 +188,21 @@ def _reported(search: Search, line: Line) -> CoreLine:
     reported = steady = fit_lines(series[seen], search.times[seen], [own.hz]).lines[0]
     if own.decay_per_s:
         rows = seen & ~scene.between if scene.treats_apart else seen
+        rows = rows if _is_told_apart(own.hz, search.times[rows], scene.duration) else seen
         half = max(1 / scene.duration, own.decay_per_s / np.pi)
         ends = max(own.hz - half, 1 / scene.duration), own.hz + half
         found = find_lines(series[rows], search.times[rows], ends=ends, most=1).lines
         reported = found[0] if found and found[0].damping is not None else own
-    if 0 < reported.decay_per_s * scene.duration < scene.coded_change:
+    if 0 < abs(reported.decay_per_s) * scene.duration < scene.coded_change:
         return replace(steady, decay_per_s=0.0, change="untold")
     return reported
+
+
+def _is_told_apart(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
+    """Whether frames at some times tell a frequency from its mirror image at half their rate."""
+    rate = 1 / float(np.median(np.diff(times_s)))
+    apart = abs((2 * hz + rate / 2) % rate - rate / 2)
+    return bool(apart > _APART / duration_s)
 
 
 def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list[LookLine]) -> Look:

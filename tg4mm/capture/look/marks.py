@@ -54,7 +54,7 @@ def _beside_light(
             seems = _LIGHT_PX * lamp.amplitude
             why = f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
             deviation = float(np.hypot(line.amplitude_deviation_px, seems))
-            if line.amplitude_px < seems:
+            if line.amplitude_px - 2 * line.amplitude_deviation_px < seems:
                 mark = why
             elif is_clipped and line.amplitude_px < _LIGHT_MOST_PX * lamp.amplitude:
                 mark = line.mark or f"may be light, which flickers at {lamp.hz:.4g} Hz"
@@ -84,12 +84,12 @@ def _mark(
 ) -> str:
     if _is_inexact(line):
         return f"one cell alone, and more than {_EXACT_PX:g} px, where its shift is not exact"
-    for hz, whose in taken_off.items():
-        if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to {whose} {hz:.4g} Hz than the record tells apart"
+    if beside := _beside_taken(line, taken_off, duration_s):
+        return beside
     near = _Near(line, 1 / duration_s)
-    for other in lines:
-        if other.amplitude_px >= _LARGER * line.amplitude_px and not _is_inexact(other):
+    others = [one for one in lines if not _is_inexact(one) and not _beside_taken(one, taken_off, duration_s)]
+    for other in others:
+        if other.amplitude_px >= _LARGER * line.amplitude_px:
             for n in _MULTIPLES:
                 folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
                 if near(folded, other, n):
@@ -98,12 +98,20 @@ def _mark(
                 near(image, other) for image in images(other.hz, rate, patterns)
             ):
                 return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
-    for other in lines:
+    for other in others:
         if line.amplitude_px < _INEXACT * other.amplitude_px and _is_there(line, other):
             return f"under {100 * _INEXACT:.2g} % of {other.hz:.3f} Hz: the error of its shift may make it"
     for other in lines if patterns else ():
         if other.statistic > _WEAK * line.statistic and _is_there(line, other):
             return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
+    return ""
+
+
+def _beside_taken(line: LookLine, taken_off: Mapping[float, str], duration_s: float) -> str:
+    """Return the mark of a line at a frequency that is taken off the shifts; empty: it is at none."""
+    for hz, whose in taken_off.items():
+        if abs(hz - line.hz) < 1 / duration_s:
+            return f"nearer to {whose} {hz:.4g} Hz than the record tells apart"
     return ""
 
 

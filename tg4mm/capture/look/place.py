@@ -144,8 +144,9 @@ class _Placing:
         seed, size = self._seed()
         region, is_rim = self._inner(self._grown(seed, size))
         amplitude, deviation, direction, phase = self._amplitude(region, is_rim)
-        if len(region) == 1:
-            deviation = float(np.hypot(deviation, self._unlike_beside(int(region[0]), amplitude)))
+        if len(region) <= size**2:  # the largest of all, so that its error is rather up than down
+            beside = self._beside(region.tolist(), self._common(region))
+            deviation = float(np.hypot(deviation, 0.0 if beside is None else abs(amplitude - beside) / 2))
         size_of = np.trace(self.weights[region], axis1=1, axis2=2)[:, None]
         x, y = (size_of * self.cells.pool.centre[region]).sum(0) / size_of.sum()
         sure = max(1, int((statistic > _READOUT_STATISTIC).sum())) / len(statistic)
@@ -164,7 +165,11 @@ class _Placing:
         return _Everywhere(pool, pool.in_picture(fit), variance.reshape(-1, 2), statistic)
 
     def _seed(self) -> tuple[list[int], int]:
-        """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side."""
+        """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side.
+
+        Its amplitude is the lesser of its own and that of the cells around it which show the line too: of many places
+        the largest would else be one that is wrong.
+        """
         best_of = [float(e.statistic.max()) for e in self.all]
         surest = self.all[int(np.argmax(best_of))]
         some = self.all[1:3] if surest.pool.size > 1 and len(self.all) > 1 else self.all[:2]
@@ -177,8 +182,10 @@ class _Placing:
                 axes = each.pool.axes[k]
                 covariance = np.einsum("xa,a,ya->xy", axes, each.variance[k], axes)
                 amplitude, variance, _, _ = _along(each.fit[:, k], covariance, inverse)
-                share = max(inexact[self.at[cell]] for cell in self._inside(each.pool, int(k)))
-                sure = amplitude - 2 * float(np.hypot(variance**0.5, share * amplitude))
+                cells = [self.at[cell] for cell in self._inside(each.pool, int(k))]
+                share, beside = float(inexact[cells].max()), self._beside(cells, each.fit[:, k])
+                unlike = 0.0 if beside is None else max(amplitude - beside, 0.0) / 2
+                sure = amplitude - 2 * float(np.linalg.norm([variance**0.5, share * amplitude, unlike]))
                 if best is None or sure > best[0]:
                     best = (sure, each, int(k))
         if best is None:
@@ -217,17 +224,15 @@ class _Placing:
         row, column = self.cells.pool.corner[cell]
         return [self.at.get((row + a, column + b)) for a, b in reach]
 
-    def _unlike_beside(self, cell: int, amplitude: float) -> float:
-        """Half of how far one cell's amplitude is from that of the cells around it which show the line too, px.
+    def _beside(self, cells: list[int], common: np.ndarray) -> float | None:
+        """Return the largest amplitude, px, of the cells around some which move rather like them than rest; or None."""
+        around = {n for cell in cells for n in self._neighbours(cell, _AROUND) if n is not None}
+        alike = [n for n in around.difference(cells) if self._shows(n) and self._moves(n, common)]
+        inverse, zero = np.linalg.inv(self.products), np.zeros((2, 2))
+        return max((_along(self.cells.fit[:, n], zero, inverse)[0] for n in alike), default=None)
 
-        Of all cells the largest amplitude is taken, so that of one alone the error is rather up than down.
-        """
-        around = [n for n in self._neighbours(cell, _AROUND) if n is not None and n != cell]
-        moving = np.array([n for n in around if self.cells.statistic[n] > _READOUT_STATISTIC], int)
-        if not len(moving):
-            return 0.0
-        beside = _along(self._common(moving), np.zeros((2, 2)), np.linalg.inv(self.products))[0]
-        return abs(amplitude - beside) / 2
+    def _shows(self, cell: int) -> bool:
+        return bool(self.cells.statistic[cell] > _READOUT_STATISTIC)
 
     def _grown(self, seed: list[int], size: int) -> np.ndarray:
         grown = set(seed)
