@@ -28,7 +28,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import observe
-from tg4mm.fit.motion.prior.graph import Graph, build_graph
+from tg4mm.fit.motion.prior import Graph, build_graph
 from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.research.evaluate.displacement import STATIC_BELOW, displacement_figures, mean_squares
 from tg4mm.research.evaluate.truth import exact_motion

@@ -27,13 +27,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+_TRAINS = """
+import tempfile
+from pathlib import Path
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.run.train import train
+with tempfile.TemporaryDirectory() as root:
+    make_synthetic_dataset(Path(root) / "data", n_views=2, n_timesteps=4, size=32, n_test=0)
+    train(Path(root) / "data", Path(root) / "run", settings={"space.iterations": "10", "space.max_gaussians": "100"})
+"""
+
+
 def pytest_sessionstart(session):
-    """Kernels are compiled once, before there are workers, each of which would compile them."""
+    """A short training compiles kernels once, before there are workers, each of which would compile them."""
     starts_workers = session.config.getoption("numprocesses", 0) and not hasattr(
         session.config, "workerinput"
     )
     if starts_workers and importlib.util.find_spec("numba"):
-        subprocess.run([sys.executable, "-m", "tg4mm.fit.precompile"], cwd=ROOT, check=False)
+        subprocess.run([sys.executable, "-c", _TRAINS], cwd=ROOT, check=False, capture_output=True)
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ from tg4mm.capture import load_images
 from tg4mm.capture.pictures import FilePictures, MaskedPictures
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.png import encode
-from tg4mm.fit.motion.nuisance import first_look as first_look_module
 from tg4mm.fit.motion.observations import observe
 
 SIZE = (5, 6)  # height, width
@@ -49,9 +48,7 @@ def test_they_are_those_of_the_stack(capture, bits):
     np.testing.assert_array_equal(found, stack.strips(rows)(strip))
 
 
-@pytest.mark.parametrize("cached", [0, 1 << 30])
-def test_their_components_are_those_of_the_stack(capture, cached, monkeypatch):
-    monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
+def test_their_components_are_those_of_the_stack(capture):
     found = components(observe(capture, FilePictures(capture)), 16)
     expected = components(observe(capture, load_images(capture)), 16)
     np.testing.assert_array_equal(found.basis, expected.basis)

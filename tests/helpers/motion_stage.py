@@ -2,13 +2,20 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from tests.helpers.space_train import Killed
 from tg4mm.fit.motion.checkpoints import Arrays
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run.stages.motion import RunCheckpoint
 
 NEVER = -1
+
+
+def same_motion(a: ModalMotion, b: ModalMotion) -> bool:
+    """To the bit."""
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
 
 
 def stop_after(count: int, monkeypatch: pytest.MonkeyPatch) -> list[str]:

@@ -19,7 +19,6 @@ from tg4mm.core import __version__, events
 from tg4mm.core.errors import Tg4mmError, one_line, system_says
 from tg4mm.core.extras import EXTRA_OF, EXTRAS_OF_COMMAND, install
 from tg4mm.core.parent import end_with_parent
-from tg4mm.fit.precompile import enable
 from tg4mm.research.options import DemoOptions, EvaluateOptions
 from tg4mm.run.options import LIST_SETTINGS, TrainOptions
 from tg4mm.show import options as show
@@ -66,7 +65,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     end_with_parent()  # a step of a benchmark
     events.print_any_text()
     _show_log()
-    enable()
     arguments = [_as_path(word) for word in (sys.argv[1:] if argv is None else argv)]
     try:
         return _run(arguments)

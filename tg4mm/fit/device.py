@@ -17,7 +17,7 @@ def check_device(device: str) -> str:
     if device == "cuda":
         if not torch.cuda.is_available():
             raise Tg4mmError("device is cuda, but torch finds no CUDA device here")
-        from tg4mm.fit.rasterize.cuda import require_gsplat
+        from tg4mm.fit.rasterize.api import require_gsplat
 
         require_gsplat()
     return device

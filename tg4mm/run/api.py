@@ -11,8 +11,7 @@ from tg4mm.fit.motion import animate as motion_animate
 from tg4mm.fit.motion import pipeline
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.observations import observe
-from tg4mm.fit.motion.reduction import window_on
+from tg4mm.fit.motion.observations import observe, window_on
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.plane import fit_plane
 from tg4mm.fit.space.targets import rest_views

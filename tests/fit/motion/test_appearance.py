@@ -1,4 +1,9 @@
-"""Changes of colour: how pictures answer to them, that noise is none, and that they are limited."""
+"""Changes of colour: how pictures answer to them, that noise is none, and that they are limited.
+
+Appearance through the whole stage: a shadow that goes with the motion is found, saved and magnified.
+
+AppearanceModes in a run's motion file: beside the motion, optional, and only where it fits.
+"""
 
 from dataclasses import replace
 
@@ -8,10 +13,14 @@ import torch
 
 from tests.fit.motion.scenes import SCENES, camera_of, gaussians_of
 from tests.fit.rasterize.oracle import assert_close
-from tests.helpers.motion_animate import FREQS, gaussians, motion
-from tests.helpers.motion_appearance import N, appearance, change_of
+from tests.helpers import synthetic
+from tests.helpers.motion_animate import FREQS, N, gaussians, motion
+from tests.helpers.runs import copied
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.capture import load_capture
+from tg4mm.capture import load_capture, load_images
+from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import Magnification
+from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.appearance import (
@@ -23,14 +32,31 @@ from tg4mm.fit.motion.appearance import (
 )
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.modes import LIMIT
+from tg4mm.fit.motion.modes import LIMIT, AppearanceModes
 from tg4mm.fit.motion.observations import fixed_cameras
-from tg4mm.fit.motion.prior.graph import build_graph
+from tg4mm.fit.motion.prior import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.run import Run
+from tg4mm.run.poses import poses_of
+from tg4mm.run.stages.motion import train_motion
+
+DARK = 0.015  # peak of the shadow's change, of 1: four levels of 8 bits
+
+
+def change_of(n, changes=1, tilts=True, seed=0):
+    """Random changes of colour [changes, n, K, 3]."""
+    size = (changes, n, 4 if tilts else 1, 3)
+    return np.random.default_rng(seed).normal(size=size).astype(np.float32)
+
+
+def appearance(size=1e-3, modes=3):
+    rng = np.random.default_rng(5)
+    series = rng.normal(size=(modes, 2)) + 1j * rng.normal(size=(modes, 2))
+    return AppearanceModes(size * change_of(N, 2, seed=6), series)
 
 
 def view_of_colours(name, tilts, mean=20.0):
@@ -178,3 +204,122 @@ def test_magnified_it_has_a_limit_and_keeps_its_direction():
     np.testing.assert_allclose(sizes, LIMIT, rtol=1e-4)
     cosine = (change * plain).sum((1, 2)) / np.linalg.norm(plain.reshape(N, -1), axis=1) * HARMONIC / LIMIT
     np.testing.assert_allclose(cosine, 1, rtol=1e-4)
+
+
+def shadow(means):
+    """[N] how much darker each Gaussian gets at most: a soft patch on the floor."""
+    away = ((means - torch.tensor([0.45, -0.6, 0.0])) ** 2).sum(1)
+    return DARK * torch.exp(-4 * away) * (means[:, 2] < 0.01)
+
+
+def true_sh(gaussians, t, alpha):
+    """3 Hz in the post's phase."""
+    sh = gaussians.sh.clone()
+    now = (1 + alpha) * np.sin(2 * np.pi * 3 * t / 30)
+    sh[:, 0] -= (now * shadow(gaussians.means) / HARMONIC)[:, None]
+    return sh
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Eight cameras, ten timesteps, post and ball swaying at 3 Hz while a shadow comes and goes."""
+    root = tmp_path_factory.mktemp("shaded")
+    plain = synthetic._at
+
+    def shaded(gaussians, motion, t, alpha):
+        at = plain(gaussians, motion, t, alpha)
+        return Gaussians(at.means, at.quats, at.scales, at.opacities, true_sh(gaussians, t, alpha))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "_at", shaded)
+        run, _ = synthetic.exact_run(root, n_views=8, n_timesteps=10, size=48, amplitude=0.005)
+    capture = load_capture(root / "data")
+    return run, capture, load_images(capture)
+
+
+@pytest.fixture(scope="module")
+def trained(made, tmp_path_factory):
+    run = copied(made[0], tmp_path_factory.mktemp("trained") / "run")
+    train_motion(run, *made[1:], MotionConfig())
+    return run
+
+
+def changes(run, t, alpha):
+    """[N, 3] change of colour, mean over all directions."""
+    at = poses_of(run, Magnification(everywhere=alpha)).at(t)
+    return ((at.sh - run.load_space().sh)[:, 0] * HARMONIC).numpy()
+
+
+@pytest.mark.parametrize(("alpha", "bound"), [(0.0, 0.5), (4.0, 0.55)])
+def test_the_shadow_is_found_and_magnified(trained, alpha, bound):
+    """Error .40: motion of the checkered floor explains some of it, and smoothness takes some. Nothing found: 1."""
+    gaussians = trained.load_space()
+    where = (shadow(gaussians.means) > 0.3 * DARK).numpy()
+    assert where.sum() > 8
+    for t in (2, 3, 7):
+        true = ((true_sh(gaussians, t, alpha) - gaussians.sh)[:, 0] * HARMONIC).numpy()
+        off = (changes(trained, t, alpha) - true)[where]
+        assert np.linalg.norm(off) < bound * np.linalg.norm(true[where])
+
+
+def test_it_is_taken_away_with_its_motion(trained):
+    most = np.abs(changes(trained, 2, 0.0)).max()
+    assert most > 0.4 * DARK
+    assert np.abs(changes(trained, 2, -1.0)).max() < 1e-3 * most
+
+
+def test_the_log_tells_what_was_found(trained):
+    gains = trained.log()["motion"]["appearance_reliability"]
+    assert gains[0] > 0.7
+    assert all(0 <= g <= 1 for g in gains)
+
+
+def test_the_shadow_is_not_taken_for_motion(trained, made, tmp_path):
+    """The floor under it stands still. The motion's second pass is fitted without what appearance explains."""
+    run = copied(made[0], tmp_path / "run")
+    plain = train_motion(run, *made[1:], MotionConfig(appearance=False))
+    assert plain.appearance is None
+    assert "appearance_reliability" not in run.log()["motion"]
+    shaded = trained.load_motion()
+    assert shaded is not None
+    dark = (shadow(trained.load_space().means) > 0.3 * DARK).numpy()
+    moves = [np.linalg.norm(m.displacement[:, dark]) for m in (shaded, plain)]
+    assert moves[0] < 0.7 * moves[1]
+
+
+@pytest.fixture
+def run(tmp_path):
+    run = Run.create(tmp_path / "run", tmp_path, "modal", {})
+    run.save_space(gaussians(), {})
+    return run
+
+
+def test_what_is_read_back_equals_that_written(run):
+    m = replace(motion(), appearance=appearance())
+    run.save_motion(m, {})
+    back = run.load_motion()
+    assert back.appearance.shapes.dtype == np.float32
+    np.testing.assert_array_equal(back.appearance.shapes, m.appearance.shapes)
+    np.testing.assert_array_equal(back.appearance.series, m.appearance.series)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        AppearanceModes(change_of(N - 1, 2), appearance().series),
+        AppearanceModes(change_of(N, 2), appearance(modes=2).series),
+        AppearanceModes(change_of(N, 3), appearance().series),
+        AppearanceModes(
+            np.zeros((2, N, 9, 3), np.float32), appearance().series
+        ),  # more than the Gaussians have
+        AppearanceModes(
+            change_of(N, 2)[:, :, :2], appearance().series
+        ),  # neither the mean alone nor with all tilts
+        AppearanceModes(change_of(N, 2).astype(np.float64), appearance().series),
+        AppearanceModes(change_of(N, 2), appearance().series.real),
+    ],
+)
+def test_what_does_not_fit_is_refused(run, bad):
+    with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
+        run.save_motion(replace(motion(), appearance=bad), {})
+    assert not run.has_motion

@@ -1,4 +1,4 @@
-"""How many iterations the motion stage takes: as set, more for many Gaussians, and the run's log tells."""
+"""Settings of the motion stage: iterations by the number of Gaussians, and what is refused."""
 
 import pytest
 
@@ -17,6 +17,19 @@ def test_eight_times_as_many_take_four_times_as_many():
     assert resolved(MotionConfig(iterations=9), 8 * 16_000) == MotionConfig(iterations=36)
 
 
-def test_what_is_out_of_range_is_refused_before_it_is_multiplied():
-    with pytest.raises(Tg4mmError, match=r"\Asetting motion.iterations is 0, expected 1 to 1,000,000\Z"):
-        resolved(MotionConfig(iterations=0), 10**6)
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"components": 0}, "components is 0, expected 1 to 100,000"),
+        ({"smoothness_weight": -1.0}, "smoothness_weight is -1.0, expected a finite number of at least 0"),
+        ({"ridge": 0.0}, "ridge is 0.0, expected a finite number above 0"),
+        ({"iterations": 0}, "iterations is 0, expected 1 to 1,000,000"),
+        ({"tolerance": 0.0}, "tolerance is 0.0, expected a finite number of at least 1e-06 and below 1"),
+        ({"seed": -1}, "seed is -1, expected 0 to"),
+        ({"gauss_newton": -1}, "gauss_newton is -1, expected 0 to 1,000"),
+        ({"nuisance": "pose"}, "nuisance is pose, expected auto, none, exposure, all"),
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong, match):
+    with pytest.raises(Tg4mmError, match=rf"\Asetting motion\.{match}[^\n]*\Z"):
+        resolved(MotionConfig(**wrong), 10**6)

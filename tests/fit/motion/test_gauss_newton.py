@@ -1,4 +1,7 @@
-"""Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
+"""Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration.
+
+The scene at rest, refined with the motion known: from whose cameras, how states count, and when it stays.
+"""
 
 from dataclasses import replace
 
@@ -6,15 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.motion_stage import NEVER, stop_after
+from tests.helpers.motion_stage import NEVER, same_motion, stop_after
 from tests.helpers.runs import copied
 from tests.helpers.space_train import Killed
-from tests.helpers.synthetic import exact_run
+from tests.helpers.synthetic import exact_run, make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
-from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion import MotionConfig, gauss_newton
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
+from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.research.evaluate.truth import exact_motion
@@ -27,6 +31,7 @@ from tg4mm.show.render.image import render_image
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)
 LINEAR = 6  # steps of the linear fit
+REFINED = replace(SHORT, iterations=6, gauss_newton=1)
 
 
 def _scene(root, amplitude, size=64, detail=2):
@@ -116,10 +121,6 @@ def test_a_scene_blurred_by_its_motion_is_sharp_again(large, tmp_path):
     assert _pictures_error(run, sharp) < 0.6 * _pictures_error(run, blurred)
 
 
-def _equal(a, b):
-    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
-
-
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """A small scene of large motion; a run of it that nobody killed, and what it found."""
@@ -140,16 +141,18 @@ def test_killed_after_an_iteration_it_goes_on_after_it(iterations, quick, tmp_pa
             _trained(run, SHORT)
     assert not run.has_motion
     computed = stop_after(NEVER, monkeypatch)
-    assert _equal(_trained(run, SHORT), expected)
+    assert same_motion(_trained(run, SHORT), expected)
     assert computed == [f"gauss_newton_{k}" for k in range(iterations, whole.log()["motion"]["gauss_newton"])]
-    assert _same_scene(run, whole)
+    assert _shows(run, whole.load_space())
     for name in ("pixels_moved", "gauss_newton", "misfits", "smoothness_weight"):
         assert run.log()["motion"][name] == whole.log()["motion"][name]
 
 
-def _same_scene(a, b):
+def _shows(run, gaussians):
+    """Whether these are the run's Gaussians, to the bit."""
+    found = run.load_space()
     names = ("means", "quats", "scales", "opacities", "sh")
-    return all(torch.equal(getattr(a.load_space(), n), getattr(b.load_space(), n)) for n in names)
+    return all(torch.equal(getattr(found, n), getattr(gaussians, n)) for n in names)
 
 
 def test_what_only_gets_worse_is_not_taken(quick, tmp_path, monkeypatch):
@@ -164,4 +167,59 @@ def test_what_only_gets_worse_is_not_taken(quick, tmp_path, monkeypatch):
     np.testing.assert_allclose(found.displacement, expected.displacement, atol=1e-6 * size)
     log = runs[1].log()["motion"]
     assert (log["gauss_newton"], len(log["misfits"])) == (0, 1)
-    assert _same_scene(runs[1], scene)
+    assert _shows(runs[1], scene.load_space())
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Seven cameras; the Gaussians are where they should be, but blurred."""
+    root = tmp_path_factory.mktemp("seven") / "data"
+    gaussians, _ = make_synthetic_dataset(
+        root, n_views=7, n_timesteps=5, size=32, freqs=(6.0,), amplitude=0.2, alphas=(), n_test=0
+    )
+    return root, replace(gaussians, scales=1.5 * gaussians.scales)
+
+
+def _refined(data, path, wandering=None):
+    """`wandering`: a camera that stays nowhere."""
+    capture = load_capture(data[0])
+    run = Run.create(path, data[0], "modal", {})
+    run.save_space(data[1], {})
+    seen = capture if wandering is None else _without(capture, wandering)
+    train_motion(run, seen, load_images(capture), REFINED)
+    return run
+
+
+def _without(capture, camera):
+    ids = capture.camera_ids.copy()
+    rows = np.flatnonzero(ids == camera)
+    ids[rows] = ids.max() + np.arange(len(rows))
+    return replace(capture, camera_ids=ids)
+
+
+def test_fixed_cameras_alone_sharpen_the_scene(data, tmp_path):
+    assert not _shows(_refined(data, tmp_path / "run"), data[1])
+
+
+def test_a_scene_that_other_cameras_saw_stays(data, tmp_path):
+    """Six fixed cameras and one that wanders: the motion is found, the scene is not theirs alone."""
+    run = _refined(data, tmp_path / "run", wandering=6)
+    log = run.log()["motion"]
+    assert (log["views"], log["gauss_newton"]) == (6, 1)
+    assert _shows(run, data[1])
+
+
+@pytest.mark.parametrize("brightened", [0.0, 0.5])
+def test_gaussians_that_show_the_pictures_worse_are_not_taken(brightened, data, tmp_path, monkeypatch):
+    """What changes is off; or sharper as it ought to be, but all of it too bright at all times."""
+    real = refine_rest_scene
+
+    def worse(*args):
+        g = real(*args)
+        return replace(g, means=g.means + (0.0 if brightened else 0.2), sh=g.sh + brightened)
+
+    monkeypatch.setattr(gauss_newton, "refine_rest_scene", worse)
+    run = _refined(data, tmp_path / "run")
+    assert run.log()["motion"]["gauss_newton"] == 1
+    assert np.diff(run.log()["motion"]["misfits"])[0] < 0
+    assert _shows(run, data[1])

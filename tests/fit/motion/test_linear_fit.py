@@ -11,7 +11,7 @@ from tg4mm.fit.motion.checkpoints import no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.fit.motion.linear_fit import LinearFit
-from tg4mm.fit.motion.prior.graph import edge_residual, reweight_edges
+from tg4mm.fit.motion.prior import edge_residual, reweight_edges
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.targets import TargetImages

@@ -1,4 +1,7 @@
-"""What changes a whole picture is projected out: gain and offset exactly, the camera's own pose to first order."""
+"""What changes a whole picture is projected out: gain and offset exactly, the camera's own pose to first order.
+
+A camera that shakes is told from a scene that moves, and from noise.
+"""
 
 from dataclasses import replace
 
@@ -13,6 +16,7 @@ from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
+from tg4mm.fit.motion.nuisance.first_look import BlockShifts
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
@@ -24,6 +28,10 @@ from tg4mm.fit.motion.nuisance.projection import (
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.reference import rasterize_dense
+
+SHAKE_SIZE, SHAKE_T = (96, 128), 20
+STEADY = np.zeros((SHAKE_T, 2))
+VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
 
 
 def plain(scene):
@@ -137,25 +145,19 @@ def test_products_by_strips_are_those_with_the_columns():
     )
 
 
-VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
-
-
 def smooth(gaussians, viewmat):
     """[H, W, 3] over white, rendered down to faint alphas: their cut-off at 1/255 would flicker where things move."""
     view = view_jacobian(gaussians, Camera(viewmat.astype(np.float32), K_of(SIZE)), (SIZE, SIZE))
     return view.over_white
 
 
-def filmed(
-    frame, gaussians, motion,
-    poses = lambda v, t, viewmat: viewmat
-):  # fmt: skip
-    """`frame` gets a picture [H, W, 3] in 0..1, the camera and the timestep; `poses` where a camera really stands."""
+def filmed(frame, gaussians, motion):
+    """`frame` gets a picture [H, W, 3] in 0..1, the camera and the timestep."""
     frames, pictures = [], []
     for v, viewmat in enumerate(_viewmats(VIEWS, 0.0)):
         rows = np.arange(len(pictures), len(pictures) + T)
         for t in range(T):
-            shown = smooth(_at(gaussians, motion, t, 0), poses(v, t, viewmat))
+            shown = smooth(_at(gaussians, motion, t, 0), viewmat)
             raw = np.full((SIZE, SIZE, 4), 65535, np.uint16)
             raw[..., :3] = (frame(shown, v, t).clip(0, 1) * 65535).round()
             pictures.append(raw)
@@ -189,3 +191,82 @@ def test_drift_of_exposure_changes_no_motion(moving):
     assert taken_out.figures["nuisance"] == ["exposure"]
     assert 2 < taken_out.figures["exposure_gain_percent"] < 10
     assert left_in.figures["nuisance"] == []
+
+
+def texture(right, down):
+    """[H, W, 3] at pixels moved by [H, W] each."""
+    y, x = np.mgrid[: SHAKE_SIZE[0], : SHAKE_SIZE[1]].astype(float)
+    x, y = x - right, y - down
+    waves = np.sin(0.5 * x + 0.3 * y), np.cos(0.4 * x - 0.6 * y), np.sin(0.35 * x) * np.sin(0.5 * y)
+    return 0.5 + 0.3 * np.stack(waves, -1)
+
+
+def shake_filmed(right, down, noise=0.005):
+    """Frames whose pixels are moved by [SHAKE_T, H, W] each, less their mean."""
+    rng = np.random.default_rng(0)
+    frames = np.stack([texture(r, d) for r, d in zip(right, down, strict=True)])
+    frames += noise * rng.normal(size=frames.shape)
+    found = BlockShifts.of(texture(np.zeros(SHAKE_SIZE), np.zeros(SHAKE_SIZE)).astype(np.float32), SHAKE_T)
+    changes = (frames - frames.mean(0)).astype(np.float32)
+    for top in range(0, SHAKE_SIZE[0], 29):  # by strips that are not the blocks'
+        rows = slice(top, min(top + 29, SHAKE_SIZE[0]))
+        found.add(rows, changes[:, rows])
+    return found
+
+
+def everywhere(shifts):
+    """[SHAKE_T, H, W] each, of shifts [SHAKE_T, 2]."""
+    right, down = (np.broadcast_to(s[:, None, None], (SHAKE_T, *SHAKE_SIZE)) for s in shifts.T)
+    return right.copy(), down.copy()
+
+
+def random_shifts(size, seed=1):
+    """[SHAKE_T, 2] pixels, each axis of so much rms; mean 0."""
+    shifts = np.random.default_rng(seed).normal(size=(SHAKE_T, 2))
+    shifts -= shifts.mean(0)
+    return size * shifts / np.sqrt((shifts**2).mean(0))
+
+
+@pytest.mark.parametrize("size", [0.05, 0.2, 0.4])
+def test_a_camera_that_shakes_is_found_with_its_pixels(size):
+    """Both axes together: √2 of what each has."""
+    pixels, is_shaking = shake_filmed(*everywhere(random_shifts(size))).shake()
+    assert is_shaking
+    assert pixels == pytest.approx(np.sqrt(2) * size, rel=0.15)
+
+
+@pytest.mark.parametrize("what", ["roll", "zoom"])
+def test_a_camera_that_rolls_or_comes_nearer_shakes_too(what):
+    y, x = np.mgrid[: SHAKE_SIZE[0], : SHAKE_SIZE[1]].astype(float)
+    x, y = x - SHAKE_SIZE[1] / 2, y - SHAKE_SIZE[0] / 2
+    way = (-y, x) if what == "roll" else (x, y)
+    amount = 0.01 * np.random.default_rng(2).normal(size=(SHAKE_T, 1, 1))
+    assert shake_filmed(amount * way[0], amount * way[1]).shake()[1]
+
+
+@pytest.mark.parametrize("side", [40, 80])
+def test_an_object_that_moves_before_what_stands_still_is_no_shake(side):
+    """Up to more than half of the picture, by more than any shake."""
+    right, down = everywhere(random_shifts(1.0))
+    mask = np.zeros(SHAKE_SIZE, bool)
+    mask[8 : 8 + side, 10 : 10 + side] = True
+    pixels, is_shaking = shake_filmed(right * mask, down * mask).shake()
+    assert not is_shaking
+    assert pixels < 0.02
+
+
+def test_an_object_that_moves_before_a_camera_that_shakes_is_a_shake():
+    right, down = everywhere(random_shifts(0.2))
+    mask = np.zeros(SHAKE_SIZE, bool)
+    mask[20:60, 20:60] = True
+    own = random_shifts(1.0, seed=7)
+    pixels, is_shaking = shake_filmed(right + mask * own[:, :1, None], down + mask * own[:, 1:, None]).shake()
+    assert is_shaking
+    assert pixels == pytest.approx(np.sqrt(2) * 0.2, rel=0.2)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
+def test_noise_is_no_shake(noise):
+    pixels, is_shaking = shake_filmed(*everywhere(STEADY), noise).shake()
+    assert not is_shaking
+    assert pixels < 0.01

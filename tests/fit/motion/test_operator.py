@@ -13,7 +13,7 @@ from tests.helpers.cuda import needs_cuda
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.nuisance.projection import EXPOSURE
-from tg4mm.fit.motion.prior.graph import ROWS, reweight_edges
+from tg4mm.fit.motion.prior import ROWS, reweight_edges
 from tg4mm.fit.motion.solver import cuda
 from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews

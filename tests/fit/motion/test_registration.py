@@ -15,12 +15,13 @@ from tg4mm.core.choices import Kind
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
-from tg4mm.fit.motion.nuisance.registration import camera_rotations, homographies
+from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.resampling import RegisteredPictures
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6
+WIDE = (64, 96)
+K_WIDE = np.array([[110, 0, 50], [0, 110, 30], [0, 0, 1]], np.float32)
 
 
 def texture(x, y):
@@ -48,10 +49,6 @@ def stored(pictures):
     out = np.full((*pictures.shape[:3], 4), 65535, np.uint16)
     out[..., :3] = (pictures.clip(0, 1) * 65535).round()
     return out
-
-
-WIDE = (64, 96)
-K_WIDE = np.array([[110, 0, 50], [0, 110, 30], [0, 0, 1]], np.float32)
 
 
 def turned_textures(turns):

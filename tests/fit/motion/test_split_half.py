@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.fit.motion.prior.graph import nearest
+from tg4mm.fit.motion.prior import nearest
 from tg4mm.fit.motion.split_half import LEAST, deviation, folds_of, reliability, wiener_shrink
 
 SIGMA = 0.3

@@ -12,8 +12,8 @@ from tg4mm.capture.pictures import over_white
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.fit.motion import whole_pixels
 from tg4mm.fit.motion.animate import displacement_at
+from tg4mm.fit.motion.nuisance.registration import put_back
 from tg4mm.fit.motion.observations import PosedFrames
-from tg4mm.fit.motion.resampling import put_back
 from tg4mm.run.train import train
 
 HEIGHT, WIDTH, FRAMES, FPS = 48, 64, 20, 20.0
@@ -65,9 +65,8 @@ def test_what_moves_by_pixels_is_put_back_where_it_is_at_rest():
     raw = over_white(pictures.strips([3, 11, 0])(slice(None)), pictures.maximum)
     inside = np.s_[:, 8:-8, 8:-8]
     assert np.abs(raw - waves(x, y))[inside].max() > 0.3
-    smooth = np.abs(
-        gaussian_filter(shown - waves(x, y), (0, 1, 1, 0))
-    )  # but for the disc's rim, which has a kink
+    # but for the disc's rim, which has a kink
+    smooth = np.abs(gaussian_filter(shown - waves(x, y), (0, 1, 1, 0)))
     assert smooth[inside].max() < 0.02
     assert np.sqrt(((shown - waves(x, y))[inside] ** 2).mean()) < 0.004
     still = ~flow.any((0, 3))

@@ -9,7 +9,10 @@ import torch
 from tests.fit.rasterize.oracle import check, make_scene, uniform, with_channels
 from tests.helpers.cuda import needs_cuda
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.rasterize.cuda import require_gsplat
+from tg4mm.fit.rasterize.api import require_gsplat
+
+BUILD = RuntimeError("Ninja is required to load C++ extensions\nand then two hundred lines")
+TWO = OSError("CUDA_HOME environment variable is not set."), ImportError("no gsplat_cuda.so")
 
 
 def harmonics_of_1_5(degrees_to_use, dirs, coeffs): ...
@@ -55,8 +58,6 @@ def broken(*errors):
     return Broken("gsplat.cuda._backend")
 
 
-BUILD = RuntimeError("Ninja is required to load C++ extensions\nand then two hundred lines")
-TWO = OSError("CUDA_HOME environment variable is not set."), ImportError("no gsplat_cuda.so")
 REFUSED = {
     "too old": ((old, backend(object())), "gsplat 1.2.3 is too old"),
     "other pictures": ((new, backend(object()), harmonics_of_1_6), "gsplat 1.2.3 is too new"),

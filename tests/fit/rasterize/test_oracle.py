@@ -19,7 +19,7 @@ from tests.fit.rasterize.oracle import (
     uniform,
     with_channels,
 )
-from tg4mm.fit.rasterize import cpu
+from tg4mm.fit.rasterize import api
 from tg4mm.fit.rasterize.api import RENDER_MODES
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, POWER
 
@@ -187,7 +187,7 @@ def test_a_spoilt_gaussian_does_not_spoil_the_others(column, value):
 @pytest.mark.parametrize("kernel", ["gather_sums", "blend_backward", "project_backward"])
 def test_the_comparison_refuses_a_kernel_that_is_slightly_off(kernel, monkeypatch):
     """Each backward kernel in turn returns one of its arrays 0.1 % too large."""
-    real = getattr(cpu, kernel)
+    real = getattr(api, kernel)
     output = {"gather_sums": 5, "blend_backward": 9, "project_backward": 12}[kernel]
 
     def off(*args, **kwargs):
@@ -195,6 +195,6 @@ def test_the_comparison_refuses_a_kernel_that_is_slightly_off(kernel, monkeypatc
         array = args[output]
         array *= 1.001
 
-    monkeypatch.setattr(cpu, kernel, off)
+    monkeypatch.setattr(api, kernel, off)
     with pytest.raises(AssertionError, match="gradient by"):
         check(make_scene(0))

@@ -69,21 +69,17 @@ def no_rows(tensors, _):
             tensors[name] = value[:0].clone()
 
 
-NAN = float("nan")
 FORGED = {
     "a negative iteration": (put(iteration=-5), "iteration is -5: no state of 36 iterations on 10 views"),
     "an iteration in words": (put(iteration="7"), 'iteration is "7"'),
     "a view that is not there": (put(order=[10]), r"order is \[10\]"),
     "no psnr": (put(psnr=None), "psnr is null"),
     "a scene of no extent": (put(extent=0.0), "extent is 0.0"),
-    "another count of steps": (put(iteration=8), "adam.step is 12, expected the iteration, 8"),
     "no means": (without("means"), "it holds the tensors .*expected .*'means'"),
     "no moments": (without("adam.means.m"), "expected .*'adam.means.m'"),
     "too short": (tensor("means", lambda t: t[:7]), r"means is torch.float32 \(7, 3\), expected float32 \(\d+, 3\)"),
     "another degree": (tensor("shn", lambda t: t[:, :3]), r"shn is torch.float32 \(\d+, 3, 3\)"),
     "double precision": (tensor("means", lambda t: t.double()), "means is torch.float64"),
-    "not a number": (tensor("adam.means.m", lambda t: t * NAN), "adam.means.m holds a value that is not finite"),
-    "negative squares": (tensor("adam.means.v", lambda t: t - 1), "adam.means.v holds -.*, a mean of squares"),
     "half a generator": (tensor("generator", lambda t: t[:100]), "generator is no state of a random generator"),
     "no Gaussians": (no_rows, "it holds 0 Gaussians, expected 1 to 500"),
 }  # fmt: skip
@@ -154,7 +150,6 @@ def test_pictures_that_changed_underneath_are_refused(interrupted, views, points
     [
         (without("gains"), "expected .*'gains'"),
         (tensor("gains", lambda t: t[:3]), r"gains is torch.float32 \(3, 3\), expected float32 \(10, 3\)"),
-        (tensor("gains", lambda t: t - 2), "gains holds -.*, expected gains above 0"),
     ],
 )
 def test_forged_gains_are_refused(change, match, killed_once, tmp_path, views, points):

@@ -14,7 +14,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import pictures_digest
-from tg4mm.fit.space.normalise import SceneUnit
+from tg4mm.fit.space.targets import SceneUnit
 from tg4mm.fit.space.view import _render_cuda, render_view
 from tg4mm.run.stages.space import train_space
 

@@ -9,6 +9,8 @@ from tg4mm.fit.space.fused import FusedAdam
 from tg4mm.fit.space.initial import InitialPoints
 from tg4mm.fit.space.parameters import LEARNING_RATES, SH_C0, ParameterAdam, activate, initial_parameters
 
+NEW = -1  # in what `expected` says of a row: it holds the next of those added
+
 
 def points(n=N):
     rng = np.random.default_rng(0)
@@ -60,9 +62,6 @@ def test_it_is_torch_adam_while_nothing_comes_or_goes():
     for name, p in plain.items():
         np.testing.assert_allclose(adam.parameters[name].detach(), p.detach(), rtol=2e-6, atol=1e-7)
         assert (p.detach() - parameters()[name]).abs().max() > 3 * LEARNING_RATES[name] * 0.1
-
-
-NEW = -1  # in what `expected` says of a row: it holds the next of those added
 
 
 @pytest.mark.parametrize(

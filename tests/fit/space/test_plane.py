@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space import RestViews, SpaceConfig
-from tg4mm.fit.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
-from tg4mm.fit.space.quadtree import FINEST, quadtree
+from tg4mm.fit.space.plane import FINEST, RIDGE, plane_gaussians, plane_psnr, quadtree, solve_colours
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_plane
 from tg4mm.show.render.image import render_image

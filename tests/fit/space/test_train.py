@@ -14,13 +14,11 @@ from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
+LEVELS = replace(SHORT, levels=2, gains=True)
 
 
 def equal(a, b):
     return all(torch.equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
-
-
-LEVELS = replace(SHORT, levels=2, gains=True)
 
 
 def dense_events(patch):

@@ -32,6 +32,11 @@ from torch import Tensor
 from tg4mm.core.errors import Tg4mmError
 
 SMALLEST = 16  # below, "auto" leaves less than two scales
+_CELLS_AT_ONCE = 1 << 20  # complex numbers in a working set
+_ORIENTATIONS = 8
+_PER_OCTAVE = 2
+_FALL = 0.75  # octaves over which a window falls
+_LEFT_OUT = 2  # octaves at the coarse end, which stay as they are
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,8 @@ class SubBand:
     scale: int
     orientation: int
     analysis: Tensor  # [h, w] complex64, frequencies in the FFT's order
-    synthesis: (
-        Tensor  # [h, w] complex64: its part of an image is Re ifft2(pad(fft2(coefficients) · synthesis))
-    )
+    # [h, w] complex64: its part of an image is Re ifft2(pad(fft2(coefficients) · synthesis))
+    synthesis: Tensor
 
 
 def pyramid(shape: tuple[int, int], config: PyramidConfig) -> Any:
@@ -103,9 +107,6 @@ def crop(spectrum: Tensor, size: tuple[int, int]) -> Tensor:
     rows = [slice(0, h // 2), slice(spectrum.shape[-2] - h // 2, None)]
     columns = [slice(0, w // 2), slice(spectrum.shape[-1] - w // 2, None)]
     return torch.cat([torch.cat([spectrum[..., r, c] for c in columns], -1) for r in rows], -2)
-
-
-_CELLS_AT_ONCE = 1 << 20  # complex numbers in a working set
 
 
 class PhaseMagnifier:
@@ -244,12 +245,6 @@ def _give(half: Tensor, spectrum: Tensor) -> None:
         half[:, rows, w // 2] += last
     else:
         half[:, mirrored, w // 2] += last.conj() / 2
-
-
-_ORIENTATIONS = 8
-_PER_OCTAVE = 2
-_FALL = 0.75  # octaves over which a window falls
-_LEFT_OUT = 2  # octaves at the coarse end, which stay as they are
 
 
 def half_octave_bands(shape: tuple[int, int]) -> Iterator[SubBand]:

@@ -115,12 +115,20 @@ def animator(
     if motion is None or (device.type == "cpu" and not packed):
         return partial(animate, gaussians, motion)
     _check_number(gaussians, motion)
-    fields, series = _fields_on(device, motion, packed)
-    return partial(_animate_on_device, gaussians, motion, fields, series, _appearance_on(device, motion))
+    fields, series = fields_on(device, motion, packed)
+    appearance = _appearance_on(device, motion)
+
+    def animated(t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None) -> Gaussians:
+        gains = mode_gains(motion, t, alpha, band)
+        factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(device)
+        there = moved(gaussians, (factors @ fields).reshape(-1, 6))
+        return _with_appearance(there, motion, gains, appearance)
+
+    return animated
 
 
-def _fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
-    """Fields [R, 6 N] and series [K, R] whose product is the motion's phasors, to rounding or, of few, for looking."""
+def fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
+    """Return fields [R, 6 N] and series [K, R] whose product is the motion's phasors; `few` of them: to 10⁻⁵."""
     if few and len(motion.displacement):
         fields, series = fields_of(motion, _LOOKING)
     else:
@@ -131,20 +139,3 @@ def _fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Te
         fields = np.concatenate([both.real, both.imag]).astype(np.float32)
         series = np.concatenate([one, 1j * one], 1)
     return torch.from_numpy(fields.reshape(len(fields), 6 * fields.shape[1])).to(device), series
-
-
-def _animate_on_device(
-    gaussians: Gaussians,
-    motion: ModalMotion,
-    fields: Tensor,
-    series: np.ndarray,
-    appearance: Tensor | None,
-    t: float,
-    alpha: Alpha = 0.0,
-    band: tuple[float, float] | None = None,
-) -> Gaussians:
-    """`animate`, of fields and series as `_fields_on` and `_appearance_on` give them."""
-    gains = mode_gains(motion, t, alpha, band)
-    factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(fields.device)
-    there = moved(gaussians, (factors @ fields).reshape(-1, 6))
-    return _with_appearance(there, motion, gains, appearance)

@@ -13,10 +13,9 @@ from scipy.sparse import csr_matrix, diags
 
 from tg4mm.core.memory import release
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.pixels import along_and_across
-from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, colour_jacobian
+from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, along_and_across, colour_jacobian
 from tg4mm.fit.motion.linear_fit import Correction
-from tg4mm.fit.motion.prior.graph import Graph
+from tg4mm.fit.motion.prior import Graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
@@ -27,6 +26,12 @@ from tg4mm.fit.rasterize.kernels.layout import FEAT
 
 HARMONIC = 0.28209479177387814  # the first: times its coefficient it is a colour
 _TILT = np.float32(np.sqrt(3.0))  # of degree 1 beside it
+SMOOTHNESS_WEIGHT = 2.0  # λ, of neighbours that change alike; both chosen on eight generated scenes
+RIDGE_WEIGHT = 0.2  # μ, which draws changes to zero
+ITERATIONS = 3  # six do hardly better
+LOOK = 1  # iterations after which it is told whether the folds agree; enough between the motion's two passes
+_MIN_RELIABILITY = 0.5  # below it a component has none
+_TOGETHER = 8  # components that share a pass over the views
 
 
 @dataclass(frozen=True)
@@ -81,9 +86,8 @@ def appearance_views(
             x, y, z = along_and_across(camera, means)[0].T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
         colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
-        out.append(
-            AppearanceView(colour_jacobian(view, colours > 0), harmonics)
-        )  # what is clamped at 0 does not change
+        # what is clamped at 0 does not change
+        out.append(AppearanceView(colour_jacobian(view, colours > 0), harmonics))
     return out
 
 
@@ -105,10 +109,6 @@ def _gather(harmonics, v_colours, out):
             for k in range(out.shape[2]):
                 for c in range(3):
                     out[r, n, k, c] += harmonics[n, k] * v_colours[r, n, c]
-
-
-SMOOTHNESS_WEIGHT = 2.0  # λ, of neighbours that change alike; both chosen on eight generated scenes
-RIDGE_WEIGHT = 0.2  # μ, which draws changes to zero
 
 
 @dataclass(frozen=True)
@@ -189,12 +189,6 @@ def _laplacian(graph: Graph) -> csr_matrix:
     beside = csr_matrix((weight, graph.other, graph.start), shape=(n, n))
     degree = np.asarray(beside.sum(1)).ravel()
     return csr_matrix((diags(degree) - beside) / degree.mean(), dtype=np.float32)
-
-
-ITERATIONS = 3  # six do hardly better
-LOOK = 1  # iterations after which it is told whether the folds agree; enough between the motion's two passes
-_MIN_RELIABILITY = 0.5  # below it a component has none
-_TOGETHER = 8  # components that share a pass over the views
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ def no_checkpoint(name: str, compute: Callable[[], Arrays]) -> Arrays:
     return compute()
 
 
+def suffixed(checkpoint: Checkpoint, suffix: str) -> Checkpoint:
+    """The checkpoint under other names: each with a suffix."""
+    return lambda name, compute: checkpoint(f"{name}_{suffix}", compute)
+
+
 def arrays_of(gaussians: Gaussians) -> Arrays:
     """Gaussians as what a step gives, or a part of it."""
     return {f.name: getattr(gaussians, f.name).numpy() for f in fields(gaussians)}

@@ -11,6 +11,16 @@ FASTEST = 1e9  # Hz, where the frame rate is not known yet
 MOST_REDUCED = 16
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
+_RULES = {
+    "components": Number(1, 100_000),
+    "smoothness_weight": NOT_NEGATIVE,
+    "ridge": POSITIVE,
+    "iterations": Number(1, 1_000_000),
+    "tolerance": Number(1e-6, 1, below=True),  # 1e-6: what float32 holds
+    "gauss_newton": Number(0, 1_000),
+    "nuisance": Choice(*NUISANCE),
+    "seed": SEED,
+}
 
 
 @dataclass(frozen=True)
@@ -72,18 +82,6 @@ class MotionConfig:
         "pixels",
     )
     seed: int = setting(0, "seed of the random generator")
-
-
-_RULES = {
-    "components": Number(1, 100_000),
-    "smoothness_weight": NOT_NEGATIVE,
-    "ridge": POSITIVE,
-    "iterations": Number(1, 1_000_000),
-    "tolerance": Number(1e-6, 1, below=True),  # 1e-6: what float32 holds
-    "gauss_newton": Number(0, 1_000),
-    "nuisance": Choice(*NUISANCE),
-    "seed": SEED,
-}
 
 
 def checked(config: MotionConfig) -> MotionConfig:

@@ -60,13 +60,6 @@ class Hyperparameters:
         return np.flatnonzero(~self.is_noise)
 
 
-def select_noise(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
-    """[R] bool: `noise_components`; none where there is one fold, one component, or where all are one system."""
-    if len(folds) == 2 and len(targets.basis) > 1 and problem.mixing is None:
-        return noise_components(targets, problem, folds)
-    return np.zeros(len(targets.basis), bool)
-
-
 def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold]) -> float:
     """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
     if problem.config.smoothness_weight:
@@ -77,7 +70,12 @@ def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
-    """[R] bool: the components on which two folds do not agree. The known ones, else the strongest, are no noise."""
+    """[R] bool: the components on which two folds do not agree. The known ones, else the strongest, are no noise.
+
+    None where there is one fold, one component, or where all are one system.
+    """
+    if len(folds) < 2 or len(targets.basis) < 2 or problem.mixing is not None:
+        return np.zeros(len(targets.basis), bool)
     gains = []
     operators = [problem.operator(fold, _LOOSE, probes=4) for fold in folds]
     for first in range(0, targets.images.shape[1], _AT_ONCE):

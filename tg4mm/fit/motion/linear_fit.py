@@ -13,10 +13,10 @@ from functools import partial
 import numpy as np
 
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated, suffixed
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import LEAST, Hyperparameters
-from tg4mm.fit.motion.prior.graph import Graph, edge_residual, reweight_edges
+from tg4mm.fit.motion.prior import Graph, edge_residual, reweight_edges
 from tg4mm.fit.motion.solver.operator import Array, Fold, Operator
 from tg4mm.fit.motion.solver.pcg import Solution, fetched, pcg, sent
 from tg4mm.fit.motion.solver.problem import Problem
@@ -55,10 +55,7 @@ class LinearFit:
 
     def within(self, support: np.ndarray, k: int) -> list[Arrays]:
         """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
-
-        def checkpoint(name: str, compute: Callable[[], Arrays]) -> Arrays:
-            return self.checkpoint(f"{name}_support_{k}", compute)
-
+        checkpoint = suffixed(self.checkpoint, f"support_{k}")
         own = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
         return own.first_pass(self.config.iterations)
 
@@ -87,10 +84,6 @@ class LinearFit:
         n, step = len(self.hyper.signal), TOGETHER if self.problem.device == "cpu" else 1
         return [slice(a, min(a + step, n)) for a in range(0, n, step)]
 
-    def _images(self, fold: Fold, some: slice) -> Iterator[np.ndarray]:
-        rows = slice(None) if self.problem.mixing is not None else self.hyper.signal[some]
-        return (self.targets.of(v, rows) for v in fold.views)
-
     def _solutions(
         self,
         operator: Operator,
@@ -115,7 +108,8 @@ class LinearFit:
         operator, out = self.operator(fold), []
 
         def sides(some: slice) -> Array:
-            return operator.right_hand_sides(self._images(fold, some))
+            rows = slice(None) if self.problem.mixing is not None else self.hyper.signal[some]
+            return operator.right_hand_sides(self.targets.of(v, rows) for v in fold.views)
 
         for _, solution in self._solutions(operator, f"motion, fold {p + 1}", iterations, sides):
             fields, x = operator.fields(solution.theta), operator.gradient_fields(solution.theta)

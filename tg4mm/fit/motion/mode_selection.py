@@ -18,6 +18,9 @@ _ENOUGH_MODES = 12
 _ABOVE_TREND = 3.0  # times the rms that modes have at that frequency
 _STANDS_OUT = 4.0  # robust deviations of its logarithm
 _APART = 1 + 1e-6  # neighbouring bins, whose distance is rounded, are not apart
+_STRAY = 99.0  # percentile: Gaussians that hardly any camera sees must not say how large the noise is
+_ROUNDING = 1e-12  # of the motion's power: what float32 does not hold
+_OF_MOTION = 1e-6  # of the motion's power, where the run does not say its noise
 
 
 def peaks(
@@ -81,11 +84,6 @@ def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations
                 "a higher frame rate distinguishes them"
             )
     return out
-
-
-_STRAY = 99.0  # percentile: Gaussians that hardly any camera sees must not say how large the noise is
-_ROUNDING = 1e-12  # of the motion's power: what float32 does not hold
-_OF_MOTION = 1e-6  # of the motion's power, where the run does not say its noise
 
 
 def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:

@@ -19,6 +19,8 @@ from tg4mm.fit.motion.config import MotionConfig
 # magnified, real appearance saturates (a highlight that has left does not get darker), so it is limited smoothly.
 LIMIT = 0.1
 _SH_0 = 1 / (2 * math.sqrt(math.pi))  # the constant spherical harmonic: coefficient to colour
+ROUNDING = 1e-6  # of the motion's rms: what float32 does not hold
+_AT_ONCE = 8192  # Gaussians, so that no second copy of all phasors in float64 is held
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,6 @@ class ModalMotion:
             magnified=None if self.magnified is None else self.magnified[keep],
             appearance=None if self.appearance is None else self.appearance.selected(keep),
         )
-
-
-ROUNDING = 1e-6  # of the motion's rms: what float32 does not hold
-_AT_ONCE = 8192  # Gaussians, so that no second copy of all phasors in float64 is held
 
 
 def fields_of(motion: ModalMotion, tolerance: float = ROUNDING) -> tuple[np.ndarray, np.ndarray]:

@@ -22,9 +22,8 @@ class ObservationModel:
 
     frames: PosedFrames
     view: ViewJacobian
-    projection: (
-        Projection | None
-    )  # of its nuisance, in the metric of the weights; None: nothing is projected out
+    # of its nuisance, in the metric of the weights; None: nothing is projected out
+    projection: Projection | None
     weights: np.ndarray | None = None  # W [H, W] of pixels; None: 1
 
     @staticmethod

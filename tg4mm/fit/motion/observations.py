@@ -1,4 +1,9 @@
-"""What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model")."""
+"""What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model").
+
+Of a recording it reads what lies where motion may be, and of a long one fewer, larger pixels: the stage's time and its
+temporary files grow with pixels times pictures. Displacements of less than a pixel can be read from pictures whose
+squares of pixels are averaged, as long as their texture is coarse enough; what is lost is reported.
+"""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -17,6 +22,7 @@ from tg4mm.capture.window import Window
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.progress import progress
+from tg4mm.fit.motion.config import MotionConfig, asked_factor
 from tg4mm.fit.space.view import EPS2D
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
@@ -26,6 +32,13 @@ _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
 LEAST_PERIODS = 0.5  # of a band that a person gives: less is a slope
 CLEAR_PERIODS = 2.5  # of one that is told from a drift
+PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two cores a pass
+PICTURE = 1920 * 1080  # pixels of one picture, likewise: more tell little to the Gaussians that there are
+_SHORTEST = 270  # pixels along a side, which are never made fewer
+_AROUND = 16  # pixels at least
+_SAMPLED = 16  # pictures that tell how fine the texture is
+SHOWN = 50_000_000  # pixels, which take some seconds
+Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
 
 
 @dataclass(frozen=True)
@@ -251,10 +264,6 @@ def _are_synchronous(frames: list[PosedFrames]) -> bool:
     return all(np.abs(f.times_s - times).max() < within for f in frames)
 
 
-SHOWN = 50_000_000  # pixels, which take some seconds
-Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
-
-
 def watched(label: str, observations: Observations) -> Iterator[tuple[int, PosedFrames, Strips]]:
     """Every camera's number, frames and strips, with progress where they are many: how many pictures are behind."""
     (width, height), counts = observations.size, [len(frames.rows) for frames in observations.frames]
@@ -289,3 +298,51 @@ def whole_pictures(observations: Observations, rows: np.ndarray) -> Iterator[np.
     for first in range(0, len(rows), _AT_ONCE):
         raw = observations.pictures.strips(rows[first : first + _AT_ONCE].tolist())
         yield over_white(raw(slice(None)), observations.pictures.maximum)
+
+
+def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None = None) -> Window | None:
+    """The window through which the pictures of fixed cameras are read; None where they are read as they are.
+
+    moves [H, W] bool: where motion may be, if someone said so.
+    """
+    cameras = fixed_cameras(capture)
+    if not cameras:
+        return None
+    whole = Window.on(capture.height, capture.width, 1, moves)
+    factor = asked_factor(config.reduce)
+    if factor is None:
+        pixels = whole.rows * whole.columns
+        share = max(pixels * sum(len(c.rows) for c in cameras) / PIXELS, pixels / PICTURE)
+        factor = max(min(int(np.ceil(np.sqrt(share))), min(whole.size) // _SHORTEST), 1)
+    # what lies around is held still: without it the prior would carry motion on beyond the region
+    margin = max(_AROUND, max(whole.size) // 2)
+    window = Window.on(capture.height, capture.width, factor, moves, margin)
+    return None if factor == 1 and window.size == (capture.height, capture.width) else window
+
+
+def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window) -> str:
+    """What a window that averages costs: by how much standard deviations grow.
+
+    Motion is told by slopes of the picture. Averaging k² pixels makes independent noise k times smaller and slopes per
+    pixel k times larger, where the texture is coarse. Slopes are told from noise by the product of two means over
+    different pictures.
+    """
+    rows = fixed_cameras(capture)[0].rows
+    some = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).round().astype(int)].tolist()
+    whole = [
+        np.mean([window.part(images.rgb(row)) for row in half], axis=0) for half in (some[::2], some[1::2])
+    ]
+    k = window.factor
+    squares = [half.reshape(window.rows, k, window.columns, k, 3).mean((1, 3)) for half in whole]
+    ratio = _slopes(*whole) / max(_slopes(*squares), 1e-30)
+    height, width = window.size
+    return (
+        f"motion was fitted to pictures of {width}×{height}, {window.factor}×{window.factor} pixels averaged, which "
+        f"makes ± about {np.sqrt(max(ratio, 1.0)):.2g} times as large; tg4mm measure reads them whole, and so does "
+        "train with --region around what matters or --set motion.reduce=1"
+    )
+
+
+def _slopes(a: np.ndarray, b: np.ndarray) -> float:
+    """Sum of products of the slopes of two pictures of one scene."""
+    return float(sum(np.sum(np.diff(a, axis=axis) * np.diff(b, axis=axis)) for axis in (0, 1)))

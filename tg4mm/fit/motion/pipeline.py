@@ -10,19 +10,22 @@ import numpy as np
 from tg4mm.core.choices import Clock
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.amplitude_bias import LACKING, Gain, PictureGain, gain_of
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
-from tg4mm.fit.motion.attenuation import Gain, gain_of
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
-from tg4mm.fit.motion.few_view_posterior import coarser, unseen_motion
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton, linear_px
-from tg4mm.fit.motion.hyperparameters import Hyperparameters, pixel_weights, select_noise, select_smoothness
-from tg4mm.fit.motion.jacobian.pixels import false_changes
+from tg4mm.fit.motion.hyperparameters import (
+    Hyperparameters,
+    noise_components,
+    pixel_weights,
+    select_smoothness,
+)
+from tg4mm.fit.motion.jacobian.view import false_changes
 from tg4mm.fit.motion.linear_fit import Correction, LinearFit
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.fit.motion.observations import Observations
-from tg4mm.fit.motion.picture_gain import LACKING, PictureGain
 from tg4mm.fit.motion.split_half import LEAST, wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.independent import IndependentClocks
@@ -31,8 +34,10 @@ from tg4mm.fit.motion.temporal.synchronous import Synchronous
 from tg4mm.fit.motion.uncertainty import (
     MotionEstimate,
     Uncertainty,
+    coarser,
     few_view_uncertainty,
     split_half_uncertainty,
+    unseen_motion,
     with_ground,
 )
 from tg4mm.fit.motion.whole_pixels import LinearSolution, iterated
@@ -80,7 +85,9 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         solution, count = iterated(solution, _solved, checkpoint)
     model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
     fields, reliability = wiener_shrink(folds)
-    pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
+    pixels, n_views = model.pixels_moved(fields), len(model.problem.views)
+    # views whose residual tells errors of the model
+    rows = np.linspace(0, n_views - 1, min(n_views, _JUDGED)).round().astype(int).tolist()
     figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
     iterates = (
@@ -135,7 +142,7 @@ def select_hyperparameters(
     """Components of noise and the smoothness weight, and between them weights of pixels for the model's problem."""
 
     def noise() -> Arrays:
-        return {"is_noise": select_noise(model.targets, model.problem, model.folds)}
+        return {"is_noise": noise_components(model.targets, model.problem, model.folds)}
 
     is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
@@ -210,11 +217,6 @@ def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return out
 
 
-def _judged(n_views: int) -> list[int]:
-    """Views whose residual tells errors of the model."""
-    return np.linspace(0, n_views - 1, min(n_views, _JUDGED)).round().astype(int).tolist()
-
-
 def _estimate(
     model: TemporalModel,
     folds: np.ndarray,
@@ -261,7 +263,7 @@ def _unseen(model: TemporalModel, hyper: Hyperparameters, gradients: np.ndarray)
     operator = small.on_cpu(small.everything, hyper.smoothness_weight)
     return unseen_motion(
         operator, gradients, model.n_frames, model.config.seed, n_draws=_DRAWS, iterations=_DRAW_ITERATIONS
-    ).covariance
+    )[0]
 
 
 def _result(

@@ -19,6 +19,19 @@ from scipy.interpolate import PchipInterpolator
 from tg4mm.core.lines import FEWEST, find_lines
 from tg4mm.core.lines.band import tone_in
 
+ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
+_DROPPED = 1e-4  # of the motion's power at most, 1 % of its rms
+TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
+_MOST = 8  # sinusoids
+_WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
+# that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
+_EVIDENCE = 10.0
+_APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
+_STANDS_OUT = 6.0  # times the root of what noise of a sample has: a line's power from which it is found
+_LEADING, _NOTHING = 6, 1e-6  # components that lines are looked for in, the strongest; of the strongest
+_ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
+_ROUNDED = 1e-3  # of a frame: files round times to so much
+
 
 def sinusoids(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
     """[2K, F]: cos 2πf_k t and −sin 2πf_k t in pairs: Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
@@ -40,10 +53,6 @@ def constant_and_trend(times_s: np.ndarray) -> np.ndarray:
 def residual(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Series y [F, S] less their least-squares fit by functions of time x [F, P]."""
     return np.asarray(y - x @ np.linalg.lstsq(x, y, rcond=None)[0])
-
-
-ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
-_DROPPED = 1e-4  # of the motion's power at most, 1 % of its rms
 
 
 def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
@@ -84,7 +93,9 @@ def modes_of(
     if band is not None:
         sinusoids = _with_band(sinusoids, weighted, clock, fps, band)
     cycles, series = _with_bins(basis, sinusoids, clock)
-    if appearance is not None and (own := _products(appearance)).any():
+    if appearance is not None and appearance.any():
+        flat = appearance.reshape(len(appearance), -1).astype(np.float64)
+        own = flat @ flat.T
         products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
     oscillates = cycles >= 1
@@ -112,12 +123,6 @@ def _with_band(
         return sinusoids
     tone = tone_in(series.T, clock.frames / fps, band)
     return replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, tone.hz * n_timesteps / fps)))
-
-
-def _products(values: np.ndarray) -> np.ndarray:
-    """[R, R] float64: the inner products of R arrays."""
-    flat = values.reshape(len(values), -1).astype(np.float64)
-    return np.asarray(flat @ flat.T)
 
 
 def _with_bins(basis: np.ndarray, sinusoids: "Sinusoids", clock: "Clock") -> tuple[np.ndarray, np.ndarray]:
@@ -155,18 +160,6 @@ def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.n
     keep = np.full(len(power), True)
     keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
     return keep
-
-
-TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
-_MOST = 8  # sinusoids
-_WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
-# that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
-_EVIDENCE = 10.0
-_APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
-_STANDS_OUT = 6.0  # times the root of what noise of a sample has: a line's power from which it is found
-_LEADING, _NOTHING = 6, 1e-6  # components that lines are looked for in, the strongest; of the strongest
-_ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
-_ROUNDED = 1e-3  # of a frame: files round times to so much
 
 
 @dataclass(frozen=True)
@@ -211,12 +204,9 @@ class Sinusoids:
         slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
         return np.hstack([np.ones((len(t), 1)), *slow, np.cos(angles), np.sin(angles)])
 
-    def residual(self, y: np.ndarray, clock: Clock) -> np.ndarray:
-        """What least squares leave of series y [F, R]."""
-        return residual(y, self.regressors(clock.shares))
-
     def residual_power(self, y: np.ndarray, clock: Clock) -> float:
-        return float((self.residual(y, clock) ** 2).sum())
+        """Return the power that least squares leave of series y [F, R]."""
+        return float((residual(y, self.regressors(clock.shares)) ** 2).sum())
 
 
 def find_sinusoids(series: np.ndarray, clock: Clock | None = None) -> Sinusoids:

@@ -7,7 +7,7 @@ displacement field for each of R shared functions of time and C_v, the mixing ma
 look in Ψ_v. Which functions: `temporal/`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.motion.nuisance.first_look import FirstLook
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import project
-from tg4mm.fit.motion.observations import Observations, Strips, watched
+from tg4mm.fit.motion.observations import Observations, watched
 
 _IMAGES = 4  # of one view that are worked on together
 
@@ -25,9 +25,8 @@ _IMAGES = 4  # of one view that are worked on together
 class TargetImages:
     """What V views saw of R functions of time. Where C_v is the identity, Ψ_v is the basis."""
 
-    basis: (
-        np.ndarray
-    )  # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
+    # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
+    basis: np.ndarray
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
     images: np.ndarray  # [V, ρ, H, W, 3] float32, `mapped_zeros`; ρ = R where C_v is the identity
     residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
@@ -59,23 +58,14 @@ def projected(
     )
     for v, frames, pictures in watched("pictures, second pass", observations):
         basis = bases[v]
-        for rows, strip in look.cache.get(v) or _changes(pictures, look.mean[v]):
+        for rows, strip in pictures:
+            strip -= look.mean[v, rows]
             images[v, :, rows] = project(frames, height, rows, strip, basis)
-        for some in _at_once(len(basis)):
+        for first in range(0, len(basis), _IMAGES):
+            some = slice(first, first + _IMAGES)
             images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
             for image in images[v, some]:
                 total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
             release(images)
         nuisances[v].release()
     return images, np.maximum(total, 0, out=total)
-
-
-def _at_once(n: int) -> Iterator[slice]:
-    """Those of n images that are in memory together."""
-    return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
-
-
-def _changes(pictures: Strips, mean: np.ndarray) -> Strips:
-    for rows, strip in pictures:
-        strip -= mean[rows]
-        yield rows, strip

@@ -1,43 +1,159 @@
-"""How uncertain the motion of every Gaussian is: noise, by two folds of the data, and errors that both share.
+"""How uncertain the motion of every Gaussian is: noise, what the pictures do not show, and errors that all views share.
 
-What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Motion that the prior
-smoothed away is drawn (`few_view_posterior.py`). Two more things tell of errors, both read off the result. The residual
-of the pictures: noise hardly adds up over a block of pixels, errors of the model do, and that block's mean over the
-slope of the picture is the displacement that it could be; a small part of it is. And what the motion varies by from one
-Gaussian to those around it: the prior has them move alike, so that at a joint, an edge or a contact what is one side's
-and what the other's is mostly its guess. How much either counts was calibrated on generated scenes, whose motion is
-known (docs/method.md, "Uncertainty").
+Noise. Two folds of the data differ by it.
+
+What the pictures do not show. A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹
+(σ² JᵀJ + τ² P) A⁻¹, A = JᵀJ + P. The first part is noise. The second is motion of which the prior made nothing: along
+the sight of a single camera, behind an edge. It is drawn: motion edge by edge from the prior (`stiffness_root`), and
+each draw is solved for as the motion was (perturb and MAP: Papandreou & Yuille 2010). How large motion is, τ², is read
+off the fit: x·P x is τ² times the number of coordinates that the pictures do show, tr A⁻¹JᵀJ (MacKay 1992), and that
+number is found with noise of variance 1. So unseen motion is taken to be as large and as smooth as the seen. With few
+cameras the draws are solved for to a smaller residual than the motion itself: stopped early they would say that what
+hardly changes the pictures is known. With many a few iterations suffice (after 8 and after 30 the draws agreed to 3 %).
+
+Errors that all cameras share. The residual of the pictures: noise hardly adds up over a block of pixels, errors of the
+model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part of it
+is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that at a
+joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
+calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
+from tg4mm.capture.window import Window
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.attenuation import Gain
-from tg4mm.fit.motion.few_view_posterior import ITERATIONS, unseen_motion
-from tg4mm.fit.motion.jacobian.pixels import along_and_across, depth_sensitivity
-from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
-from tg4mm.fit.motion.picture_gain import PictureGain
+from tg4mm.fit.motion.amplitude_bias import Gain, PictureGain
+from tg4mm.fit.motion.jacobian.view import (
+    PosedView,
+    ViewJacobian,
+    along_and_across,
+    blend_sum,
+    depth_sensitivity,
+    view_jacobian,
+)
+from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
+from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.fit.motion.prior import stiffness_root
 from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import deviation, mean_over_neighbours
 
+DRAWS = 8  # along the sight few coordinates decide, which no mean over neighbours steadies
+_FOR_FREEDOM = 2
+ITERATIONS = 100
+# Stopped at 3e-3, after a tenth fewer iterations, deviations along a single camera's sight were 9 times too small.
+_TOLERANCE = 1e-4
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
 _OF_VARIANCE = 2.5  # of the variance over 32 Gaussians
-_OF_UNSEEN = (
-    2.0  # of the variance of draws that many cameras do not show; alone, maximum likelihood gave 3.0, beside
-)
-# the attenuation's part 1.2
+# of the variance of draws that many cameras do not show; alone, maximum likelihood gave 3.0, beside the attenuation's
+# part 1.2
+_OF_UNSEEN = 2.0
 # Deviation along the sight of a single camera over the motion across: of directions that are equally likely in space
 # 95 % have at most twice this ratio, 2k / √(1 + 4k²).
 _ALONG_TO_ACROSS = 1.5
 _FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
 _TINY = float(np.finfo(np.float32).tiny)
+ENOUGH = 120_000  # pixels of a view
+
+
+def unseen_motion(
+    operator: CpuOperator,
+    gradient_fields: np.ndarray,
+    n_timesteps: int,
+    seed: int = 0,
+    update: Callable[[int], None] | None = None,
+    n_draws: int = DRAWS,
+    iterations: int = ITERATIONS,
+) -> tuple[np.ndarray, float]:
+    """What the pictures do not show of the displacement, and how many coordinates of one component they do show.
+
+    For the operator of one uncoupled field and all R fields x [R, 4N, 3] that were found: covariance [N, 3, 3] float32,
+    scene units squared, mean over T timesteps.
+    """
+    rng = np.random.default_rng(seed)
+    energy = sum(_prior_energy(operator, x) for x in gradient_fields)
+    white = _white_pictures(operator, rng)
+    freedom_sides = operator.right_hand_sides(white)
+    root = stiffness_root(operator.graph)
+    draws = np.stack([_prior_draw(operator, root, rng) for _ in range(n_draws)])
+    sides = np.concatenate([freedom_sides, draws])
+    solution = pcg(
+        operator, sides, iterations, _TOLERANCE,
+        update=lambda i, r: update(i) if update is not None else None,
+    )  # fmt: skip
+    products = np.einsum("rpc,rpc->r", freedom_sides, solution.theta[:_FOR_FREEDOM], dtype=np.float64)
+    freedom = max(float(products.mean()), 1.0)
+    scale2 = energy / freedom
+    u = operator.fields(solution.theta[_FOR_FREEDOM:])[..., :3].astype(np.float64)
+    each = np.einsum("snc,snd->ncd", u, u) / len(u)
+    covariance = mean_over_neighbours(each, operator.graph.knn) * (scale2 / n_timesteps)
+    return covariance.astype(np.float32), freedom
+
+
+def _white_pictures(operator: CpuOperator, rng: np.random.Generator) -> list[np.ndarray]:
+    """Noise of variance 1 / W: Jᵀ W of it has the covariance Jᵀ W J."""
+    out = []
+    for k, view in enumerate(operator.views):
+        shape = (_FOR_FREEDOM, *view.transmittance.shape, 3)
+        white = rng.standard_normal(shape, dtype=np.float32)
+        if operator.weights is not None:
+            white /= np.sqrt(np.maximum(operator.weights[k], 1e-6))[..., None]
+        out.append(white)
+    return out
+
+
+def _prior_energy(operator: CpuOperator, x: np.ndarray) -> float:
+    """x·P x of a field x [4N, 3]."""
+    product = np.zeros_like(x)
+    operator.graph.add_prior(x, operator.smoothness_weight, operator.ridge, product)
+    return float(operator.scale * np.einsum("pc,pc->", x, product, dtype=np.float64))
+
+
+def _prior_draw(operator: CpuOperator, root: csr_matrix, rng: np.random.Generator) -> np.ndarray:
+    """Right-hand side [P, 3] of a normal draw with covariance P."""
+    stiff = root.T @ rng.standard_normal((root.shape[0], 3))
+    ridge = rng.standard_normal((root.shape[1], 3))
+    draw = np.sqrt(operator.smoothness_weight) * stiff + np.sqrt(operator.ridge) * ridge
+    return operator.preconditioner.from_field((np.sqrt(operator.scale) * draw).astype(np.float32))
+
+
+def coarser(problem: Problem, frames: Sequence[PosedFrames], enough: int = ENOUGH) -> Problem:
+    """The problem in pictures of `enough` pixels or a little more; as it is where they have no more."""
+    width, height = problem.size
+    factor = int(np.sqrt(height * width / enough))
+    if factor < 2:
+        return problem
+    window = Window.on(height, width, factor)
+    small = [f.through(window, height) for f in frames]
+    size = window.columns, window.rows
+    views = [view_jacobian(problem.gaussians, f, size) for f in small]
+    nuisances: Sequence[Nuisance] = ()
+    if problem.nuisances:
+        nuisances = nuisances_of(views, small, problem.gaussians.means.numpy(), problem.nuisances[0].active)
+    weights = np.full((len(views), *size[::-1]), factor**2, np.float32)
+    if problem.pixel_weights is not None:
+        weights *= _binned(problem.pixel_weights[..., None], factor)[..., 0]
+    means = None if problem.means is None else _binned(problem.means, factor)
+    return problem.changed(
+        views=views, pixel_weights=weights, nuisances=nuisances, means=means, projections=None
+    )
+
+
+def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:
+    """[V, H, W, C] by the mean of factor × factor pixels; what is left over at the right and below is dropped."""
+    n, height, width, channels = pictures.shape
+    h, w = height // factor, width // factor
+    blocks = pictures[:, : h * factor, : w * factor].reshape(n, h, factor, w, factor, channels)
+    return np.ascontiguousarray(blocks.mean((2, 4), dtype=np.float32))
 
 
 @dataclass(frozen=True)
@@ -69,7 +185,7 @@ def split_half_uncertainty(
 ) -> Uncertainty:
     """From two folds of the data, the residual of both, and what the pictures do not show.
 
-    unseen [N, 3, 3]: covariance of draws of motion, mean over time (`Unseen`); None: it was not drawn.
+    unseen [N, 3, 3]: covariance of draws of motion, mean over time (`unseen_motion`); None: it was not drawn.
     """
     a, b = estimate.folds[..., :3]
     noise = deviation(a, b, estimate.knn).astype(np.float64) ** 2
@@ -86,7 +202,7 @@ def split_half_uncertainty(
 
 
 def with_ground(uncertainty: Uncertainty, squares: np.ndarray | None, n_timesteps: int) -> Uncertainty:
-    """With what it means that another part may stand still: squares [N] of the fields' error (`camera_path.py`)."""
+    """With what it means that another part may stand still: squares [N] of the fields' error (`nuisance/poses.py`)."""
     if squares is None:
         return uncertainty
     old = uncertainty.arrays
@@ -102,12 +218,12 @@ def few_view_uncertainty(
 ) -> Uncertainty:
     """As `split_half_uncertainty`, with what few cameras do not show; of one camera also along its line of sight."""
     with progress("uncertainty", ITERATIONS, "iterations") as update:
-        unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
+        unseen, freedom = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
     difference = (estimate.folds[0] - estimate.folds[1])[..., :3]
     each = np.einsum("rnc,rnd->ncd", difference, difference) / (4 * n_timesteps)
     noise = mean_over_neighbours(each, estimate.knn)
     model = _model_error(estimate) / (3 * n_timesteps)
-    covariance = noise + unseen.covariance + model[:, None, None] * np.eye(3)
+    covariance = noise + unseen + model[:, None, None] * np.eye(3)
     if len(estimate.cameras) == 1:
         covariance += _unknown_direction(estimate, covariance, n_timesteps)
     covariance = covariance.astype(np.float32)
@@ -122,7 +238,7 @@ def few_view_uncertainty(
     figures: dict[str, Any] = {
         "noise_to_motion": math.sqrt(float(of_noise.sum()) / power),
         "uncertainty_to_motion": math.sqrt(float(variance.sum()) / power),
-        "freedom": unseen.freedom,
+        "freedom": freedom,
     }
     if len(estimate.cameras) > 1:
         return Uncertainty(arrays, figures)
@@ -202,7 +318,8 @@ def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
     means = estimate.gaussians.means.numpy()
     seen = np.zeros((len(means), 3))  # of the residual, of what a unit of displacement changes, of pixels
     for pictures, view, camera in zip(estimate.residuals, estimate.views, estimate.cameras, strict=True):
-        slopes = _slopes(view)
+        down, right = np.gradient(view.over_white, axis=(0, 1))
+        slopes = (down**2 + right**2).sum(-1)
         told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
         depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
@@ -223,9 +340,3 @@ def _of_blocks(pictures: np.ndarray) -> np.ndarray:
     means /= np.outer(tall, wide).astype(np.float32)[..., None]
     squares = np.einsum("rhwc,rhwc->hw", means, means)
     return np.asarray(squares.repeat(tall, 0).repeat(wide, 1))
-
-
-def _slopes(view: ViewJacobian) -> np.ndarray:
-    """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
-    down, right = np.gradient(view.over_white, axis=(0, 1))
-    return np.asarray((down**2 + right**2).sum(-1))

@@ -1,28 +1,25 @@
 """Motion of whole pixels before one fixed camera: put it back, fit what is left, and again.
 
 Pictures change in proportion to motion up to about .7 pixels, and a mean over larger motion is blurred. Where something
-vibrates by more, every picture is resampled so that it lies where it is at rest (`resampling.py`). Their mean is
-sharp, and the scene at rest is fitted to it. What motion is left is small. Its target images and those of the motion
-put back are fitted together, as any others, so that prior, noise and halves of the data apply to the whole motion. An
-iteration counts if the pictures, put back by what it found, differ less from each other.
+vibrates by more, every picture is resampled so that it lies where it is at rest (`nuisance/registration.py`). Their
+mean is sharp, and the scene at rest is fitted to it. What motion is left is small. Its target images and those of the
+motion put back are fitted together, as any others, so that prior, noise and halves of the data apply to the whole
+motion. An iteration counts if the pictures, put back by what it found, differ less from each other.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.core.memory import release
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of, suffixed
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
-from tg4mm.fit.motion.jacobian.pixels import false_changes, optical_flow
-from tg4mm.fit.motion.jacobian.view import view_jacobian
-from tg4mm.fit.motion.nuisance.registration import mean_pictures
+from tg4mm.fit.motion.jacobian.view import false_changes, optical_flow, view_jacobian
+from tg4mm.fit.motion.nuisance.registration import mean_pictures, put_back
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.resampling import put_back
 from tg4mm.fit.motion.split_half import wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
 from tg4mm.fit.motion.temporal.synchronous import Synchronous
@@ -107,7 +104,7 @@ def iterated(
     observations, solutions = first.model.observations, [first]
     lefts = [_PutBack(first.model, np.zeros(0)).left]
     for k in range(first.model.config.gauss_newton):
-        named = partial(_named, checkpoint, f"whole_pixels_{k}")
+        named = suffixed(checkpoint, f"whole_pixels_{k}")
         there = _put_back(solutions[-1], observations, named)
         lefts.append(there.left)
         if lefts[-1] >= lefts[-2]:
@@ -120,10 +117,6 @@ def iterated(
             break
         solutions.append(found)
     return solutions[-1], len(solutions) - 1
-
-
-def _named(checkpoint: Checkpoint, suffix: str, name: str, compute: Callable[[], Arrays]) -> Arrays:
-    return checkpoint(f"{name}_{suffix}", compute)
 
 
 def _put_back(last: LinearSolution, observations: Observations, checkpoint: Checkpoint) -> _PutBack:
@@ -147,7 +140,9 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
         scene = gaussians_of(checkpoint("scene", sharper))
         fields = _interpolated(gaussians.means.numpy(), fields, scene.means.numpy())
         gaussians = scene
-    config = replace(model.config, nuisance=_found(model))
+    # what was found to be no motion is taken out again
+    nuisance = {0: "none", 1: "exposure"}.get(len(model.figures["nuisance"]), "all")
+    config = replace(model.config, nuisance=nuisance)
     again = Synchronous.of(gaussians, displaced(gaussians, fields), config, model.problem.device, checkpoint)
     n = again.targets.n_known
     own = np.tensordot(again.targets.basis[:n] @ basis.T, fields, 1)
@@ -167,8 +162,3 @@ def _interpolated(means: np.ndarray, fields: np.ndarray, at: np.ndarray) -> np.n
     weights = 1 / (distance + 1e-9) ** 2
     weights /= weights.sum(1, keepdims=True)
     return np.asarray(np.einsum("rmkd,mk->rmd", fields[:, nearest], weights), np.float32)
-
-
-def _found(model: TemporalModel) -> str:
-    """The nuisance setting that takes out what was found to be no motion."""
-    return {0: "none", 1: "exposure"}.get(len(model.figures["nuisance"]), "all")

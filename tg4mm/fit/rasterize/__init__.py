@@ -1,6 +1,6 @@
 """Rendering Gaussians to images, with gradients: numba kernels on the CPU, gsplat on CUDA.
 
-`rasterization` is imported when it is first asked for: tg4mm/fit/precompile.py needs no torch.
+`rasterization` is imported when it is first asked for: the kernels' constants need no torch.
 """
 
 from typing import TYPE_CHECKING

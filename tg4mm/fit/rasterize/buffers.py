@@ -26,10 +26,3 @@ def _aligned(size: int) -> np.ndarray:
     room = np.empty(size + 64, np.uint8)
     skip = -room.ctypes.data % 64
     return room[skip : skip + size]
-
-
-def take(
-    buffers: Buffers | None, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32
-) -> np.ndarray:
-    """`buffers.take`, or new memory where there are no buffers."""
-    return np.empty(shape, dtype) if buffers is None else buffers.take(name, shape, dtype)

@@ -1,6 +1,6 @@
 """The space stage: static Gaussians of the scene at rest ([TG4MM] phase 1, [3DGS]).
 
-The names are imported when they are first asked for: tg4mm/fit/precompile.py needs no torch.
+The names are imported when they are first asked for: the settings need no torch.
 """
 
 from typing import TYPE_CHECKING

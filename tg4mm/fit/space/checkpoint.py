@@ -42,13 +42,12 @@ def check_checkpoint(
 
 
 def _check_state(state: Mapping[str, Any], n_views: int, config: SpaceConfig) -> None:
-    order, psnr, extent = (state.get(name) for name in ("order", "psnr", "extent"))
-    view = Number(0, n_views - 1, whole=True)
+    order, view = state.get("order"), Number(0, n_views - 1, whole=True)
     good = {
         "iteration": Number(0, config.iterations, whole=True).fits(state.get("iteration")),
         "order": isinstance(order, list) and all(map(view.fits, order)) and len(set(order)) == len(order),
-        "psnr": Number().fits(psnr),
-        "extent": POSITIVE.fits(extent),
+        "psnr": Number().fits(state.get("psnr")),
+        "extent": POSITIVE.fits(state.get("extent")),
     }
     for name, is_good in good.items():
         if not is_good:
@@ -57,6 +56,7 @@ def _check_state(state: Mapping[str, Any], n_views: int, config: SpaceConfig) ->
 
 
 def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, config: SpaceConfig) -> None:
+    """Check names, types and shapes: the kernels would write past arrays that are too short."""
     n = len(tensors["logits"]) if tensors.get("logits", torch.empty(())).dim() == 1 else 0
     if not 1 <= n <= config.max_gaussians:
         raise RunError(f"it holds {n} Gaussians, expected 1 to {config.max_gaussians}")
@@ -70,14 +70,6 @@ def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, 
         tensor = tensors[name]
         if tensor.dtype != torch.float32 or tuple(tensor.shape) != shape:
             raise RunError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected float32 {shape}")
-        if not bool(torch.isfinite(tensor).all()):
-            raise RunError(f"{name} holds a value that is not finite")
-        if name.endswith(".v") and bool((tensor < 0).any()):
-            raise RunError(f"{name} holds {float(tensor.min()):g}, a mean of squares")
-        if name == "gains" and bool((tensor <= 0).any()):
-            raise RunError(f"gains holds {float(tensor.min()):g}, expected gains above 0")
-    if iteration > 0 and float(tensors["adam.step"]) != iteration:
-        raise RunError(f"adam.step is {float(tensors['adam.step']):g}, expected the iteration, {iteration}")
     try:
         torch.Generator().set_state(tensors["generator"])
     except (RuntimeError, TypeError) as error:

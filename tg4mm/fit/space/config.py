@@ -10,6 +10,17 @@ MOST_ITERATIONS = 100_000_000  # a year of them
 MOST_GAUSSIANS = 100_000_000  # what a run of 20 GB holds
 MOST_LEVELS = 12
 INITS = ("auto", "points", "sfm", "hull", "random")
+_RULES = {
+    "iterations": Number(0, MOST_ITERATIONS),
+    "max_gaussians": Either(Just(0), Number(4, MOST_GAUSSIANS)),
+    "levels": Number(0, MOST_LEVELS),
+    "sh_degree": Number(0, 3),
+    "l2": NOT_NEGATIVE,
+    "dssim": Number(0, 1),
+    "init": Choice(*INITS),
+    "init_points": Number(4, MOST_GAUSSIANS),
+    "seed": SEED,
+}
 
 
 @dataclass(frozen=True)
@@ -51,19 +62,6 @@ class SpaceConfig:
         "empty: everything",
     )
     seed: int = setting(0, "of random draws")
-
-
-_RULES = {
-    "iterations": Number(0, MOST_ITERATIONS),
-    "max_gaussians": Either(Just(0), Number(4, MOST_GAUSSIANS)),
-    "levels": Number(0, MOST_LEVELS),
-    "sh_degree": Number(0, 3),
-    "l2": NOT_NEGATIVE,
-    "dssim": Number(0, 1),
-    "init": Choice(*INITS),
-    "init_points": Number(4, MOST_GAUSSIANS),
-    "seed": SEED,
-}
 
 
 def checked(config: SpaceConfig) -> SpaceConfig:

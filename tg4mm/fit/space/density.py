@@ -5,8 +5,6 @@ picture's error since the last time (`view.py`), which finds thin structures who
 have faded or grown past the scene are removed and their places given to new ones.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -21,14 +19,15 @@ HUGE = 0.5  # largest scale, as a share of the scene's extent, beyond which it i
 SHRINK = 1.5  # the two halves of a split are narrower by this factor
 APART = 0.7  # and stand on either side, this share of a random point of the old one away
 DIM = 0.8  # opacity of each half, as a share of the old one's
-
-
-@dataclass(frozen=True)
-class DensityChange:
-    """What one round did."""
-
-    removed: int
-    split: int
+SORTED_EVERY = 10  # rounds of density control, between which halves take places anywhere
+# Shifts and masks after which two zeros follow each of a number's 21 bits
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
 
 
 def is_due(iteration: int, until: float) -> bool:
@@ -55,9 +54,8 @@ def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Gen
     offset = (
         torch.einsum("nij,nj->ni", rotation_matrices(old["quats"]), noise * old["log_scales"].exp()) * APART
     )
-    old["log_scales"] = old["log_scales"] - torch.log(
-        torch.tensor(SHRINK)
-    )  # a CPU scalar goes with any device
+    # a CPU scalar goes with any device
+    old["log_scales"] = old["log_scales"] - torch.log(torch.tensor(SHRINK))
     old["logits"] = torch.logit((old["logits"].sigmoid() * DIM).clamp(1e-3, 0.999))
     halves = {name: torch.cat([value, value]) for name, value in old.items()}
     halves["means"] = torch.cat([old["means"] + offset, old["means"] - offset])
@@ -71,10 +69,11 @@ def control_density(
     max_gaussians: int,
     generator: torch.Generator,
     share: float = GROWTH,
-) -> DensityChange:
-    """One round. `share`: new Gaussians as a share of those there (`growth`), beside those that replace removed ones.
+) -> tuple[int, int]:
+    """Run one round; return how many were removed and split.
 
-    Chances are drawn where the generator lives; beside it, only counts leave the device.
+    share: new Gaussians as a share of those there (`growth`), beside those that replace removed ones. Chances are drawn
+    where the generator lives; beside it, only counts leave the device.
     """
     p = adam.parameters
     with torch.no_grad():
@@ -90,18 +89,7 @@ def control_density(
             chosen = torch.empty(0, dtype=torch.long, device=alive.device)
         gone = torch.cat([chosen, torch.nonzero(~alive)[:, 0]])  # one half takes the place of what was split
         adam.replace(gone, split_rows(p, chosen, generator))
-    return DensityChange(removed, len(chosen))
-
-
-SORTED_EVERY = 10  # rounds of density control, between which halves take places anywhere
-# Shifts and masks after which two zeros follow each of a number's 21 bits
-_SPREAD = (
-    (32, 0x1F00000000FFFF),
-    (16, 0x1F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
+    return removed, len(chosen)
 
 
 def is_sorting_due(iteration: int, until: float) -> bool:

@@ -30,8 +30,6 @@ class InitialPoints:
     rgb: np.ndarray  # [M, 3] float32 in 0..1
     spacing: np.ndarray  # [M] float32, scene units, rms distance to the three nearest
     source: str  # "points", "hull" or "random"; with "sfm", also how many points that found
-    # points there were to choose from, the hull's shell cells for instance; 0 where they are drawn
-    found: int = 0
 
 
 def working_box(views: RestViews) -> tuple[np.ndarray, float]:
@@ -121,14 +119,14 @@ def _in_sight(shell: np.ndarray, step: float, views: RestViews) -> np.ndarray:
     return seen
 
 
-def hull_points(views: RestViews, count: int, rng: np.random.Generator) -> tuple[np.ndarray, int] | None:
-    """Up to `count` points [M, 3], each somewhere in a cell of `hull_shell`, and how many cells there are."""
+def hull_points(views: RestViews, count: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Up to `count` points [M, 3], each somewhere in a cell of `hull_shell`."""
     found = hull_shell(views)
     if found is None:
         return None
     shell, step = found
     chosen = shell[rng.choice(len(shell), min(count, len(shell)), replace=False)]
-    return (chosen + rng.uniform(-step / 2, step / 2, chosen.shape)).astype(np.float32), len(shell)
+    return np.asarray(chosen + rng.uniform(-step / 2, step / 2, chosen.shape), np.float32)
 
 
 def mean_colours(xyz: np.ndarray, views: RestViews) -> np.ndarray:
@@ -178,31 +176,31 @@ def initial_points(
     if kind == "sfm":
         points, n_sfm = sfm_points(views, int(rng.integers(1 << 31)))
         note = f" ({n_sfm} points)" if points is not None else f" (sfm found {n_sfm} points)"
-    xyz, rgb, source, found = _chosen(views, points, kind, count, rng)
+    xyz, rgb, source = _chosen(views, points, kind, count, rng)
     if len(xyz) < 4:
         raise CaptureError(f"initialisation from {source} found {len(xyz)} points, at least 4 are needed")
     distance, _ = cKDTree(xyz).query(xyz, k=4)
     spacing = np.sqrt(np.mean(distance[:, 1:] ** 2, axis=1)).astype(np.float32)
-    return InitialPoints(xyz, rgb.astype(np.float32), np.maximum(spacing, 1e-6), source + note, found)
+    return InitialPoints(xyz, rgb.astype(np.float32), np.maximum(spacing, 1e-6), source + note)
 
 
 def _chosen(
     views: RestViews, points: SurfacePoints | None, kind: str, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, str, int]:
-    """Places, colours, source and how many were found, of the first source that `kind` allows and the data have."""
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Places, colours and name of the first source that `kind` allows and the data have."""
     if points is not None and kind in {"auto", "points", "sfm"}:
         chosen = rng.choice(len(points.xyz), min(count, len(points.xyz)), replace=False)
         xyz, rgb = points.xyz[chosen].astype(np.float32), points.rgb[chosen] / np.float32(255)
-        return xyz, rgb, "sfm" if kind == "sfm" else "points", len(points.xyz)
+        return xyz, rgb, "sfm" if kind == "sfm" else "points"
     if kind in {"auto", "sfm", "hull"}:
         hull = hull_points(views, _thinned(count, "hull"), rng)
         if hull is not None:
-            return hull[0], mean_colours(hull[0], views), "hull", hull[1]
+            return hull, mean_colours(hull, views), "hull"
         if kind == "hull":
             raise CaptureError("init is 'hull', but the images have no alpha mask that cuts a hull out")
     centre, half = working_box(views)
     xyz = rng.uniform(centre - half, centre + half, (_thinned(count, "random"), 3)).astype(np.float32)
-    return xyz, mean_colours(xyz, views), "random", 0
+    return xyz, mean_colours(xyz, views), "random"
 
 
 def _thinned(count: int, source: str) -> int:

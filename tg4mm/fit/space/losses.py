@@ -8,18 +8,18 @@ from torch.nn.functional import conv2d
 
 _SIGMA, _RADIUS = 1.5, 5  # SSIM's 11 × 11 window
 _C1, _C2 = 0.01**2, 0.03**2
-
-
-def _window(channels: int, like: Tensor) -> Tensor:
-    x = torch.arange(-_RADIUS, _RADIUS + 1, dtype=like.dtype, device=like.device)
-    g = torch.exp(-(x**2) / (2 * _SIGMA**2))
-    return (g / g.sum()).expand(channels, 1, -1)
+RATE = 0.1  # of the way, each time
+GAIN_EVERY = 4  # pixels: one of so many in each direction is looked at
+BRIGHTEST = 250 / 255  # what is brighter may have been clipped, whatever the exposure
+MOST = 4.0  # and 1 / MOST: no gain lies further from one
 
 
 def ssim(a: Tensor, b: Tensor) -> Tensor:
     """Mean structural similarity of two images [H, W, 3] in 0..1, differentiable; Gaussian window, zero border."""
     planes = torch.cat([x.permute(2, 0, 1) for x in (a, b, a * a, b * b, a * b)])[None]
-    window = _window(planes.shape[1], planes)
+    x = torch.arange(-_RADIUS, _RADIUS + 1, dtype=planes.dtype, device=planes.device)
+    g = torch.exp(-(x**2) / (2 * _SIGMA**2))
+    window = (g / g.sum()).expand(planes.shape[1], 1, -1)
     blurred = conv2d(planes, window[:, :, :, None], padding=(_RADIUS, 0), groups=planes.shape[1])
     blurred = conv2d(blurred, window[:, :, None, :], padding=(0, _RADIUS), groups=planes.shape[1])
     ma, mb, saa, sbb, sab = blurred[0].split(a.shape[-1])
@@ -36,12 +36,6 @@ def photometric_loss(rendered: Tensor, target: Tensor, l2: float, dssim: float) 
     if dssim > 0:
         loss = (1 - dssim) * loss + dssim * (1 - ssim(rendered, target)) / 2
     return loss
-
-
-RATE = 0.1  # of the way, each time
-GAIN_EVERY = 4  # pixels: one of so many in each direction is looked at
-BRIGHTEST = 250 / 255  # what is brighter may have been clipped, whatever the exposure
-MOST = 4.0  # and 1 / MOST: no gain lies further from one
 
 
 def fitting_gain(rendered: Any, target: Any) -> Any:

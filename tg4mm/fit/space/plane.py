@@ -1,13 +1,13 @@
 """The scene of a camera that never moves and of which nothing else is known: its mean picture, as Gaussians on a plane.
 
-A quadtree's cells are discs at distance 1: with places and sizes given the picture is linear in the colours, found by
-conjugate gradients. Discs let part of the coarser ones below shine through: of opaque ones the slope, which motion is
-read from, is wrong, and gaps open where they move apart.
+A quadtree's cells, fine where the picture has detail, are discs at distance 1: with places and sizes given the picture
+is linear in the colours, found by conjugate gradients. Discs let part of the coarser ones below shine through: of
+opaque ones the slope, which motion is read from, is wrong, and gaps open where they move apart.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -23,11 +23,12 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space.config import SpaceConfig, checked
 from tg4mm.fit.space.parameters import SH_C0
-from tg4mm.fit.space.quadtree import COARSEST, FINEST, Cells, quadtree
 from tg4mm.fit.space.targets import RestViews
 from tg4mm.fit.space.train import SpaceFit
 from tg4mm.fit.space.view import EPS2D, FAR, NEAR, WHITE, render_view
 
+FINEST, COARSEST = 2, 32  # cells' sides, pixels
+DETAIL = 0.5 / 255  # rms: a cell of less is not split, it holds what rounding and noise left
 PIXELS_PER_GAUSSIAN = 9
 MOST = 120_000  # unless asked for: the motion stage's time grows with them
 FEWEST = 16
@@ -39,6 +40,62 @@ ITERATIONS = 14
 RIDGE = 0.02  # holds colours to their cells' mean; overshooting neighbours would tear when they move apart
 # Within 4 × 4 cells each has a rank of its own: discs that overlap keep their order when they move
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Squares on a picture; those at its right and lower edge may reach over it."""
+
+    centres: np.ndarray  # [N, 2] pixels
+    sides: np.ndarray  # [N] pixels, powers of two
+    colours: np.ndarray  # [N, 3] mean over the cell; what lies outside repeats the edge
+
+
+def quadtree(picture: np.ndarray, budget: int, coarsest: int = COARSEST) -> Cells:
+    """At most `budget` cells (or as many as there are of the coarsest): all nodes of the tree, the coarsest first.
+
+    picture: [H, W, 3]. A cell is split while its squared deviation, summed over pixels and channels, is among the
+    largest and above noise; it stays below its children. These deviate less than it does, all four together, so one
+    threshold serves all sizes.
+    """
+    height, width = picture.shape[:2]
+    levels = _pyramid(picture, coarsest)
+    deviations = np.sort(np.concatenate([sums.ravel() for _, _, sums in levels[:-1]]))[::-1]
+    splits = max(budget - levels[0][2].size, 0) // 4
+    threshold = deviations[splits] if splits < len(deviations) else 0.0
+    active = np.ones(levels[0][2].shape, bool)
+    found = []
+    for side, means, sums in levels:
+        above = sums > max(threshold, 3 * side**2 * DETAIL**2)
+        split = active & above & (side > FINEST)
+        rows, columns = np.nonzero(active)
+        centres = np.stack([columns + 0.5, rows + 0.5], 1) * side
+        found.append((centres, np.full(len(rows), side), means[rows, columns]))
+        active = split.repeat(2, 0).repeat(2, 1)
+    centres, sides, colours = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    inside = (centres - sides[:, None] / 2 < [width, height]).all(1)
+    return Cells(centres[inside], sides[inside], colours[inside])
+
+
+def _pyramid(picture: np.ndarray, coarsest: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Side, means [h, w, 3] and summed squared deviations [h, w] of cells of every size, the coarsest first."""
+    height, width = picture.shape[:2]
+    missing = (-height % coarsest, -width % coarsest)
+    padded = np.pad(picture.astype(np.float64), (*((0, m) for m in missing), (0, 0)), mode="edge")
+    sums, squares, side = padded, (padded**2).sum(-1), 1
+    levels = []
+    while side < coarsest:
+        sums, squares, side = _fours(sums), _fours(squares), 2 * side
+        if side >= FINEST:
+            means = sums / side**2
+            levels.append((side, means, np.maximum(squares - side**2 * (means**2).sum(-1), 0.0)))
+    return levels[::-1]
+
+
+def _fours(a: np.ndarray) -> np.ndarray:
+    """Sums over 2 × 2 blocks of the first two axes."""
+    rows = a[::2] + a[1::2]
+    return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
 def plane_gaussians(picture: np.ndarray, K: np.ndarray, viewmat: np.ndarray, budget: int) -> Gaussians:
@@ -60,9 +117,10 @@ def plane_gaussians(picture: np.ndarray, K: np.ndarray, viewmat: np.ndarray, bud
     rotation, shift = viewmat[:3, :3].astype(np.float64), viewmat[:3, 3].astype(np.float64)
     scales = widths[:, None] / np.array([K[0, 0], K[1, 1], K[0, 0] / THICKNESS]) * depth[:, None]
     colours = np.concatenate([cells.colours, behind.colours])
+    wxyz = np.roll(Rotation.from_matrix(rotation.T).as_quat(), 1)
     return Gaussians(
         means=torch.from_numpy((rays * depth[:, None] - shift) @ rotation).float(),
-        quats=_quaternion(rotation.T).repeat(len(uv), 1),
+        quats=torch.from_numpy(wxyz).float().repeat(len(uv), 1),
         scales=torch.from_numpy(scales).float(),
         opacities=torch.from_numpy(opacities).float(),
         sh=_sh(torch.from_numpy(colours).float()),
@@ -90,11 +148,6 @@ def _ranks(cells: Cells) -> np.ndarray:
     """[N] places in the order of depth: by size, then so that neighbours differ."""
     columns, rows = (cells.centres // cells.sides[:, None]).astype(int).T % 4
     return 16 * (np.log2(cells.sides) - np.log2(FINEST)) + _BAYER[rows, columns]
-
-
-def _quaternion(rotation: np.ndarray) -> Tensor:
-    """[4] wxyz of a rotation matrix [3, 3]."""
-    return torch.from_numpy(np.roll(Rotation.from_matrix(rotation).as_quat(), 1)).float()
 
 
 def _sh(colours: Tensor) -> Tensor:

@@ -1,17 +1,28 @@
-"""The targets of the static Gaussians: one picture per camera, its mean over time."""
+"""The targets of the static Gaussians: one picture per camera, its mean over time; and the space stage's own unit.
+
+In that unit cameras are DISTANCE away from the middle of what they see, whatever unit the scene is in.
+"""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
+import torch
 
-from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture import Capture, ImageStack, SurfacePoints
+from tg4mm.capture.cameras import middle_distance, relative_to
 from tg4mm.capture.masks import mask_of
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space.view import DISTANCE
+
+# Places are rounded to this: a scene written in another unit, or elsewhere, then gives the same bits nearly always.
+# Seen from DISTANCE it is a four-millionth of a radian.
+_GRAIN = 2.0**-20
 
 
 @dataclass(frozen=True)
@@ -106,3 +117,41 @@ class _Sum:
     def means(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Colour [H, W, 3] and alpha [H, W] in 0..1 of so many pictures."""
         return self._colour / (count * self._maximum**2), self._alpha / (count * self._maximum)
+
+
+@dataclass(frozen=True)
+class SceneUnit:
+    """x = centre + unit · x', with x in the scene's unit and x' in the stage's."""
+
+    centre: np.ndarray  # [3] float64, scene units
+    unit: float  # scene units
+
+    @classmethod
+    def of(cls, views: RestViews, points: SurfacePoints | None) -> "SceneUnit":
+        """Compute the unit from the cameras or, if they share one position, from the points."""
+        xyz = None if points is None else points.xyz
+        centre, distance = middle_distance(views.viewmats, views.Ks, views.size, xyz)
+        return cls(centre, distance / DISTANCE)
+
+    def views(self, views: RestViews) -> RestViews:
+        """Views from the same cameras, float32."""
+        moved = relative_to(views.viewmats.astype(np.float64), self.centre)
+        moved[:, :3, 3] = _rounded(moved[:, :3, 3] / self.unit)
+        return replace(views, viewmats=moved.astype(np.float32), Ks=views.Ks.astype(np.float32))
+
+    def points(self, points: SurfacePoints | None) -> SurfacePoints | None:
+        """The same points, float32."""
+        if points is None:
+            return None
+        xyz = _rounded((points.xyz.astype(np.float64) - self.centre) / self.unit)
+        return replace(points, xyz=xyz.astype(np.float32))
+
+    def back(self, gaussians: Gaussians) -> Gaussians:
+        """Gaussians in scene units, float32."""
+        means = gaussians.means.double() * self.unit + torch.from_numpy(self.centre)
+        scales = gaussians.scales.double() * self.unit
+        return replace(gaussians, means=means.float(), scales=scales.float())
+
+
+def _rounded(places: np.ndarray) -> np.ndarray:
+    return np.asarray(np.round(places / _GRAIN) * _GRAIN)

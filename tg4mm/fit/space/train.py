@@ -22,9 +22,8 @@ from tg4mm.fit.space.fused import FusedAdam, Iteration
 from tg4mm.fit.space.initial import extent_of, initial_points
 from tg4mm.fit.space.levels import Level, level_at, levels, resolved, sampled, shrunk, turn_of, work
 from tg4mm.fit.space.losses import GAIN_EVERY, fitting_gain, photometric_loss, with_gain
-from tg4mm.fit.space.normalise import SceneUnit
 from tg4mm.fit.space.parameters import ParameterAdam, activate, initial_parameters, stride
-from tg4mm.fit.space.targets import RestViews
+from tg4mm.fit.space.targets import RestViews, SceneUnit
 from tg4mm.fit.space.view import EPS2D, NEAR, render_view
 
 CHECKPOINT_EVERY_S = 20.0
@@ -210,7 +209,7 @@ def fit_space(
     """Fit static Gaussians to the rest views; continue from the checkpoint `kept`, if it has one.
 
     points: initialisation without SfM, or None. The fit, and what is kept of it, is in the stage's own unit
-    (`normalise.py`), what is returned in scene units.
+    (`targets.py`), what is returned in scene units.
     On CUDA everything that an iteration needs lives there, in float32 throughout: rounding of targets or parameters
     to 16 bits would be as large as the differences that the motion stage reads (a fiftieth of a pixel).
     Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from, RunError where a

@@ -77,7 +77,7 @@ def render_view(
         gaussians = replace(gaussians, means=means)
     if gaussians.means.is_cuda:
         return _render_cuda(gaussians, viewmat, K, size, degree, eps2d, near)
-    from tg4mm.fit.rasterize.cpu import View, rasterize_cpu
+    from tg4mm.fit.rasterize.api import View, rasterize_cpu
     from tg4mm.fit.rasterize.kernels.layout import FEAT
 
     g = gaussians

@@ -20,9 +20,8 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import held, observe
+from tg4mm.fit.motion.observations import held, note_on, observe, window_on
 from tg4mm.fit.motion.pipeline import fit_motion
-from tg4mm.fit.motion.reduction import note_on, window_on
 from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"

@@ -7,7 +7,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from tg4mm.fit.motion.prior.graph import nearest
+from tg4mm.fit.motion.prior import nearest
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensors import STILL
 

@@ -334,7 +334,7 @@ class _Fixed:
         halves = halves_of(len(frames) if is_shared else 1, True)
         return [
             MeasuredView(
-                view, own, nuisance.with_active(active[v]), means[v], np.ones(means[v].shape[:2], np.float32),
+                view, own, replace(nuisance, active=active[v]), means[v], np.ones(means[v].shape[:2], np.float32),
                 halves[v if is_shared else 0],
             )
             for v, (view, own, nuisance) in enumerate(zip(views, frames, nuisances, strict=True))

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
-from tg4mm.fit.motion.jacobian.pixels import false_changes
+from tg4mm.fit.motion.jacobian.view import false_changes
 from tg4mm.show.measure.kept import HALVES, Sides
 from tg4mm.show.measure.residuals import MeasuredView
 

@@ -19,10 +19,10 @@ from tg4mm.capture.scene import between_frames
 from tg4mm.core.errors import RunError
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.amplitude_bias import LACKING
 from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import frames_of
-from tg4mm.fit.motion.picture_gain import LACKING
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages.look import look_of

@@ -1,20 +1,32 @@
 """The rendering Jacobian of one view at rest: JVP, VJP and Gauss-Newton product, several right-hand sides at once.
 
 Per Gaussian an 8 × 6 block takes displacement and rotation to its splat (mean, conic, colour); the linearised blending
-kernels take splats to pixels. It is the exact derivative of the rendered picture; no finite differences.
+kernels take splats to pixels. It is the exact derivative of the rendered picture; no finite differences. To first order
+it also gives how far things move in pixels, their optical flow, and how well depth is determined.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from tg4mm.capture.tracking.template import slope
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.jacobian.packed import COLUMNS, DOF, jvp_rows, pack, unpack, vjp_rows
-from tg4mm.fit.motion.jacobian.projection import splat_jacobian
-from tg4mm.fit.rasterize.buffers import Buffers, take
+from tg4mm.fit.motion.jacobian.packed import (
+    COLUMNS,
+    DOF,
+    jvp_rows,
+    mean_rows,
+    mean_rows_as_colours,
+    pack,
+    splat_jacobian,
+    unpack,
+    vjp_rows,
+)
+from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
@@ -30,6 +42,9 @@ ALPHA_MIN_LINEAR = ALPHA_MIN / 30
 VIEW_BYTES = 1 << 30  # of all views that are held at once: more lie in temporary files
 _OF_VIEW = "splats", "image", "transmittance", "packed"
 _OF_BINS = "order", "tile_start", "gaussian_start", "pair_gaussian", "pair_slot", "reached"
+PERCENT = 99.0  # of the visible Gaussians: outliers of a fit must not decide
+_CAMERAS = 8  # views looked at, spread evenly
+_COLOUR = COLUMNS - 3  # first column of a splat's colour
 
 
 class PosedView(Protocol):
@@ -78,10 +93,10 @@ class ViewJacobian:
 
         With `buffers` the result is theirs: valid until the next call with the same ones.
         """
-        bins, n_motions = self.bins, len(motions)
-        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
+        bins, n_motions, buffers = self.bins, len(motions), buffers or Buffers()
+        d_splats = buffers.take("d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
-        d_images = take(buffers, "d_images", (n_motions, *self.transmittance.shape, 3))
+        d_images = buffers.take("d_images", (n_motions, *self.transmittance.shape, 3))
         blend_tangents(
             self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
         )
@@ -89,8 +104,8 @@ class ViewJacobian:
 
     def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
         """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
-        bins, n_motions = self.bins, len(pictures)
-        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
+        bins, n_motions, buffers = self.bins, len(pictures), buffers or Buffers()
+        v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         blend_cotangents(
             self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
             np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
@@ -105,10 +120,10 @@ class ViewJacobian:
         buffers: Buffers | None = None,
     ) -> None:
         """Adds Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
-        bins, n_motions = self.bins, len(motions)
-        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
+        bins, n_motions, buffers = self.bins, len(motions), buffers or Buffers()
+        d_splats = buffers.take("d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
-        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
+        v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         pixels = np.ones_like(self.transmittance) if weights is None else weights
         blend_normal(
             self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
@@ -182,9 +197,6 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     )
 
 
-_COLOUR = COLUMNS - 3  # first column of a splat's colour
-
-
 def colour_jacobian(view: ViewJacobian, active: np.ndarray) -> ViewJacobian:
     """The view with the Jacobian by colour in place of displacement (the first three of DOF; the others give 0).
 
@@ -208,3 +220,69 @@ def blend_sum(view: ViewJacobian, picture: np.ndarray) -> np.ndarray:
     out = np.zeros((1, len(view.splats), DOF), np.float32)
     colour_jacobian(view, np.ones((view.bins.n_visible, 3), bool)).vjp(picture[None], out)
     return out[0, :, :3]
+
+
+def pixels_moved(views: Sequence[ViewJacobian], shifts: np.ndarray) -> np.ndarray:
+    """[S]: the 99th percentile over visible Gaussians, in up to eight views, of image motion; 0 if none is visible.
+
+    S shifts [S, N, 3] in scene units, projected to first order.
+    """
+    some = np.unique(np.linspace(0, len(views) - 1, _CAMERAS).round().astype(int))
+    lengths = np.concatenate([_lengths(views[k], shifts) for k in some], 1)
+    if not lengths.size:
+        return np.zeros(len(shifts))
+    return np.asarray(np.percentile(lengths, PERCENT, axis=1))
+
+
+def _lengths(view: ViewJacobian, shifts: np.ndarray) -> np.ndarray:
+    """[S, n] pixels."""
+    right, down = mean_rows(view.packed)
+    own = shifts[:, view.bins.order[: view.bins.n_visible]]
+    return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, own) for row in (right, down))))
+
+
+def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> np.ndarray:
+    """[R, H, W, 3] of motions [R, N, DOF]: right and down in pixels, then 0. Valid until the next call with `buffers`.
+
+    Each pixel sums the flow of its Gaussians' means by blending weight; the background's flow is 0.
+    """
+    return replace(view, packed=mean_rows_as_colours(view.packed)).jvp(motions, buffers)
+
+
+def false_changes(
+    view: ViewJacobian, mean: np.ndarray, motions: np.ndarray, is_flat: bool = True
+) -> np.ndarray:
+    """[R, H, W, 3]: of the change by motions [R, N, DOF] what the scene at rest has and `mean` [H, W, 3] lacks.
+
+    Of a flat capture it corrects the answer, by slopes exact for fine texture; else it is in the ± alone, whose
+    calibration has central differences.
+    """
+    error = view.over_white - mean
+    down, right = ((slope(error, axis) if is_flat else np.gradient(error, axis=axis)) for axis in (0, 1))
+    flow = optical_flow(view, motions, Buffers())
+    # a motion to the right by a pixel takes away the slope to the right
+    return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
+
+
+def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors [N, 3] from the camera to the points `means` [N, 3], and across these, along the pictures' rows."""
+    rotation, translation = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    along = _unit(means + rotation.T @ translation)  # from the camera's centre −Rᵀt
+    return along, _unit(np.cross(along, rotation[1]))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
+
+
+def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, seed: int = 0) -> float:
+    """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
+
+    means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
+    0 where no motion across is seen.
+    """
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
+    motions = np.zeros((2, len(means), DOF), np.float32)
+    motions[..., :3] = signs * np.stack(along_and_across(camera, means))
+    along, across = np.sqrt((view.jvp(motions).astype(np.float64) ** 2).sum((1, 2, 3)))
+    return float(along / across) if across > 0 else 0.0

@@ -11,7 +11,7 @@ each column, and Jᵀ W J is what it was.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -37,9 +37,6 @@ class Nuisance:
     camera: PosedView
     means: np.ndarray  # [N, 3] float32, of the Gaussians at rest
     active: np.ndarray  # [12] bool
-
-    def with_active(self, active: np.ndarray) -> "Nuisance":
-        return replace(self, active=active)
 
     @cached_property
     def pose(self) -> np.ndarray:
@@ -189,7 +186,7 @@ class Projection:
 
     def coefficients(self, picture: np.ndarray) -> np.ndarray:
         """[12] of the columns, by least squares of a picture [H, W, 3]; weights 1, all columns active."""
-        basis = np.tensordot(self.root, self.nuisance.columns(self.mean), 1)
+        basis = self.basis()
         return self.root.T @ (basis.reshape(len(basis), -1) @ picture.ravel())
 
     def coefficients_of_motion(self, motion: np.ndarray) -> np.ndarray:
@@ -245,6 +242,16 @@ def _inverse_root(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
     return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
 
+def rigid_columns(x: np.ndarray) -> np.ndarray:
+    """[N, 3, 6]: what a turn about the origin (radians) and a shift move points x [N, 3] by."""
+    out = np.zeros((len(x), 3, 6))
+    out[:, 0, 1], out[:, 0, 2] = x[:, 2], -x[:, 1]  # ω × x
+    out[:, 1, 0], out[:, 1, 2] = -x[:, 2], x[:, 0]
+    out[:, 2, 0], out[:, 2, 1] = x[:, 1], -x[:, 0]
+    out[:, range(3), range(3, 6)] = 1
+    return out
+
+
 def with_still_background(fields: np.ndarray, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Fields [R, N, 6] of one frequency less the rigid motions [R, 6] that most of the scene has.
 
@@ -254,12 +261,7 @@ def with_still_background(fields: np.ndarray, means: np.ndarray, weights: np.nda
     means [N, 3] scene units; weights [N]: how much of a Gaussian is seen.
     """
     centre = np.average(means, axis=0, weights=weights + 1e-12)
-    x = means.astype(np.float64) - centre
-    design = np.zeros((len(means), 3, 6))
-    design[:, range(3), range(3)] = 1
-    design[:, 0, 4], design[:, 0, 5] = x[:, 2], -x[:, 1]  # ω × x
-    design[:, 1, 3], design[:, 1, 5] = -x[:, 2], x[:, 0]
-    design[:, 2, 3], design[:, 2, 4] = x[:, 1], -x[:, 0]
+    design = np.roll(rigid_columns(means.astype(np.float64) - centre), 3, axis=2)  # shift, then turn
     u = fields[..., :3].astype(np.float64)
     trust = weights.astype(np.float64)
     rigid = np.zeros((len(fields), 6))

@@ -8,7 +8,7 @@ import numpy as np
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Projection
-from tg4mm.fit.motion.prior.graph import Graph
+from tg4mm.fit.motion.prior import Graph
 from tg4mm.fit.motion.solver.preconditioner import TwoLevelPreconditioner
 from tg4mm.fit.rasterize.buffers import Buffers
 

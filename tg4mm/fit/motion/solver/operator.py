@@ -6,7 +6,7 @@ Find R fields x_r [4N, 3], displacement and its gradient, that explain the targe
 
 where m is the motion of a field (displacement and rotation), y_v the target images and C_v their mixing matrix
 (`temporal/`), W weights of pixels, Q the nuisance columns (`nuisance/projection.py`), K the prior's matrix
-(`prior/graph.py`), and h the mean over Gaussians of the diagonal of JᵀWJ, so that λ and μ do not depend on size,
+(`prior.py`), and h the mean over Gaussians of the diagonal of JᵀWJ, so that λ and μ do not depend on size,
 contrast or number of the images. The unknowns are θ [R, P, 3] with x = B θ (`preconditioner.py`), for which conjugate
 gradients need few iterations.
 """
@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tg4mm.fit.motion.prior.graph import Graph
+from tg4mm.fit.motion.prior import Graph
 
 Array = Any  # np.ndarray or Tensor; an operator takes and gives one kind
 

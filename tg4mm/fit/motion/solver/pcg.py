@@ -37,8 +37,8 @@ def pcg(
     """
     together = together or (len(b) if operator.is_coupled else 1)
     n = len(b) // together
-    theta, residual, direction = _zeros(b), _copy(b), _copy(b)
-    squares = _squares(b, n)
+    theta, residual, direction = b - b, 1 * b, 1 * b
+    squares = np.array([_inner(one, one) for one in b]).reshape(n, -1).sum(1)
     norms = squares.copy() if norms is None else norms
     limit = np.maximum(max(tolerance**2, _EXACT) * norms, 1e-300)
     for done in range(iterations):
@@ -83,20 +83,8 @@ def fetched(values: Array) -> np.ndarray:
     return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
 
 
-def _squares(values: Array, n: int) -> np.ndarray:
-    return np.array([_inner(one, one) for one in values]).reshape(n, -1).sum(1)
-
-
 def _inner(a: Array, b: Array) -> float:
     """Σ a b, summed in float64."""
     if isinstance(a, np.ndarray):
         return float(np.dot(a.ravel().astype(np.float64), b.ravel()))
     return float((a.double() * b).sum())
-
-
-def _zeros(b: Array) -> Array:
-    return np.zeros_like(b) if isinstance(b, np.ndarray) else torch.zeros_like(b)
-
-
-def _copy(b: Array) -> Array:
-    return b.copy() if isinstance(b, np.ndarray) else b.clone()

@@ -10,12 +10,18 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection, projections_of, without
-from tg4mm.fit.motion.prior.graph import Graph, build_graph
-from tg4mm.fit.motion.solver.aggregates import Aggregates, aggregate
+from tg4mm.fit.motion.prior import Graph, build_graph
 from tg4mm.fit.motion.solver.cpu import CpuOperator
 from tg4mm.fit.motion.solver.cuda import operator_on, views_on
 from tg4mm.fit.motion.solver.operator import Fold, Operator
-from tg4mm.fit.motion.solver.preconditioner import PROBES, DiagonalEstimate, probe, two_level_preconditioner
+from tg4mm.fit.motion.solver.preconditioner import (
+    PROBES,
+    Aggregates,
+    DiagonalEstimate,
+    aggregate,
+    probe,
+    two_level_preconditioner,
+)
 from tg4mm.fit.rasterize.reference import rotation_matrices
 
 

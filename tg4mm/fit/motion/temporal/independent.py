@@ -29,8 +29,8 @@ from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import constant_and_trend, sinusoids
 from tg4mm.fit.motion.split_half import folds_of, wiener_shrink
 from tg4mm.fit.motion.targets import TargetImages, projected
-from tg4mm.fit.motion.temporal.frequencies import LEAST
 from tg4mm.fit.motion.temporal.steady import (
+    LEAST,
     RegionSeries,
     Steady,
     frequencies_of,

@@ -23,8 +23,7 @@ from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
-from tg4mm.fit.motion.nuisance.camera_path import CameraPath, Reading
-from tg4mm.fit.motion.nuisance.poses import left_of, pictures_of, refine_scene_and_poses
+from tg4mm.fit.motion.nuisance.poses import CameraPath, Reading, left_of, pictures_of, refine_scene_and_poses
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations
@@ -32,8 +31,8 @@ from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import polynomials, sinusoids
 from tg4mm.fit.motion.split_half import folds_of
-from tg4mm.fit.motion.temporal.frequencies import Frequencies
 from tg4mm.fit.motion.temporal.steady import (
+    Frequencies,
     RegionSeries,
     Steady,
     frequencies_of,

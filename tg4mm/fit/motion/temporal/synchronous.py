@@ -1,7 +1,12 @@
 """Fixed cameras on one clock: time separates from space, one field for each function of time.
 
-The functions are sinusoids and principal components of all changes of all cameras together (`time_courses.py`). C_v is
-the identity, so that the fields can be solved for one by one.
+The functions are sinusoids and principal components of the products G [T, T] of all changes of all cameras together.
+C_v is the identity, so that the fields can be solved for one by one.
+
+In noise a principal component is only partly the course of a vibration: it is the direction in T dimensions in which
+motion and noise together are largest, and the same motion a quarter of a period later is a weaker one, which noise may
+hide. A sinusoid has one frequency, that all frames determine, and its cosine and sine hold every phase. So where a
+sinusoid stands out, these two are taken, and components are for what is left.
 """
 
 import warnings
@@ -10,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tg4mm.core.lines import fit_lines
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Checkpoint
 from tg4mm.fit.motion.config import MotionConfig, asked_band
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
-from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.jacobian.view import pixels_moved
 from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
 from tg4mm.fit.motion.nuisance.first_look import FirstLook, look_at
@@ -26,15 +32,125 @@ from tg4mm.fit.motion.spectrum import apply_series, modes_of
 from tg4mm.fit.motion.split_half import folds_of
 from tg4mm.fit.motion.targets import TargetImages, projected
 from tg4mm.fit.motion.temporal import TemporalModel
-from tg4mm.fit.motion.temporal.time_courses import (
-    effective_pixels,
-    kept_components,
-    orthonormal,
-    rank_of,
-    sinusoidal_courses,
-)
 
+_RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
+_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
+_MARGIN = 1.1
+_RANK_FOR_NOISE = 7
+_DISTINCT = 0.05  # of the largest singular value: courses that differ by less are one
+_ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
+_FEWEST = 12  # timesteps for a sinusoid, `fit_lines`' own
+_MOST = 3  # sinusoids
+_TONAL = 0.7  # of the energy that stands out of the noise: what sinusoids must hold
+_LEADING = 3  # components that a frequency is refined by
+_APART, _OVERSAMPLED = 0.75, 8  # bins to half the frame rate; frequencies tried in each
 _LARGEST = 24  # timesteps whose motion is looked at
+
+
+def sinusoidal_courses(gram: np.ndarray, pixels: float, times_s: np.ndarray) -> np.ndarray | None:
+    """[2K, T]: cosine and sine of the K vibrations that changes of products `gram` [T, T] at times [T] consist of.
+
+    None where there are none.
+
+    The strongest first; each must exceed what chance makes of noise that is spread over `pixels` in any two directions
+    (Marchenko & Pastur 1967). Taken are the fewest that hold 70 % of the energy that stands out of the noise, if with
+    the components of what is left they are no more functions than the components alone and one for each sinusoid.
+    """
+    n_timesteps = len(gram)
+    alone, above = _standing_out(gram, pixels)
+    if n_timesteps < _FEWEST or rank_of(falling_energy(gram)) < _RANK_FOR_NOISE:
+        return None
+    courses, rest, count = np.zeros((0, n_timesteps)), gram, 0
+    for k in range(1, _MOST + 1):
+        found = _strongest(rest, times_s)
+        own = orthonormal(found, rest)
+        energy = falling_energy(rest)
+        taken, rank = float(np.einsum("kt,ts,ks->", own, rest, own)), rank_of(energy)
+        noise = (energy.sum() - taken) / max(rank - len(own), 1)
+        if taken <= len(own) * (1 + np.sqrt(rank / max(pixels, 2 * rank))) ** 2 * noise:
+            return None
+        courses = np.concatenate([courses, found])
+        span = orthonormal(courses, gram)
+        rest = gram - span.T @ (span @ gram)
+        rest = rest - (rest @ span.T) @ span
+        count, left = _standing_out(rest, pixels)
+        if left <= (1 - _TONAL) * above:
+            return courses if len(span) + count <= max(alone, 1) + k else None
+    return None
+
+
+def _strongest(gram: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """[2, T]: cosine and sine of the strongest frequency, with the decay that its record shows."""
+    energy, vectors = np.linalg.eigh(gram)
+    series = vectors[:, ::-1] * np.sqrt(np.maximum(energy[::-1], 0))
+    step = float(np.median(np.diff(times_s)))
+    # of an even clock, whose missing frames are empty
+    at = np.round((times_s - times_s[0]) / step).astype(int)
+    n = int(at[-1]) + 1
+    even = np.zeros((n, len(gram)))
+    even[at] = series
+    power = (np.abs(np.fft.rfft(even, _OVERSAMPLED * n, axis=0)) ** 2).sum(1)
+    cycles = np.arange(len(power)) / _OVERSAMPLED
+    allowed = (cycles >= 1) & (cycles <= n / 2 - _APART)
+    start = cycles[np.where(allowed, power, -1).argmax()] / (n * step)
+    line = fit_lines(series[:, :_LEADING], times_s, [start]).lines[0]
+    angles = 2 * np.pi * line.hz * times_s
+    return np.asarray(line.envelope(times_s) * np.stack([np.cos(angles), np.sin(angles)]))
+
+
+def _standing_out(gram: np.ndarray, pixels: float) -> tuple[int, float]:
+    """How many components stand out of the noise, and by how much energy."""
+    energy = falling_energy(gram)
+    rank = rank_of(energy)
+    if rank < _RANK_FOR_NOISE:
+        return 0, 0.0
+    count = kept_components(energy, rank, pixels, least=0)
+    noise = float(energy[count:rank].mean()) if count < rank else 0.0
+    return count, float((energy[:count] - noise).sum())
+
+
+def falling_energy(gram: np.ndarray) -> np.ndarray:
+    """[T] energies of the principal components of products [T, T], the largest first."""
+    return np.maximum(np.linalg.eigvalsh(gram)[::-1], 0)
+
+
+def rank_of(energy: np.ndarray) -> int:
+    """How many components of falling `energy` [T] are more than rounding; the last is empty, its mean is taken out."""
+    return int((energy[:-1] > _ROUNDING * energy[0]).sum())
+
+
+def orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
+    """[K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
+    if courses is None or not len(courses):
+        return np.zeros((0, len(gram)))
+    own = courses - courses.mean(1, keepdims=True)
+    _, sizes, span = np.linalg.svd(own / np.linalg.norm(own, axis=1, keepdims=True), full_matrices=False)
+    span = span[sizes > _DISTINCT * sizes[0]]
+    _, turn = np.linalg.eigh(span @ gram @ span.T)
+    return np.asarray(turn[:, ::-1].T @ span)
+
+
+def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0, least: int = 1) -> int:
+    """How many components stand out of rounding and noise: `energy` [T] falling. At least `least`.
+
+    Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
+    where pictures repeat (`rank` are not). So the weakest quarter of the others tells its level. Fewer than seven are
+    no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by the
+    number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
+    """
+    used = len(energy) - 1 if rank is None else rank
+    floor = _RELATIVE_FLOOR * energy[0]
+    if used >= _RANK_FOR_NOISE:
+        root = np.sqrt(used / max(pixels, 2 * used))
+        factor = min(_MARGIN * ((1 + root) / (1 - root)) ** 2, _NOISE_FACTOR)
+        floor = max(floor, factor * float(energy[used - used // 4 : used].mean()))
+    return max(int((energy[:used] > floor).sum()), least)
+
+
+def effective_pixels(total: np.ndarray) -> float:
+    """Return over how many pixels energy [V, H, W] is spread: all if alike in all, 1 if in one."""
+    squares = np.einsum("vhw,vhw->", total, total, dtype=np.float64)
+    return float(total.sum(dtype=np.float64) ** 2 / squares) if squares else 0.0
 
 
 @dataclass(frozen=True)

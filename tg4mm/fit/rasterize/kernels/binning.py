@@ -1,26 +1,96 @@
 """Which tile sees which Gaussian: depth order, exact ellipse-tile overlap, one list per tile.
 
-Everything is a stable counting sort over fixed chunks, so the lists do not depend on the number of threads.
+Everything is a stable counting sort over fixed chunks, so the lists do not depend on the number of threads. Tile
+extents are found sixteen Gaussians at a time, a lane each, by row of tiles: an ellipse cut by a band of pixels is
+convex, so its extent in x is taken either at its own extreme point or at the nearer edge of the band: exact, no
+bounding box.
 """
 
-# mypy: disable-error-code="call-arg, arg-type, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
+# mypy: disable-error-code="arg-type, call-arg, call-overload, operator, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import float32, int64, prange, uint32
 
-from tg4mm.fit.rasterize.buffers import Buffers, take
+from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.block_culling import prefetch_gaussians
-from tg4mm.fit.rasterize.kernels.compiled import kernel
-from tg4mm.fit.rasterize.kernels.layout import DEPTH, POWER, SPLAT_WIDTH, TILE
-from tg4mm.fit.rasterize.kernels.tile_extents import extents_room, tile_extents, tile_rows, tiles_of_row
-from tg4mm.fit.rasterize.simd.memory import address, keep, load, prefetch_row, store
-from tg4mm.fit.rasterize.simd.vector import LANES, broadcast
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.layout import CC, DEPTH, EX, EY, MX, POWER, SPLAT_WIDTH, SQUARES, TILE
+from tg4mm.fit.rasterize.simd import functions  # noqa: F401, roots of vectors and whole numbers near them
+from tg4mm.fit.rasterize.simd.memory import address, keep, load, number, prefetch_row, store
+from tg4mm.fit.rasterize.simd.rows import columns, row_starts
+from tg4mm.fit.rasterize.simd.vector import LANES, broadcast, first_lanes, movemask, select
 
+_STARTS, _FIRST_ROW, _LAST_ROW, _SPANS = 0, LANES, 2 * LANES, 3 * LANES  # places in the room
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
 _PREFETCH = 8  # Gaussians prefetched ahead of their use: in depth order they lie anywhere in memory
 _PAIRS_EXPECTED = 4  # tiles a Gaussian; where there are more, the lists are made a second time
+
+
+@inlined
+def extents_room(n_y):
+    """float32 that sixteen Gaussians need in a picture of n_y rows of tiles."""
+    return _SPANS + 2 * LANES * n_y
+
+
+@inlined
+def _tiles(low, high, n):
+    """Tiles [first, last] of n in a line that have a pixel in low … high, measured from the first pixel's centre."""
+    each = float32(1.0 / TILE)
+    first = math.ceil(min(max((low - float32(TILE - 1)) * each, float32(0.0)), float32(n)))
+    return first, math.floor(min(max(high * each, float32(-1.0)), float32(n - 1)))
+
+
+@inlined
+def tile_extents(splats, order, k, count, n_x, n_y, room):
+    """Write, for the Gaussians at k … k + count - 1, at most 16, in `order`: the tiles they reach, to `room`.
+
+    splats, order, room: addresses. For `tile_rows` and `tiles_of_row`.
+    """
+    zero, half = float32(0.0), float32(0.5)
+    store(room, int64(_STARTS), row_starts(order, k, count))
+    starts = room + 4 * _STARTS
+    mx, my, _, cb = columns(splats, starts, int64(MX))
+    cc, _, _, _ = columns(splats, starts, int64(CC))
+    ey, ex, power, r11 = columns(splats, starts, int64(EY))
+    _, _, _, l22 = columns(splats, starts, int64(EX))
+    tangent = -cb / cc * ex  # dy of the rightmost point; the leftmost is its mirror
+    limit = float32(2.0 * SQUARES) * power
+    slope = float32(-SQUARES) * cb * r11 * r11
+    x, y = mx - half, my - half  # pixel i has its centre at i + 0.5
+    first_row, last_row = _tiles(y - ey, y + ey, n_y)
+    last_row = first_lanes(last_row, count, float32(-1.0))
+    store(room, int64(_FIRST_ROW), first_row)
+    store(room, int64(_LAST_ROW), last_row)
+    row, place = first_row, int64(_SPANS)
+    while movemask(last_row >= row) != 0:
+        top = row * float32(TILE) + half - my
+        low, high = max(top, -ey), min(top + float32(TILE - 1), ey)
+        right_y, left_y = min(max(tangent, low), high), min(max(-tangent, low), high)
+        right_q, left_q = l22 * right_y, l22 * left_y
+        right = x + slope * right_y + r11 * math.sqrt(max(limit - right_q * right_q, zero))
+        left = x + slope * left_y - r11 * math.sqrt(max(limit - left_q * left_q, zero))
+        first, last = _tiles(left, right, n_x)
+        store(room, place, first)
+        store(room, place + LANES, select(high >= low, last, broadcast(float32(-1.0))))
+        row, place = row + float32(1.0), place + 2 * LANES
+
+
+@inlined
+def tile_rows(room, lane):
+    """Rows of tiles [first, last] that the lane-th of the Gaussians reaches."""
+    return int64(number(room, _FIRST_ROW + lane)), int64(number(room, _LAST_ROW + lane))
+
+
+@inlined
+def tiles_of_row(room, lane, r):
+    """Tiles [first, last] in the r-th of these rows."""
+    place = _SPANS + 2 * LANES * r + lane
+    return int64(number(room, place)), int64(number(room, place + LANES))
 
 
 @kernel()
@@ -148,19 +218,17 @@ def gather_sums(order, n_visible, gaussian_start, pair_slot, pair_sums, v_splats
         store(sums, int64(i) * SPLAT_WIDTH, total)
 
 
+@dataclass
 class Bins:
     """Tile lists of one view: what `bin_splats` returns and blending reads."""
 
-    def __init__(self, order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached):
-        self.order = order  # [n_visible] Gaussians by depth
-        self.n_visible = n_visible
-        self.tile_start = tile_start  # [tiles + 1]
-        self.gaussian_start = gaussian_start  # [n_visible + 1]
-        self.pair_gaussian = pair_gaussian  # [P] int32, Gaussian of each pair, tile by tile, near to far
-        self.pair_slot = pair_slot  # [P] int32, positions of each Gaussian's pairs
-        self.reached = (
-            reached  # [P] uint32, blocks of the tile in which a pair is seen; blend_forward writes it
-        )
+    order: np.ndarray  # [n_visible] Gaussians by depth
+    n_visible: int
+    tile_start: np.ndarray  # [tiles + 1]
+    gaussian_start: np.ndarray  # [n_visible + 1]
+    pair_gaussian: np.ndarray  # [P] int32, Gaussian of each pair, tile by tile, near to far
+    pair_slot: np.ndarray  # [P] int32, positions of each Gaussian's pairs
+    reached: np.ndarray  # [P] uint32, blocks of the tile in which a pair is seen; blend_forward writes it
 
 
 def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | None = None) -> Bins:
@@ -168,31 +236,31 @@ def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | N
 
     With `buffers` the lists lie there, and hold until the next call with the same ones.
     """
-    n = splats.shape[0]
+    n, buffers = splats.shape[0], buffers or Buffers()
     n_x, n_y = -(-width // TILE), -(-height // TILE)
-    keys, keys2 = (take(buffers, name, (n,), np.uint32) for name in ("keys", "keys2"))
-    scratch, order = (take(buffers, name, (n,), np.int32) for name in ("scratch", "order"))
+    keys, keys2 = (buffers.take(name, (n,), np.uint32) for name in ("keys", "keys2"))
+    scratch, order = (buffers.take(name, (n,), np.int32) for name in ("scratch", "order"))
     n_visible = depth_order(splats, keys, scratch, keys2, order)
     per_chunk, needed = (
-        take(buffers, "per_chunk", (_CHUNKS, n_x * n_y), np.int32),
+        buffers.take("per_chunk", (_CHUNKS, n_x * n_y), np.int32),
         np.empty(_CHUNKS, np.int64),
     )
-    gaussian_start = take(buffers, "gaussian_start", (n_visible + 1,), np.int32)
+    gaussian_start = buffers.take("gaussian_start", (n_visible + 1,), np.int32)
     room = _PAIRS_EXPECTED * (n_visible // _CHUNKS + 1)
     while True:
-        tiles = take(buffers, "tiles", (_CHUNKS, room), np.int32)
+        tiles = buffers.take("tiles", (_CHUNKS, room), np.int32)
         list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed)
         if needed.max() <= room:
             break
         room = int(needed.max())
     n_pairs = int(needed.sum())
-    tile_start = take(buffers, "tile_start", (n_x * n_y + 1,), np.int32)
+    tile_start = buffers.take("tile_start", (n_x * n_y + 1,), np.int32)
     offsets(per_chunk, tile_start)
     pair_gaussian, pair_slot = (
-        take(buffers, name, (n_pairs,), np.int32) for name in ("pair_gaussian", "pair_slot")
+        buffers.take(name, (n_pairs,), np.int32) for name in ("pair_gaussian", "pair_slot")
     )
     fill_pairs(order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_gaussian, pair_slot)
-    reached = take(buffers, "reached", (n_pairs,), np.uint32)
+    reached = buffers.take("reached", (n_pairs,), np.uint32)
     return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached)
 
 

@@ -33,7 +33,6 @@ from tg4mm.fit.rasterize.kernels.tiles import (
     work,
 )
 from tg4mm.fit.rasterize.simd.lanes import lane_sums, load_block
-from tg4mm.fit.rasterize.simd.masks import put_places
 from tg4mm.fit.rasterize.simd.memory import (
     address,
     fetch_add,
@@ -54,6 +53,7 @@ from tg4mm.fit.rasterize.simd.vector import (
     ctz,
     fma,
     popcount,
+    put_places,
     select,
     with_avx512,
 )

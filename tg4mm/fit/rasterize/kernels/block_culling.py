@@ -1,26 +1,61 @@
-"""Block culling: which blocks of a tile each Gaussian may reach; a lane a Gaussian.
+"""Block culling: which blocks of a tile each Gaussian may reach, and what the linearised picture needs of these blocks.
 
 Before its pixels, blending needs a handful of numbers of a Gaussian and the blocks its ellipse may reach. With a lane a
-block each of these numbers would have to be broadcast first. Here sixteen records are transposed instead, and a block's
-result is a mask of Gaussians, which is what a loop over blocks wants.
+block each of these numbers would have to be broadcast first. Here sixteen records are transposed instead, a lane a
+Gaussian, and a block's result is a mask of Gaussians, which is what a loop over blocks wants.
 
 A batch is a table in memory: planes as long as the batch, a number a Gaussian; then a vector a Gaussian; then, for
-every sixteen Gaussians, masks of 16 bits, one a block.
+every sixteen Gaussians, masks of 16 bits, one a block. `weights` gives blending weights and their derivatives by the
+exponent; `linearised.py` says what these numbers are for.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated, operator"
+# mypy: disable-error-code="call-arg, operator, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
+import numpy as np
 from numba import float32, int64, uint32
 
 from tg4mm.fit.rasterize.kernels.compiled import inlined
-from tg4mm.fit.rasterize.kernels.layout import EX, MX, SQUARES
-from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, BY_FOUR, COLUMNS, HEIGHT, PREFETCH, WIDTH
+from tg4mm.fit.rasterize.kernels.layout import EX, MX, MY, SQUARES
+from tg4mm.fit.rasterize.kernels.tiles import (
+    BLOCKS,
+    BY_FOUR,
+    CENTRE_X,
+    CENTRE_Y,
+    COLUMNS,
+    HEIGHT,
+    PREFETCH,
+    WIDTH,
+    aligned,
+    alphas,
+)
 from tg4mm.fit.rasterize.simd.lanes import store_eight
-from tg4mm.fit.rasterize.simd.masks import first_lanes, put_four_masks, shifted, sign_mask, two_halves
-from tg4mm.fit.rasterize.simd.memory import integer, load, load_pixels, number, prefetch, put_integer, store
+from tg4mm.fit.rasterize.simd.memory import (
+    address,
+    integer,
+    keep,
+    load,
+    load_pixels,
+    number,
+    prefetch,
+    put_integer,
+    store,
+)
 from tg4mm.fit.rasterize.simd.rows import columns, row_starts
-from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS, broadcast, fma, select
+from tg4mm.fit.rasterize.simd.vector import (
+    LANES,
+    PIXELS,
+    broadcast,
+    ctz,
+    first_lanes,
+    fma,
+    movemask,
+    put_four_masks,
+    select,
+    shifted,
+    sign_mask,
+    two_halves,
+)
 
 _ROWS = BLOCKS // COLUMNS  # of blocks in a tile
 _TOP, _ROW, _L11, _L12, _L22 = range(BLOCKS + _ROWS, BLOCKS + _ROWS + 5)
@@ -29,6 +64,8 @@ _PLANES = (
 )  # how many: p at the centres of the blocks, q at those of their rows, then the above
 _HALF_WIDTH, _HALF_HEIGHT = (WIDTH - 1) / 2, (HEIGHT - 1) / 2  # of a block, to its outermost pixels' centres
 _OWN = 2 * PIXELS  # the vectors: by how much p and q differ from those within a block
+KEPT = 5 * PIXELS  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
+BATCH = 32  # pairs of a batch
 
 
 def room(size):
@@ -172,3 +209,76 @@ def log2_alpha(batch, size, n, k, lane_y):
     p = load_pixels(batch, own) + number(batch, k * size + n)
     q = load_pixels(batch, own + PIXELS) + number(batch, (BLOCKS + (k >> BY_FOUR)) * size + n)
     return fma(-q, q, fma(-p, p, number(batch, _TOP * size + n)))
+
+
+_BATCH_PLANES = room(BATCH)
+
+
+@inlined
+def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
+    """Load, for the pairs first … last, what `weights` needs, and which blocks they may reach."""
+    masks, words, at, _, _ = batch
+    flat, gaussians = address(splats), address(pair_gaussian)
+    fill_batch(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
+    prefetch_gaussians(flat, gaussians, last, BATCH, end)
+    reaching(at, BATCH, int64(0), address(words))
+    by_gaussian(address(words), int64(BATCH), address(masks))
+    keep(words)
+    keep(masks)
+
+
+@inlined
+def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
+    """`look_at_all` where `blend_forward` has told which blocks are reached."""
+    masks, _, at, _, _ = batch
+    fill_batch(
+        address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, False
+    )  # fmt: skip
+    for n in range(last - first):
+        masks[n] = reached[first + n]
+
+
+@inlined
+def batch_room(blocks=BLOCKS):
+    """Room for a batch: masks, words and planes of its pairs; for `weights` of so many blocks: `kept` and `found`."""
+    masks, words = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.uint32)
+    return masks, words, aligned(_BATCH_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
+
+
+@inlined
+def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, batch, count=0):
+    """What every change needs from the blocks that Gaussian i, n-th of its batch, reaches; and the next transmittance.
+
+    `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
+    are there then, and the blocks still live.
+    """
+    masks, _, planes, kept, found = batch
+    lane_x, lane_y, powers, alpha_max, t_min = held
+    one, zero = float32(1.0), float32(0.0)
+    at_x = lane_x + (float32(x0) - splats[i, MX])
+    at_y = lane_y + (float32(y0) - splats[i, MY])
+    todo, count = masks[n] & live, int64(count)
+    while todo != 0:
+        k = ctz(todo)
+        todo &= todo - uint32(1)
+        place = k * stride
+        y = log2_alpha(planes, BATCH, n, k, lane_y)
+        alpha, free, _ = alphas(y, faintest, alpha_max, powers)
+        t = load_pixels(state, place)
+        w = t * alpha
+        nt = t - w
+        on = nt > t_min
+        w = select(on, w, zero)
+        moving = select(on & free, alpha, zero)
+        store(state, place, select(on, nt, -abs(t)))
+        source = count * KEPT
+        store(kept, source, w)
+        store(kept, source + PIXELS, t * moving)
+        store(kept, source + 2 * PIXELS, moving / (one - alpha))
+        store(kept, source + 3 * PIXELS, at_x + table[CENTRE_X + k])
+        store(kept, source + 4 * PIXELS, at_y + table[CENTRE_Y + k])
+        found[count] = place
+        count += int64(movemask(w > zero) != 0)
+        if movemask(on) == 0:
+            live &= ~(uint32(1) << uint32(k))
+    return count, live

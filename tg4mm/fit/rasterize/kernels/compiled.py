@@ -15,7 +15,9 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
-from tg4mm.fit.rasterize.missing import may_be_there
+_LOG = logging.getLogger("tg4mm")
+# What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
+_ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
 
 
 def _digest() -> str:
@@ -44,21 +46,7 @@ class _Notice(event.Listener):
         pass
 
 
-_LOG = logging.getLogger("tg4mm")
-# What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
-_ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
 event.register("numba:compile", _Notice())
-
-
-def _waiting(cache: Any, name: str) -> Callable[..., Any]:
-    """Numba's look into its cache, and a second one where the kernel has been compiled ahead meanwhile."""
-    look = cache.load_overload
-
-    def load(*args: Any) -> Any:
-        found = look(*args)
-        return look(*args) if found is None and may_be_there(name) else found
-
-    return load
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -75,8 +63,6 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
         if hasattr(index, "_source_stamp"):
             index._source_stamp = (index._source_stamp, _SOURCES)
-            module = function.__module__.rpartition(".")[2]
-            dispatcher._cache.load_overload = _waiting(dispatcher._cache, f"{module}.{function.__name__}")
         return dispatcher
 
     return decorate

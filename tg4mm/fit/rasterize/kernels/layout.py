@@ -1,6 +1,6 @@
 """The packed record of a projected Gaussian and the constants of blending, shared by all kernels.
 
-Columns are read four at a time: MX … CB and EX … L22 (`block_culling.py`), EY … R11 (`tile_extents.py`).
+Columns are read four at a time: MX … CB and EX … L22 (`block_culling.py`), EY … R11 (`binning.py`).
 `project.py` writes them in this order.
 """
 

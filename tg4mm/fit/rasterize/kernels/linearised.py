@@ -16,10 +16,10 @@ import math
 import numpy as np
 from numba import float32, int64, prange
 
+from tg4mm.fit.rasterize.kernels.block_culling import BATCH, KEPT, batch_room, look_at_all, weights
 from tg4mm.fit.rasterize.kernels.compiled import kernel
 from tg4mm.fit.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
 from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.fit.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_all, weights
 from tg4mm.fit.rasterize.simd.lanes import lane_sums_of_eight, store_eight
 from tg4mm.fit.rasterize.simd.memory import address, fetch_add, keep, load_pixels, store
 from tg4mm.fit.rasterize.simd.vector import PIXELS, broadcast_pixels, fma

@@ -13,10 +13,10 @@ import math
 import numpy as np
 from numba import float32, int64, prange
 
+from tg4mm.fit.rasterize.kernels.block_culling import BATCH, KEPT, batch_room, look_at_reached, weights
 from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.fit.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
 from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.fit.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_reached, weights
 from tg4mm.fit.rasterize.simd.lanes import lane_sums_of_eight, store_eight
 from tg4mm.fit.rasterize.simd.memory import address, fetch_add, keep, load_pixels, number, store
 from tg4mm.fit.rasterize.simd.vector import PIXELS, broadcast_pixels, fma, popcount

@@ -30,6 +30,6 @@ Rounding. No `fastmath`: with it the last bits would depend on the code a functi
 caller and on whether this process compiled it or found it in the cache. `a * b + c` rounds twice; `fma` once, where the
 processor can. Sums over lanes go by a fixed tree (`lanes.py`). Results do not depend on the number of threads.
 
-Files: `vector.py` type and operators, `functions.py` exp2, sqrt, log, ceil, floor, `memory.py`, `masks.py`, `lanes.py`
-sums across lanes, `rows.py` transposes, `field.py` four rows of three (a displacement and its gradient).
+Files: `vector.py` type, operators and masks, `functions.py` exp2, sqrt, log, ceil, floor, `memory.py`, `lanes.py` sums
+across lanes and four rows of three (a displacement and its gradient), `rows.py` transposes.
 """

@@ -25,6 +25,11 @@ _PLACES = np.arange(_STEP, dtype=np.int32)
 EXP2_STEPS = (
     (2.0 ** (_PLACES / _STEP)).astype(np.float32).view(np.int32) - (_PLACES << 23 - _STEP_BITS)
 ).view(np.float32)
+_HALF_ROOT = 0x3F3504F3  # the bits of √½
+# (ln(1 + f) - f + f²/2) / f³ for √½ <= 1 + f < √2, least error relative to ln(1 + f), 3.2e-8, as above
+_LOGARITHM = [0.0870043039, -0.142674863, 0.149147689, -0.16577585, 0.199630633, -0.250013381, 0.333339095]
+_LN2 = 0.693359375  # to ten binary digits, so that n times it is exact
+_LN2_REST = float(np.log(2)) - _LN2
 
 
 def _exp2_series(builder, x, constants):
@@ -79,13 +84,6 @@ def exp2(typingctx, x, constants):
         return _exp2_series(builder, args[0], series)
 
     return x(x, constants), codegen
-
-
-_HALF_ROOT = 0x3F3504F3  # the bits of √½
-# (ln(1 + f) - f + f²/2) / f³ for √½ <= 1 + f < √2, least error relative to ln(1 + f), 3.2e-8, as above
-_LOGARITHM = [0.0870043039, -0.142674863, 0.149147689, -0.16577585, 0.199630633, -0.250013381, 0.333339095]
-_LN2 = 0.693359375  # to ten binary digits, so that n times it is exact
-_LN2_REST = float(np.log(2)) - _LN2
 
 
 def _square_root(context, builder, sig, args):

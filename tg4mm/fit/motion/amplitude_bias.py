@@ -1,15 +1,21 @@
-"""How much of the motion least squares leaves out because the Jacobian is wrong, and where.
+"""How much of the motion least squares leaves out because the Jacobian is wrong: two tests and one correction.
 
 With an error in the regressor, least squares gives too small an answer (attenuation: Fuller, Measurement Error Models,
-1987, §1.1), and the Jacobian's fine detail is wrong: few or noisy pictures leave Gaussians at wrong depths and of wrong
-sizes. Over a few pixels these errors average out. So the pictures y of each half of the cameras, smoothed by S, are
-compared with what the field x' of the other half shows there, whose noise they do not share (an instrument, §1.4):
+1987, §1.1), and its own residual does not show it. The Jacobian's fine detail is wrong: few or noisy pictures leave
+Gaussians at wrong depths and of wrong sizes. Both tests use an instrument (§1.4) that does not share these errors.
+
+`PictureGain` uses the slope ∇I of the scene's own picture and the flow f of the fitted motion m: P = −∇I · f contains
+nothing of the Jacobian. With data y the ratio ⟨P, y⟩ / ⟨P, J m⟩ is one where m is right and larger where m is too
+small.
+
+`gain_of` compares the pictures y of each half of the cameras, smoothed by S over a few pixels so that errors average
+out, with what the field x' of the other half shows there, whose noise they do not share:
 
     gain = Σ_p ⟨S J x'_p, S y⟩ / Σ_p ⟨S J x'_p, S J x_p⟩
 
 One gain serves the scene: ratios of single places agreed less between halves than they differed by noise. It applies
-where the pictures show motion, by the denominator's own share of each place, and not to what the prior carries over
-to places that stand still.
+where the pictures show motion, by the denominator's share of each place, and not to what the prior carries over to
+places that do not move.
 """
 
 from dataclasses import dataclass, field
@@ -17,14 +23,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.fit.motion.jacobian.view import blend_sum
+from tg4mm.fit.motion.jacobian.view import blend_sum, optical_flow
+from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import LEAST, mean_over_neighbours, wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
+from tg4mm.fit.rasterize.buffers import Buffers
 
 _SMOOTHING_PX = 1.5  # standard deviation
 _LARGEST = 3.0  # what is smaller than the pictures show by more was hardly found
 _ROUNDS = 24  # of means over neighbours: a place is some hundred Gaussians
 _MOVING, _SHARE = 90.0, 0.2  # of this percentile over Gaussians: where half of the gain applies
+LACKING = 1.5  # a ratio from which it is said: what is missing is half of what was found
+_AT_ONCE = 4  # fields whose flow is in memory together
 
 
 @dataclass(frozen=True)
@@ -37,9 +47,8 @@ class Gain:
 
     def squares(self, fields: np.ndarray) -> np.ndarray:
         """[N] squares of the error of fields [R, N, 6] by the gain: its deviation, and the correction."""
-        share = (
-            self.deviation**2 + (self.ratio - 1) ** 2
-        )  # one gain serves all places: it may be right at none
+        # one gain serves all places: it may be right at none
+        share = self.deviation**2 + (self.ratio - 1) ** 2
         return share * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])
 
 
@@ -58,7 +67,8 @@ def gain_of(model: TemporalModel, folds: np.ndarray) -> Gain:
     for p, fold in enumerate(model.folds):
         for v in fold.views.tolist():
             view, y = model.problem.views[v], _smooth(model.images(v))
-            own, other = (_smooth(_pictures(model, v, folds[k])) for k in (p, 1 - p))
+            moved = (view.jvp(np.ascontiguousarray(folds[k])) for k in (p, 1 - p))
+            own, other = (_smooth(model.problem.without_nuisance(v, pictures)) for pictures in moved)
             other *= reliability[:, None, None, None]
             if model.problem.pixel_weights is not None:
                 other *= model.problem.pixel_weights[v][..., None]
@@ -79,9 +89,36 @@ def gain_of(model: TemporalModel, folds: np.ndarray) -> Gain:
     return Gain(ratio, deviation, (1 + (ratio - 1) * share).astype(np.float32))
 
 
-def _pictures(model: TemporalModel, v: int, fields: np.ndarray) -> np.ndarray:
-    return model.problem.without_nuisance(v, model.problem.views[v].jvp(np.ascontiguousarray(fields)))
-
-
 def _smooth(pictures: np.ndarray) -> np.ndarray:
     return np.asarray(gaussian_filter(pictures, (0, _SMOOTHING_PX, _SMOOTHING_PX, 0), mode="constant"))
+
+
+@dataclass
+class PictureGain:
+    """Sums over the views that were `add`ed."""
+
+    along: float = 0.0  # ⟨P, J m⟩
+    seen: float = 0.0  # ⟨P, y⟩
+
+    def add(self, problem: Problem, v: int, fields: np.ndarray, targets: np.ndarray) -> None:
+        """View v, and the fields [R, N, 6] that were fitted to its targets [ρ, H, W, 3]."""
+        view, buffers = problem.views[v], Buffers()
+        # not the filmed picture's: texture that the scene lacks is in the targets, but in no J m
+        down, right = np.gradient(view.over_white, axis=(0, 1))
+        own = fields if problem.mixing is None else np.tensordot(problem.mixing[v], fields, 1)
+        for first in range(0, len(own), _AT_ONCE):
+            some = np.ascontiguousarray(own[first : first + _AT_ONCE], np.float32)
+            flow = optical_flow(view, some, buffers)
+            carried = problem.without_nuisance(v, -(right * flow[..., :1] + down * flow[..., 1:2]))
+            self.along += float(np.vdot(carried, view.jvp(some)))
+            self.seen += float(np.vdot(carried, targets[first : first + _AT_ONCE]))
+
+    @property
+    def ratio(self) -> float:
+        """By how much the motion should be larger; 1 where no view says so."""
+        return self.seen / self.along if self.along > 0 else 1.0
+
+    def squares(self, fields: np.ndarray) -> np.ndarray:
+        """[N] squares of what fields [R, N, 6] lack of the displacement; from `LACKING` on they are a lower bound."""
+        lacking = min(abs(self.ratio - 1), LACKING - 1)
+        return lacking**2 * np.einsum("rnc,rnc->n", *2 * [fields[..., :3].astype(np.float64)])

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fit.motion.scenes import camera_of, gaussians_of, view_of
 from tests.fit.rasterize.oracle import make_scene
-from tg4mm.fit.motion.attenuation import Gain, gain_of
+from tg4mm.fit.motion.amplitude_bias import Gain, gain_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import view_jacobian

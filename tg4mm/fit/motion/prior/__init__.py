@@ -1,1 +1,0 @@
-"""The prior on motion: squared second-order total generalised variation on a graph of neighbours."""
