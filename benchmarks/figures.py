@@ -19,7 +19,6 @@ from benchmarks.figures_tables import (
     mic_table,
     number,
     rivals_tables,
-    size_table,
     splits_tables,
 )
 from tg4mm.core.errors import Tg4mmError
@@ -33,7 +32,6 @@ OPTIONS = {
     "--five": "",
     "--mic": "",
     "--rivals": "",
-    "--sizes": "",
     "--dev": "",
     "--test": "",
 }
@@ -138,9 +136,8 @@ def run(options: argparse.Namespace) -> None:
         figures["tables"] |= five_tables(_read(options.five))
     if options.mic:
         figures["tables"] |= mic_table(_read(options.mic))
-    for given, made in ((options.rivals, rivals_tables), (options.sizes, size_table)):
-        if given:  # of a part of the sets and methods the rest stays
-            figures["tables"] = merged(figures["tables"], made(_read(given)))
+    if options.rivals:  # of a part of the sets and methods the rest stays
+        figures["tables"] = merged(figures["tables"], rivals_tables(_read(options.rivals)))
     if options.dev and options.test:
         splits = {"small-dev": _read(options.dev), "small-test": _read(options.test)}
         figures["tables"] |= splits_tables(splits)

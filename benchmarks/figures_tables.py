@@ -88,20 +88,6 @@ def rivals_tables(results: Results) -> Made:
     return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
 
 
-def size_table(results: Results) -> Made:
-    """What `modal` reaches on every set."""
-    at = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
-    rows = []
-    for run in (run for run in results["runs"] if run["row"] == "modal"):
-        scores = {row: at[run["set"], row] for row in (STATIC, "modal", CEILING)}
-        ssim = "/".join(number("{:.4f}", found["20"]["ssim"]) for found in scores.values())
-        lpips = "/".join(number("{:.4f}", scores["modal"][a]["lpips"]) for a in ("20", "50"))
-        error = _error(scalars(run)).split(", ")
-        rows.append([run["set"].partition("_")[0], *error, ssim, lpips, f"{run['seconds']['total']:.0f}"])
-    titles = "SSIM at α = 20: nothing moves/`modal`/ceiling", "LPIPS of `modal` at 20/50", "training, s"
-    return {"size": {"header": ["", "error, %", "MAC", *titles], "rows": rows}}
-
-
 def merged(old: Made, new: Made) -> Made:
     """The tables; rows and columns that the new ones lack stay."""
     return old | {name: _merged(old[name], table) if name in old else table for name, table in new.items()}
