@@ -30,8 +30,12 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.prior import Graph, build_graph
 from tg4mm.fit.rasterize.reference import rotation_matrices
-from tg4mm.research.evaluate.displacement import STATIC_BELOW, displacement_figures, mean_squares
-from tg4mm.research.evaluate.truth import exact_motion
+from tg4mm.research.evaluate.displacement import (
+    STATIC_BELOW,
+    displacement_figures,
+    exact_motion,
+    mean_squares,
+)
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.show.maps import blending_weights
 

@@ -19,6 +19,7 @@ from tg4mm.capture.codec.trial import gain_of, shifts_of
 from tg4mm.capture.tracking.template import slope as slope_of
 
 WIDTH, HEIGHT, FRAMES, FPS = 240, 136, 150, 30
+OPTIONS = {"--films": 24, "--first": 100}
 PLATE = slice(30, 100), slice(40, 150)
 REGION = np.zeros((HEIGHT, WIDTH), bool)
 REGION[36:94, 46:144] = True
@@ -98,9 +99,6 @@ def tried(seed: int) -> tuple[float, float, float, float]:
     return gain, error, loss.gain, loss.deviation
 
 
-OPTIONS = {"--films": 24, "--first": 100}
-
-
 def run(options: argparse.Namespace) -> None:
     """Print a line for each film, then the figures over all."""
     rows = np.array([tried(seed) for seed in range(options.first, options.first + options.films)])
@@ -110,11 +108,7 @@ def run(options: argparse.Namespace) -> None:
     print(
         f"within one deviation {(off < sure).mean():.0%}, within two {(off < 2 * sure).mean():.0%} of {len(rows)}"
     )
-    _print_amplitudes(rows[rows[:, 2] >= LOST])
-
-
-def _print_amplitudes(rows: np.ndarray) -> None:
-    """Print, for films without a mark, measured over true amplitude, as it is and corrected."""
+    rows = rows[rows[:, 2] >= LOST]  # without a mark: amplitudes as they are measured, and corrected
     sizes, sure = np.array([before_compression(g, e, Loss(told, d)) for g, e, told, d in rows]).T
     raw, off = (np.sqrt(((x - 1) ** 2).mean()) for x in (rows[:, 0], sizes))
     one, two = ((np.abs(sizes - 1) < n * sure).mean() for n in (1, 2))

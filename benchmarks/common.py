@@ -1,10 +1,10 @@
-"""What the benchmarks share: the machine's description, and the times of calls."""
+"""What the benchmarks share: the machine's description, the times of calls, a table of what is found and true."""
 
 import os
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,6 +63,8 @@ def timed(calls: dict[str, Callable[[], object]], repeats: int, each: int = 1) -
     return times
 
 
-def times_of(call: Callable[[], object], repeats: int) -> Times:
-    """Times of one call, after one that loads or compiles."""
-    return timed({"": call}, repeats)[""]
+def print_found(rows: Sequence[tuple[str, float, float, float]]) -> None:
+    """Print a table of (label, found, its standard deviation, truth)."""
+    print(f"{'':32s}{'found':>12s}{'±':>10s}{'truth':>12s}{'errors in ±':>13s}")
+    for name, value, deviation, true in rows:
+        print(f"{name:32s}{value:12.6g}{deviation:10.2g}{true:12.6g}{(value - true) / deviation:13.1f}")

@@ -13,28 +13,136 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures_tables import (
-    five_tables,
-    merged,
-    mic_table,
-    number,
-    rivals_tables,
-    splits_tables,
-)
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.research.bench.means import half_width
+from tg4mm.research.bench.means import half_width, scalars
+from tg4mm.research.evaluate.run import CEILING, STATIC
+
+Results = Mapping[str, Any]
+Made = dict[str, dict[str, Any]]  # {name: {header, rows}}, cells as text
+_MEANS = (  # of the table of sets: name, key of `scalars`, factor and format
+    ("mean of what can be observed", "displacement_error_observed", 100, "{:.1f}"),
+    ("mean leak", "static_leak", 100, "{:.1f}"),
+    ("mean amplitude ratio", "amplitude_ratio", 1, "{:.3f}"),
+)
+_OF_RIVALS = ("5", "20", "50")  # α
+_OF_MIC = (  # row of line_means, key, title, format
+    (STATIC, "ssim", "SSIM, nothing moves", "{:.4f}"),
+    ("modal", "ssim", "SSIM, `modal`", "{:.4f}"),
+    (CEILING, "ssim", "SSIM, ceiling", "{:.4f}"),
+    ("modal", "closure", "closure", "{:.2f}"),
+    ("modal", "ssim_moving", "SSIM where it moves, `modal`", "{:.4f}"),
+    (CEILING, "ssim_moving", "the same, ceiling", "{:.4f}"),
+)
+
+
+def number(form: str, value: float | None, half: float | None = None) -> str:
+    """Without the 0 before the point where all digits after it count; after ± half of its interval."""
+    if value is None:
+        return ""
+    text = form.format(value)
+    text = text.removeprefix("0") if len(text) > 4 else text
+    return text if half is None else f"{text} ± {number(form, half)}"
+
+
+def five_tables(results: Results) -> Made:
+    """SSIM of every method over α, error and MAC of every set."""
+    return {"five_ssim": over_alpha(results), "five_sets": _by_set(results)}
+
+
+def mic_table(results: Results) -> Made:
+    """Scores over α of one set."""
+    means = {m["row"]: m["alphas"] for m in results["line_means"]}
+    alphas = sorted(means["modal"], key=float)
+    rows = [
+        [title, *(number(form, means[row][a].get(key)) for a in alphas)] for row, key, title, form in _OF_MIC
+    ]
+    return {"mic_512": {"header": ["", *(f"α = {a}" for a in alphas)], "rows": rows}}
+
+
+def _named(row: str) -> str:
+    name, colon, way = row.partition(":")
+    return row if row in {STATIC, CEILING} else f"`{name}`{colon}{way}"
+
+
+def rivals_tables(results: Results) -> Made:
+    """SSIM and LPIPS of every row on every set, and displacement errors. A size other than 128² is named."""
+    lines = {(x["set"], x["row"]): x["alphas"] for x in results["lines"]}
+    sets, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
+    names.sort(key=lambda row: (row == CEILING) - (row == STATIC))
+    places = [(label, a) for label in sets for a in _OF_RIVALS]
+    rows = []
+    for row in names:
+        scores = (lines.get((label, row), {}).get(a, {}) for label, a in places)
+        cells = ("/".join(number("{:.4f}", s[key]) for key in ("ssim", "lpips")) if s else "" for s in scores)
+        rows.append([_named(row), *cells])
+    sizes = {s["label"]: "" if s["width"] == 128 else f" {s['width']}²" for s in results["sets"]}
+    title = {label: label.partition("_")[0] + sizes[label] for label in sets}
+    header = ["SSIM/LPIPS at α", *(f"{title[label]}, {a}" for label, a in places)]
+    errors = _by_set(results)
+    own = errors["rows"][: len(sets)]  # the others are means
+    errors["rows"] = [[name, *row[1:]] for name, row in zip(title.values(), own, strict=True)]
+    return {"rivals": {"header": header, "rows": rows}, "rivals_errors": errors}
+
+
+def merged(old: Made, new: Made) -> Made:
+    """The tables; rows and columns that the new ones lack stay."""
+    return old | {name: _merged(old[name], table) if name in old else table for name, table in new.items()}
+
+
+def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    header, rows = (list(dict.fromkeys(names)) for names in (
+        [*old["header"], *new["header"]], [row[0] for table in (old, new) for row in table["rows"]]
+    ))  # fmt: skip
+    cells = {
+        (row[0], title): cell
+        for table in (old, new)
+        for row in table["rows"]
+        for title, cell in zip(table["header"], row, strict=True)
+        if cell
+    }
+    return {"header": header, "rows": [[cells.get((row, title), "") for title in header] for row in rows]}
+
+
+def over_alpha(results: Results) -> dict[str, Any]:
+    """SSIM of every row over α."""
+    means = sorted(results["line_means"], key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
+    alphas = sorted(means[0]["alphas"], key=float)
+    rows = []
+    for m in means:
+        halves = m.get("half", {})
+        cells = (number("{:.4f}", m["alphas"][a]["ssim"], halves.get(a, {}).get("ssim")) for a in alphas)
+        rows.append([_named(m["row"]), *cells])
+    return {"header": ["SSIM", *(f"α = {a}" for a in alphas)], "rows": rows}
+
+
+def _by_set(results: Results) -> dict[str, Any]:
+    means = {m["row"]: m for m in results["means"]}
+    runs = {(run["set"], run["row"]): scalars(run) for run in results["runs"]}
+    rows = [
+        [label.partition("_")[0], *(_error(runs.get((label, row), {})) for row in means)]
+        for label in dict.fromkeys(label for label, _ in runs)
+    ]
+    rows.append(["mean", *(_error(m["scalars"], m.get("half", {})) for m in means.values())])
+    for title, key, factor, form in _MEANS:
+        rows.append([title, *(number(form, _times(m["scalars"][key], factor)) for m in means.values())])
+    return {"header": ["set", *map(_named, means)], "rows": rows}
+
+
+def _error(values: Mapping[str, float | None], halves: Mapping[str, float | None] | None = None) -> str:
+    """Displacement error in per cent, and MAC."""
+    halves = halves or {}
+    error = number("{:.1f}", *(_times(x.get("displacement_error"), 100) for x in (values, halves)))
+    return ", ".join(filter(None, (error, number("{:.3f}", values.get("mac"), halves.get("mac")))))
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
+
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.json"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
-OPTIONS = {
-    "--results": "",
-    "--five": "",
-    "--mic": "",
-    "--rivals": "",
-    "--dev": "",
-    "--test": "",
-}
+OPTIONS = dict.fromkeys(("--results", "--five", "--mic", "--rivals"), "")
 # of the motion, by key of `means.scalars`: title, format, factor
 _MOTION = {
     "displacement_error": ("error, %", "{:.1f}", 100),
@@ -138,9 +246,6 @@ def run(options: argparse.Namespace) -> None:
         figures["tables"] |= mic_table(_read(options.mic))
     if options.rivals:  # of a part of the sets and methods the rest stays
         figures["tables"] = merged(figures["tables"], rivals_tables(_read(options.rivals)))
-    if options.dev and options.test:
-        splits = {"small-dev": _read(options.dev), "small-test": _read(options.test)}
-        figures["tables"] |= splits_tables(splits)
     FILE.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), tables(figures)), encoding="utf-8")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
+from benchmarks.common import print_found
 from tg4mm.show.analyse.results import analyse
 from tg4mm.show.analyse.write import format_analysis
 from tg4mm.show.options import AnalyseOptions
@@ -38,7 +39,7 @@ def shapes() -> np.ndarray:
     return np.asarray(phi / np.sqrt(DENSITY * WIDTH * THICK * LENGTH))
 
 
-def run(options: Any) -> dict[str, Any]:
+def run(options: Any) -> None:
     """Writes OUT/film.csv and instrument.csv, and prints what is found and what is true."""
     options.out.mkdir(parents=True, exist_ok=True)
     rng, t = np.random.default_rng(0), np.arange(0, SECONDS, 1 / INSTRUMENT)
@@ -87,10 +88,7 @@ def run(options: Any) -> dict[str, Any]:
             sum(phi[0, r] ** 2 / (s**2 + 2 * DAMPING[r] * w[r] * s + w[r] ** 2) for r in range(3))
         )
         rows.append((f"|H1| at {t0.freqs_hz[k]:g} Hz, mm/N", abs(t0.h1[k]), t0.deviation[k], float(true)))
-    print(f"{'':24s}{'found':>12s}{'±':>12s}{'truth':>12s}{'errors in ±':>14s}")
-    for name, value, deviation, true in rows:
-        print(f"{name:24s}{value:12.6g}{deviation:12.2g}{true:12.6g}{(value - true) / deviation:14.1f}")
-    return {"rows": rows}
+    print_found(rows)
 
 
 def _filtered(top: list[float], poles: list[float], force: np.ndarray) -> np.ndarray:

@@ -1,8 +1,7 @@
 """What large, long videos cost: seconds of processor and GiB of look, sfm and train, by pixels and pictures.
 
 A plate, a quarter of the picture wide, sways by 0.2 px at 5.7 Hz before a still wall; noise of 1.5 grey levels, H.264
-of 8 Mbit/s at 1920×1080 and in proportion at others. --python: a Python that has pyidi, whose Lucas-Kanade then follows
-points over the whole picture, as far apart as the look's cells, with subsets as large.
+of 8 Mbit/s at 1920×1080 and in proportion at others.
 """
 
 import json
@@ -27,7 +26,6 @@ from tg4mm.run.stages.look import look_of
 
 FPS, HZ, AMPLITUDE = 60, 5.7, 0.2  # pictures a second, Hz, pixels to the right
 FULL_HD, BITS = 1920 * 1080, 8_000_000
-CELL = 16  # pixels
 
 OPTIONS = {
     "out": {"type": Path, "metavar": "DIR"},
@@ -36,22 +34,7 @@ OPTIONS = {
         "default": ["640x360x240", "1280x720x300", "1920x1080x300", "1920x1080x600"],
         "metavar": "WIDTHxHEIGHTxPICTURES",
     },
-    "--python": "",
 }
-
-_PYIDI = """
-import sys, tempfile, av, numpy as np
-from pyidi import LucasKanade, VideoReader
-path, cell = sys.argv[1], int(sys.argv[2])
-with av.open(path) as video:
-    frames = np.stack([f.to_ndarray(format="gray") for f in video.decode(video=0)])
-_, height, width = frames.shape
-points = np.mgrid[cell : height - cell : cell, cell : width - cell : cell].reshape(2, -1).T
-method = LucasKanade(VideoReader(frames, root=tempfile.mkdtemp(), fps=60))
-method.set_points(points)
-method.configure(roi_size=(cell + 1, cell + 1), verbose=0, show_pbar=False)
-method.get_displacements(autosave=False)
-"""
 
 
 def run(options: Any) -> None:
@@ -78,10 +61,6 @@ def run(options: Any) -> None:
                 f"| {size} | {name} | {cost} | {_found(folder / 'run') if name == 'train' else ''} |",
                 flush=True,
             )
-        if options.python:
-            clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-            cost = _cost([options.python, "-c", _PYIDI, str(video), str(CELL)], clean)
-            print(f"| {size} | pyidi | {cost} | |", flush=True)
 
 
 def _make(video: Path, width: int, height: int, pictures: int) -> None:
@@ -95,11 +74,11 @@ def _make(video: Path, width: int, height: int, pictures: int) -> None:
     write_video(video, film.pictures(), FPS, Coding("libx264", int(BITS * width * height / FULL_HD)))
 
 
-def _cost(words: list[str], environment: dict[str, str] | None = None) -> str:
+def _cost(words: list[str]) -> str:
     """Runs a program. Processor seconds, seconds by the clock and most GiB, as cells of a table."""
     began = time.monotonic()
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(words, stdout=said, stderr=said, env=environment)
+        process = subprocess.Popen(words, stdout=said, stderr=said)
         _, status, used = os.wait4(process.pid, 0)
         if status:
             said.seek(0)

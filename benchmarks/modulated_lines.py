@@ -23,11 +23,8 @@ def draw(
     rng: np.random.Generator, kind: str, longest: int = 1500
 ) -> tuple[np.ndarray, np.ndarray, float, str]:
     """Values and times [T] of a record, its frequency in Hz and what it is in words."""
-    n, fps, depth = (
-        int(np.exp(rng.uniform(np.log(150), np.log(longest)))),
-        rng.uniform(20, 240),
-        rng.uniform(0.02, 0.3),
-    )
+    n = int(np.exp(rng.uniform(np.log(150), np.log(longest))))
+    fps, depth = rng.uniform(20, 240), rng.uniform(0.02, 0.3)
     t, duration = np.arange(n) / fps, n / fps
     hz = rng.uniform(max(8 / duration, 0.04 * fps), 0.42 * fps)
     noise = 10 ** rng.uniform(-3, -1)

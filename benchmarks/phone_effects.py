@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.calibration.draw import TrueVibration, Truth
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
-from benchmarks.calibration.score import Score
+from benchmarks.calibration.score import Score, share
 from benchmarks.calibration.stages import look_stage, whole_stage
 
 FPS, FRAMES, NOISE, BITS_PER_S = 30, 300, 2.5, 1_500_000
@@ -93,11 +93,8 @@ def film_of(name: str, seed: int, folder: Path) -> tuple[Path, Truth]:
     width, height = (180, 320) if effect.is_portrait else (320, 180)
     box_w, box_h = int(rng.integers(70, 110)), int(rng.integers(60, 100))
     left, upper = int(rng.integers(10, width - box_w - 10)), int(rng.integers(10, height - box_h - 10))
-    hz, size, angle, phase = (
-        rng.uniform(3.5, 12),
-        np.exp(rng.uniform(*np.log([0.06, 0.3]))),
-        *rng.uniform(0, 6.28, 2),
-    )
+    hz, size = rng.uniform(3.5, 12), np.exp(rng.uniform(*np.log([0.06, 0.3])))
+    angle, phase = rng.uniform(0, 6.28, 2)
     moves = (float(size * np.cos(angle)), float(size * np.sin(angle)))
     region = (left, upper, left + box_w, upper + box_h)
     vibration = TrueVibration(float(hz), moves, region, False, float(phase))
@@ -125,75 +122,66 @@ def _pictures(effect: Effect, truth: Truth, rng: np.random.Generator) -> np.ndar
     sways = Mode(np.broadcast_to(own.amplitude_px, (height, width, 2)), own.motion())
     cloths = [texture(height, width, rng, c, m, (1.3, 3.0, 9.0)) for c, m in ((0.25, 0.3), (0.4, 0.25))]
     layers = [Layer(cloths[0], None, [zoom], 0.6), Layer(cloths[1], plate, [zoom, sways], 0.6)]
+
+    def own_sway(t: float) -> np.ndarray:
+        return effect.shift(t) - np.round(effect.shift(t))
+
     film = Film(
-        *(layers, FPS, FRAMES, NOISE),
-        light=effect.light,
-        sway=lambda t: effect.shift(t) - np.round(effect.shift(t)),
-        times_s=effect.times_s,
-        is_hlg=effect.is_hlg,
+        layers, FPS, FRAMES, NOISE, effect.light, own_sway, times_s=effect.times_s, is_hlg=effect.is_hlg
     )
     times = np.arange(FRAMES) / FPS if effect.times_s is None else np.array(effect.times_s)
     corners = np.array([MARGIN - np.round(effect.shift(t)) for t in times]).astype(int)
-    cut = np.stack(
-        [
-            p[y : y + truth.height, x : x + truth.width]
-            for p, (x, y) in zip(film.pictures(), corners, strict=True)
-        ]
-    )
+    shown = zip(film.pictures(), corners, strict=True)
+    cut = np.stack([p[y : y + truth.height, x : x + truth.width] for p, (x, y) in shown])
     if effect.tint is None:
         return cut
     gains = np.array([effect.tint(t) for t in times]) ** (1 / 2.2)
     return np.clip(np.round(cut[..., None] * gains[:, None, None]), 0, 255).astype(np.uint8)
 
 
-def told(video: Path, truth: Truth, stage: str) -> tuple[Score, str]:
-    """A stage's score, and all it says; made where they are not there."""
+def judged(video: Path, truth: Truth, stage: str) -> tuple[Score, str]:
+    """A stage's score, and all that it printed; made where they are not there."""
     kept = video.with_suffix(f".{stage}.json")
     if not kept.exists():
         folder = video.with_suffix("")
         if stage == "look":
-            said = _says("look", video, "--png", folder.with_suffix(".png"))
+            text = _printed("look", video, "--png", folder.with_suffix(".png"))
             score = look_stage(video, truth, "")["look"]
         else:
-            said = _says("sfm", video, "--out", folder / "set")
-            said += _says("train", folder / "set", "--out", folder / "run")
+            text = _printed("sfm", video, "--out", folder / "set")
+            text += _printed("train", folder / "set", "--out", folder / "run")
             is_there = (folder / "run" / "log.json").exists()
             score = whole_stage(video, truth, "")["sfm, train, measure"] if is_there else Score()
-        kept.write_text(json.dumps({"score": asdict(score), "said": said}, indent=1))
+        kept.write_text(json.dumps({"score": asdict(score), "said": text}, indent=1))
     values = json.loads(kept.read_text())
-    return Score.of_json(values["score"]), values["said"]
+    return Score(**values["score"]), values["said"]
 
 
-def _says(*words: object) -> str:
+def _printed(*words: object) -> str:
     command = [sys.executable, "-m", "tg4mm", *map(str, words)]
     ran = subprocess.run(command, capture_output=True, text=True)
     return ran.stdout + ran.stderr
 
 
 def run(options: Any) -> None:
-    """Prints a table."""
+    """Print a table."""
     known = effects(np.random.default_rng(0))
     print(
-        "| effect | by | named | frequency: errors in ± | amplitude of the truth | errors in ± | false | it is said |"
+        "| effect | by | named | frequency: errors in ± | amplitude of the truth | errors in ± | false | named |"
     )
     print("|---|---|---:|---|---|---|---:|---:|")
     for name in options.effects or known:
-        films = [
-            film_of(name, seed, options.out) for seed in range(options.first, options.first + options.seeds)
-        ]
+        seeds = range(options.first, options.first + options.seeds)
+        films = [film_of(name, seed, options.out) for seed in seeds]
         for stage in options.stages:
-            scores, texts = zip(*(told(video, truth, stage) for video, truth in films), strict=True)
-            print(f"| {name} | {stage} | {_cells(scores, texts, known[name].said)} |", flush=True)
-
-
-def _cells(scores: Sequence[Score], texts: Sequence[str], said: str) -> str:
-    named = sum(score.strongest_named for score in scores)
-    ratios = [ratio for score in scores for ratio in score.ratios]
-    errors = [
-        [abs(z) for s in scores for z in own(s)] for own in (lambda s: s.frequencies, lambda s: s.amplitudes)
-    ]
-    shown = [", ".join(f"{z:.1f}" for z in each) or "–" for each in errors]
-    share = f"{sum(bool(re.search(said, text)) for text in texts)} of {len(texts)}" if said else ""
-    amplitudes = ", ".join(f"{ratio:.2f}" for ratio in ratios) or "–"
-    false = sum(len(score.false) for score in scores)
-    return f"{named} of {len(scores)} | {shown[0]} | {amplitudes} | {shown[1]} | {false} | {share}"
+            scores, texts = zip(*(judged(*film, stage) for film in films), strict=True)
+            told = sum(bool(re.search(known[name].said, text)) for text in texts)
+            cells = [
+                share(score.strongest_named for score in scores),
+                ", ".join(f"{abs(z):.1f}" for score in scores for z in score.frequencies) or "–",
+                ", ".join(f"{ratio:.2f}" for score in scores for ratio in score.ratios) or "–",
+                ", ".join(f"{abs(z):.1f}" for score in scores for z in score.amplitudes) or "–",
+                str(sum(len(score.false) for score in scores)),
+                f"{told} of {len(texts)}" if known[name].said else "",
+            ]
+            print(f"| {name} | {stage} | {' | '.join(cells)} |", flush=True)

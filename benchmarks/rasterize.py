@@ -1,10 +1,9 @@
-"""Time of the CPU rasteriser on trained Gaussians, every kernel and whole passes, beside gsplat's torch reference.
+"""Time of the CPU rasteriser on trained Gaussians, every kernel and whole passes, by number of threads.
 
     python -m benchmarks rasterize --run RUN [--repeats 9]
 
-RUN is a folder that `tg4mm train` left, seen by a camera of its dataset; by number of threads. Of gsplat's reference
-what is pure torch, projection and spherical harmonics (its compositing needs CUDA). Each figure is the median, the
-smallest time of the same runs stands in brackets. On a shared machine processor time says more, with one thread:
+RUN is a folder that `tg4mm train` left, seen by a camera of its dataset. Each figure is the median, with the smallest
+time of the same runs in brackets. On a shared machine processor time is the better measure, with one thread:
 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1.
 """
 
@@ -15,7 +14,7 @@ import numba
 import numpy as np
 import torch
 
-from benchmarks.common import Times, machine, timed, times_of
+from benchmarks.common import Times, machine, timed
 from tg4mm.capture import load_capture
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels import binning
@@ -105,50 +104,20 @@ class Trained:
         view = render_view(type(g)(*leaves), self.viewmat, self.K, self.size, g.sh_degree)
         view.rgb.backward(torch.ones_like(view.rgb))
 
-    def gsplat_reference(self) -> None:
-        """Projection and spherical harmonics of gsplat's pure-torch reference."""
-        from gsplat.cuda import _torch_impl as peer
 
-        g = self.gaussians
-        with torch.no_grad():
-            covars, _ = peer._quat_scale_to_covar_preci(g.quats, g.scales)
-            peer._fully_fused_projection(g.means, covars, self.viewmat[None], self.K[None], *self.size)
-            centre = -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
-            peer._spherical_harmonics(g.sh_degree, g.means - centre, g.sh)
+OPTIONS = {"--repeats": 9, "--run": {"required": True, "help": "a run folder with trained Gaussians"}}
 
 
-def trained(folder: str, repeats: int) -> None:
-    """The kernels and whole passes on trained Gaussians, by number of threads, and gsplat's reference."""
-    scene = Trained(folder)
-    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    for threads in range(1, most + 1):
+def run(options: argparse.Namespace) -> None:
+    """Print the times of kernels and whole passes, by number of threads."""
+    print(machine())
+    scene = Trained(options.run)
+    for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):  # type: ignore[attr-defined]
         numba.set_num_threads(threads)
         torch.set_num_threads(threads)
-        print(f"\n{folder}, {scene.size[0]}×{scene.size[1]}, {threads} threads")
-        times = scene.times(repeats)
+        print(f"\n{options.run}, {scene.size[0]}×{scene.size[1]}, {threads} threads")
+        times = scene.times(options.repeats)
         for name, t in times.items():
             print(f"  {name:24s} {t.median:7.2f} [{t.least:.2f}] ms, processor {min(t.processor):.2f} ms")
         whole = times["forward, all"]
         print(f"  {1e3 / whole.median:.0f} frames per second, at best {1e3 / whole.least:.0f}")
-    try:
-        torch.set_num_threads(1)
-        peer = min(times_of(scene.gsplat_reference, repeats).processor)
-    except ImportError as error:
-        print(f"gsplat's torch reference cannot be imported: {error}")
-        return
-    ratio = peer / min(times["project"].processor)
-    print(
-        f"gsplat's torch reference, projection + SH only: {peer:.1f} ms of processor, {ratio:.0f} times our `project`"
-    )
-
-
-OPTIONS = {
-    "--repeats": 9,
-    "--run": {"required": True, "help": "a run folder with trained Gaussians"},
-}
-
-
-def run(options: argparse.Namespace) -> None:
-    """Print the tables."""
-    print(machine())
-    trained(options.run, options.repeats)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
+from benchmarks.common import print_found
 from tg4mm.capture.look import look
 from tg4mm.core.regions import Region, Regions, write_regions
 from tg4mm.core.scale import Scale
@@ -74,11 +75,10 @@ def bridge() -> tuple[Film, Regions, dict[str, list[tuple[float, float]]]]:
     return film, Regions((WIDTH, HEIGHT), tuple(regions), scale), truth
 
 
-def run(options: Any) -> dict[str, Any]:
+def run(options: Any) -> None:
     """Writes OUT/NAME.mp4 and NAME-regions.json, and prints what is found and what is true."""
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
-    print(f"{'':32s}{'found':>10s}{'±':>9s}{'truth':>10s}{'errors in ±':>13s}")
     for make in (pump, bridge):
         name = make.__name__
         if options.only not in (None, name):
@@ -110,6 +110,4 @@ def run(options: Any) -> dict[str, Any]:
             if not truth[one.region.name]:
                 print(f"{one.region.name}: {len(one.lines)} lines; true are 0")
         print("\n".join(Words(found, video, drawn=regions, drawn_file=file).lines()))
-    for label, value, deviation, true in rows:
-        print(f"{label:32s}{value:10.5g}{deviation:9.2g}{true:10.5g}{(value - true) / deviation:13.1f}")
-    return {"rows": rows}
+    print_found(rows)

@@ -16,18 +16,15 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import PurePosixPath
 
 from .cameras import Camera, CameraSetup, cameras_at, films, scene_time
 from .effects import Record
-from .effects.rows import bands, moments
+from .effects.record import bands, moments
 from .pictures import generator
 from .settings import Settings
 from .vibration import Motion, State
 
 RANGE = 300  # shots per process at most: memory of a renderer that runs for hours grows
-RESEEDED = "report/reseeded"  # the truth once more with other noise: what a perfect method would score
-_OTHER_SEED = 1_000_003  # added to the seed there
 UNCODED = ".uncoded"  # working folder: pictures before they go through a video
 _PAINTERS = 60  # views that colour the points, at most about so many
 
@@ -55,8 +52,8 @@ class Shot:
     truth: tuple[str, ...]  # EXR files, relative; empty where no truth is wanted
     paints: bool = False  # its colours go to points3d.ply
     seed_offset: int = 0
-    rows: tuple[State, ...] = ()  # of the bands of `effects.rows`, read in turn; empty: all rows show `state`
-    blur: tuple[State, ...] = ()  # at the moments of `effects.rows`, whose mean is shown; empty: `state` is
+    rows: tuple[State, ...] = ()  # of the bands, read in turn; empty: all show `state`
+    blur: tuple[State, ...] = ()  # at the moments of `effects.record`, whose mean is shown; empty: `state` is
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -96,7 +93,7 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
                         truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
     ordered = sorted({*pictures, *((seen, 0) for seen in truth)}, key=_order)
     painters = _painters(sorted(pictures, key=_order)) if settings.points else set()
-    every = [
+    return [
         Shot(
             split=key[0][1],
             camera=key[0][2],
@@ -110,7 +107,6 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
         )
         for key in ordered
     ]
-    return every + _reseeded(motion, every)
 
 
 def _own_seed(settings: Settings, path: str) -> int:
@@ -176,29 +172,6 @@ def _painters(keys: Sequence[_Key]) -> set[_Key]:
 
 def _reach(state: State) -> float:
     return sum(gain * gain for gain in state.gains)
-
-
-def _reseeded(motion: Motion, every: Sequence[Shot]) -> list[Shot]:
-    """Once more, with another seed: per α the first test camera in the state that lies farthest from rest.
-
-    And the rest pose from the same cameras, at α = −1: what a method scores that leaves everything still.
-    """
-    chosen: dict[float, tuple[float, Shot, Picture]] = {}
-    for shot in every:
-        for picture in shot.pictures if shot.split == "test" else ():
-            best = chosen.get(picture.alpha)
-            if best is None or _reach(shot.state) > best[0]:
-                chosen[picture.alpha] = (_reach(shot.state), shot, picture)
-    again: dict[str, tuple[Shot, State, Picture]] = {}
-    for _, shot, picture in chosen.values():
-        path = f"{RESEEDED}/{picture.path}"
-        again[path] = (shot, shot.state, Picture(path, picture.timestep, picture.alpha))
-        path = f"{RESEEDED}/rest/{picture.timestep:03d}/{shot.split}/{PurePosixPath(picture.path).name}"
-        again[path] = (shot, motion.rest, Picture(path, picture.timestep, -1.0))
-    return [
-        Shot(shot.split, shot.camera, state, (picture,), truth=(), seed_offset=_OTHER_SEED)
-        for shot, state, picture in again.values()
-    ]
 
 
 def ranges(count: int, parts: int) -> list[range]:

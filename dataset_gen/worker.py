@@ -17,7 +17,7 @@ from . import build, render, tree, truth
 from .cameras import cameras_at
 from .compat import use_device
 from .effects import Record, record
-from .effects.rows import bands, moments
+from .effects.record import bands, moments
 from .errors import GenerateError
 from .painter import Painter
 from .plan import Picture, Shot, shots

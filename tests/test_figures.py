@@ -4,13 +4,16 @@ import json
 
 import pytest
 
-from benchmarks.figures import FILE, PAGES, figures_of, filled, tables
-from benchmarks.figures_tables import (
+from benchmarks.figures import (
+    FILE,
+    PAGES,
+    figures_of,
+    filled,
     five_tables,
     merged,
     mic_table,
     rivals_tables,
-    splits_tables,
+    tables,
 )
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.research.bench.means import group_means, line_means
@@ -70,22 +73,11 @@ def test_the_other_tables_are_of_results_too():
     made = five_tables(results)
     assert made["five_ssim"]["rows"][1:3] == [["`modal`", ".9520"], ["`linear-2d`", ".9520"]]
     assert made["five_sets"]["rows"][:2] == [["mic", "5.8, .998"], ["mean", "5.8, .998"]]
-    assert made["five_cost"]["rows"][0][:3] == ["`modal`", "19", "16"]
-    assert made["five_cost"]["rows"][1] == ["`linear-2d`", *[""] * 6, "158 to 158"]
     rivals = rivals_tables(results)
     assert rivals["rivals"]["header"][2] == "mic 256², 20"
     assert rivals["rivals"]["rows"][1] == ["`modal`", "", ".9520/.0500", ""]
     assert rivals["rivals_errors"]["rows"] == [["mic 256²", "5.8, .998"]]
     assert mic_table(results)["mic_512"]["rows"][1] == ["SSIM, `modal`", ".9520"]
-    again = [
-        {**x, "alphas": {a: {"ssim": 0.95 + 0.01 * (x["row"] == "ceiling")} for a in ("20", "50")}}
-        for x in lines
-    ]
-    label = {"label": run["set"], "scene": "mic", "frequency_hz": 4.3}
-    made = splits_tables({"dev": {**results, "lines": again, "sets": [label]}})
-    assert made["splits"]["header"][1:3] == ["`dev`, nothing moves", "`dev`, `modal`"]
-    assert made["splits"]["rows"][2] == ["SSIM below the ceiling, 20", ".010", ".010", ".010"]
-    assert made["splits"]["rows"][6] == ["the same, between bins", "", "6", ""]
 
 
 def test_a_part_of_a_table_leaves_the_rest():

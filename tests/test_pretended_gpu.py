@@ -21,7 +21,7 @@ from tg4mm.research.bench.methods.deformed import fit_motion
 from tg4mm.research.bench.methods.tracking import TrackingConfig, track, track_along
 from tg4mm.research.paper import motion as paper_motion
 from tg4mm.research.paper import space as paper_space
-from tg4mm.research.paper.config import PaperConfig
+from tg4mm.research.paper.model import PaperConfig
 from tg4mm.research.paper.motion import train_timesteps
 from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.run import Run

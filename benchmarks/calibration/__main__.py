@@ -12,8 +12,8 @@ sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase
 (--python: one that has pyidi). Each stage has its own table: how many errors lie within 1 and 2 of their ±, false
 lines, and how many of the vibrations are named by amplitude. With --kinds instead of films: small sets of our
 generator (`kinds.py`), a tripod, a camera in a hand, a rig and clips in turn, through train and measure.
-With --plain: films on which nothing vibrates, whose wall has hardly any texture (`plain.py`); with --large: plates of
-which one or two move by .8 to 4 px (`large.py`); with --real: films made of photographs, each at four qualities
+With --plain: films on which nothing vibrates, whose wall has hardly any texture ; with --large: plates of
+which one or two move by .8 to 4 px (`special.py`); with --real: films made of photographs, each at four qualities
 (`photographs.py`). With --duplicates: small films, half of them with duplicate frames (`duplicates.py`).
 """
 
@@ -29,11 +29,10 @@ from pathlib import Path
 from benchmarks.calibration import stages
 from benchmarks.calibration.draw import Truth, make_film
 from benchmarks.calibration.duplicates import duplicates_outcome, duplicates_table
-from benchmarks.calibration.kinds import kinds_stage, kinds_table
-from benchmarks.calibration.large import make_large_film
+from benchmarks.calibration.kinds import kinds_stage
 from benchmarks.calibration.photographs import make_photograph_film
-from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Score, compared, table
+from benchmarks.calibration.special import make_large_film, make_plain_film
 
 STAGES: dict[str, Callable[..., dict[str, Score]]] = {
     "look": stages.look_stage,
@@ -69,7 +68,7 @@ def _kept(file: Path, run: Callable[[], dict[str, Score]]) -> dict[str, Score]:
         unfinished = file.with_suffix(".part")
         unfinished.write_text(json.dumps({name: asdict(score) for name, score in scores.items()}, indent=1))
         unfinished.replace(file)
-    return {name: Score.of_json(values) for name, values in json.loads(file.read_text()).items()}
+    return {name: Score(**values) for name, values in json.loads(file.read_text()).items()}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -106,11 +105,8 @@ def main(arguments: list[str] | None = None) -> None:
             print(f"{k} of {given.films} {'sets' if given.kinds else 'films'}", file=sys.stderr, flush=True)
             for name, score in scores.items():
                 by_method.setdefault(name, []).append(score)
-    if given.kinds:
-        print(kinds_table(by_method))
-        return
     for name, all_scores in by_method.items():
-        print(f"\n## {name}, {len(all_scores)} films\n\n{table(all_scores)}")
+        print(f"\n## {name}, {len(all_scores)} films or sets\n\n{table(all_scores)}")
     if {"sfm, train, measure", "pyidi"} <= by_method.keys():
         against = compared(by_method["sfm, train, measure"], by_method["pyidi"])
         print(f"\nrms error of a series over pyidi's: {against}")

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -85,25 +84,17 @@ class Truth:
 
 def make_film(seed: int, folder: Path) -> Truth:
     """Draw and write one film, as `Draw`."""
-    return kept_film(seed, folder, lambda: Draw(seed).film())
+    return kept_film(seed, folder, Draw(seed).film)
 
 
-class Shown(Protocol):
-    """What has pictures to be coded."""
-
-    def pictures(self) -> np.ndarray:
-        """[F, H, W] uint8."""
-        ...
-
-
-def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[Shown, Coding, Truth]]) -> Truth:
+def kept_film(seed: int, folder: Path, drawn: Callable[[], tuple[np.ndarray, Coding, Truth]]) -> Truth:
     """folder/SEED.mp4 and SEED.json; those there are kept."""
     video, notes = folder / f"{seed:04d}.mp4", folder / f"{seed:04d}.json"
     if video.exists() and notes.exists():
         return read_truth(notes)
     folder.mkdir(parents=True, exist_ok=True)
-    film, coding, truth = drawn()
-    write_video(video, film.pictures(), truth.fps, coding)
+    pictures, coding, truth = drawn()
+    write_video(video, pictures, truth.fps, coding)
     unfinished = notes.with_suffix(".part")
     unfinished.write_text(json.dumps(asdict(truth), indent=1))
     unfinished.replace(notes)
@@ -140,7 +131,7 @@ class Draw:
         )
         self.painters: list[Painter] = []
 
-    def film(self) -> tuple[Film, Coding, Truth]:
+    def film(self) -> tuple[np.ndarray, Coding, Truth]:
         rng = self.rng
         layers = [Layer(self.surface(), None, [], self.blur)]
         layers += [Layer(self.surface(), self.box(), [], self.blur) for _ in range(rng.integers(0, 3))]
@@ -153,7 +144,7 @@ class Draw:
             if rng.random() < chance:
                 draw()
         film = Film(layers, self.fps, self.frames, self.truth.noise, light, sway, self.painters, self.seed)
-        return film, self.coding, self.truth
+        return film.pictures(), self.coding, self.truth
 
     def surface(self) -> np.ndarray:
         rng = self.rng
@@ -162,10 +153,8 @@ class Draw:
 
     def box(self) -> Region:
         rng = self.rng
-        w, h = (
-            min(int(rng.integers(40, 131)), self.width - 10),
-            min(int(rng.integers(32, 111)), self.height - 10),
-        )
+        w = min(int(rng.integers(40, 131)), self.width - 10)
+        h = min(int(rng.integers(32, 111)), self.height - 10)
         x, y = int(rng.integers(4, self.width - w - 4)), int(rng.integers(4, self.height - h - 4))
         return x, y, x + w, y + h
 

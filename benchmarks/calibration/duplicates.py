@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.calibration.film import Coding, write_video
 from tg4mm.capture.duplicates import DuplicateMeter, Duplicates
 from tg4mm.capture.video import grey_frames
 
@@ -93,7 +94,8 @@ def _film(seed: int, path: Path, photographs: Path | None) -> tuple[str, str, in
     pictures = _moving(rng, _surface(rng, photographs), times, fps)
     pictures = [_noisy(rng, picture, noise) for picture in pictures]
     codec = str(rng.choice(["libx264", "libx265"]))
-    _write(path, [pictures[k] for k in shown], fps, codec, crf, rng)
+    preset, keys = str(rng.choice(["ultrafast", "veryfast", "medium"])), int(rng.choice([12, 30, 250]))
+    write_video(path, np.stack(pictures)[shown], fps, Coding(codec, 0, keys, crf=crf, preset=preset))
     return kind, codec, crf, noise, is_new
 
 
@@ -152,20 +154,3 @@ def _moving(rng: np.random.Generator, surface: np.ndarray, times: np.ndarray, fp
 
 def _noisy(rng: np.random.Generator, picture: np.ndarray, noise: float) -> np.ndarray:
     return np.clip(np.rint(picture + noise * rng.normal(size=picture.shape)), 0, 255).astype(np.uint8)
-
-
-def _write(
-    path: Path, pictures: list[np.ndarray], fps: int, codec: str, crf: int, rng: np.random.Generator
-) -> None:
-    import av
-
-    preset, keys = str(rng.choice(["ultrafast", "veryfast", "medium"])), int(rng.choice([12, 30, 250]))
-    options = {"crf": str(crf), "preset": preset, "threads": "1", "g": str(keys)}
-    if codec == "libx265":
-        options["x265-params"] = "log-level=none:pools=none:frame-threads=1"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=fps, options=options)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")))
-        container.mux(stream.encode())

@@ -115,7 +115,8 @@ class Coding:
     bits_per_second: int
     keys_every: int | None = None  # pictures
     turn: int = 0  # degrees by which players turn it, anticlockwise
-    crf: int | None = None  # x264's constant quality, 0 without loss; None: by the rate
+    crf: int | None = None  # constant quality, 0 without loss (x264); None: by the rate
+    preset: str = "medium"
 
 
 Painter = Callable[[np.ndarray, float, int], np.ndarray]  # picture, time, number → picture
@@ -175,12 +176,10 @@ class Film:
             # photons: their noise after the display curve depends little on the light
             noise = self.noise * (0.7 + 0.6 * np.sqrt(np.clip(picture, 0, 1)))
             shown = shown + noise * rng.standard_normal(shape, np.float32)
-            out[k] = np.clip(np.round(64 + 876 / 255 * shown if self.is_hlg else shown), 0, self._most)
+            out[k] = np.clip(
+                np.round(64 + 876 / 255 * shown if self.is_hlg else shown), 0, 1023 if self.is_hlg else 255
+            )
         return out
-
-    @property
-    def _most(self) -> int:
-        return 1023 if self.is_hlg else 255
 
 
 def _display(light: np.ndarray) -> np.ndarray:
@@ -207,19 +206,20 @@ def write_video(
 
     unfinished = path.with_suffix(".part.mp4")
     limits = {"maxrate": str(coding.bits_per_second), "bufsize": str(coding.bits_per_second)}
-    options = {"preset": "medium", "threads": "1"}
+    options = {"preset": coding.preset, "threads": "1"}
     options |= limits if coding.crf is None else {"crf": str(coding.crf)} if coding.crf else {"qp": "0"}
     if coding.codec == "libx265":
         rate = coding.bits_per_second // 1000
-        options["x265-params"] = (
-            f"log-level=error:pools=none:frame-threads=1:vbv-maxrate={rate}:vbv-bufsize={rate}"
-        )
+        options["x265-params"] = "log-level=error:pools=none:frame-threads=1"
+        if coding.crf is None:
+            options["x265-params"] += f":vbv-maxrate={rate}:vbv-bufsize={rate}"
     if coding.keys_every:
         options["g"] = str(coding.keys_every)
     with av.open(str(unfinished), "w") as container:
         stream = container.add_stream(coding.codec, rate=Fraction(fps), options=options)
         stream.width, stream.height, stream.pix_fmt = pictures.shape[2], pictures.shape[1], "yuv420p"
-        stream.bit_rate = coding.bits_per_second
+        if coding.bits_per_second:
+            stream.bit_rate = coding.bits_per_second
         if pictures.dtype == np.uint16:
             stream.pix_fmt, context = "yuv420p10le", stream.codec_context
             context.color_primaries, context.color_trc, context.colorspace, context.color_range = _HLG

@@ -5,19 +5,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import yaml
 
-from benchmarks.calibration.score import EDGES, Score, share
+from benchmarks.calibration.score import Score
 from dataset_gen.scenes import NAMES
 from tg4mm.capture.codec import before_compression
 from tg4mm.capture.truth_file import Truth, load_truth
 from tg4mm.core.phasors import peak_displacement
-from tg4mm.research.evaluate.truth import exact_motion
+from tg4mm.research.evaluate.displacement import exact_motion
 from tg4mm.run.train import train
 from tg4mm.show.measure import Prepared, Sensor, SensorResult, measure, prepare
 from tg4mm.show.measure.orbit import main_is_above
@@ -116,7 +115,6 @@ def _generated(what: Drawn, home: Path) -> Path:
             mode["decay"] = what.decay_s
         (home / "motion.yaml").write_text(yaml.safe_dump(motion))
         command += ["--motion", str(home / "motion.yaml")]
-    (home / "drawn.json").write_text(json.dumps(asdict(what), indent=1))
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     (found,) = (path.parent for path in (home / "set").glob("*/scene.json"))
     return found
@@ -239,24 +237,3 @@ def _offsets(dataset: Path) -> dict[str, float]:
     file = dataset / "truth" / "cameras.json"
     cameras = json.loads(file.read_text())["cameras"] if file.exists() else {}
     return {name: float(own["clock_offset_s"]) for name, own in cameras.items()}
-
-
-def kinds_table(by_method: dict[str, list[Score]]) -> str:
-    """Coverage of every kind, then its false lines and what is named by amplitude."""
-    lines = ["| kind, by | number | within 1 ± | within 2 ± | worst | of |", "|---|---|---:|---:|---:|---:|"]
-    for name in sorted(by_method):
-        for number in ("samples", "frequencies", "amplitudes", "dampings"):
-            z = np.abs([value for s in by_method[name] for value in getattr(s, number)])
-            if len(z):
-                cells = f"{np.mean(z < 1):.0%} | {np.mean(z < 2):.0%} | {z.max():.1f} | {len(z)}"
-                lines.append(f"| {name} | {number} | {cells} |")
-    ranges = [f"{low:g} to {high:g} px" for low, high in pairwise(EDGES)]
-    lines += ["", "| kind, by | sets | false lines | marked | " + " | ".join(ranges) + " |"]
-    lines.append("|---|" + "---:|" * (3 + len(ranges)))
-    for name in sorted(by_method):
-        scores = by_method[name]
-        found = [pair for s in scores for pair in s.found]
-        shares = [share(f for a, f in found if low <= a < high) for low, high in pairwise(EDGES)]
-        false, marked = sum(len(s.false) for s in scores), sum(s.marked for s in scores)
-        lines.append(f"| {name} | {len(scores)} | {false} | {marked} | " + " | ".join(shares) + " |")
-    return "\n".join(lines)

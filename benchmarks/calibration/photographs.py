@@ -47,22 +47,11 @@ class _Part:
     opacity: np.ndarray | None  # of a body; None: it bends
 
 
-@dataclass(frozen=True)
-class _Pictures:
-    shown: np.ndarray
-
-    def pictures(self) -> np.ndarray:
-        return self.shown
-
-
-def _drawn(seed: int) -> tuple[_Pictures, Coding, Truth]:
+def _drawn(seed: int) -> tuple[np.ndarray, Coding, Truth]:
     shown, truth = _film(seed // len(QUALITIES))
     crf = QUALITIES[seed % len(QUALITIES)]
-    return (
-        _Pictures(shown),
-        Coding("libx264", 0, crf=crf),
-        replace(truth, codec=f"libx264 crf {crf}", bits_per_pixel=0.0),
-    )
+    truth = replace(truth, codec=f"libx264 crf {crf}", bits_per_pixel=0.0)
+    return shown, Coding("libx264", 0, crf=crf), truth
 
 
 @lru_cache(1)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -39,23 +38,18 @@ class Score:
     samples: list[float] = field(default_factory=list)
     errors: list[float] = field(
         default_factory=list
-    )  # rms of each vibrating region's series, right, down; pixels
+    )  # px, rms of each vibrating region's series, right, down
     false: list[str] = field(default_factory=list)
     marked: int = 0  # false lines that were marked
     ratios: list[float] = field(default_factory=list)  # amplitudes, found over true
     bounds: list[float] = field(default_factory=list)  # like amplitudes, of those marked as too small
     found: list[tuple[float, bool]] = field(
         default_factory=list
-    )  # true amplitude in pixels, whether it was named
+    )  # true amplitude, px, and whether it was named
     strongest_px: float | None = None
     strongest_named: bool = False
     is_still: bool = False
     seconds: float = 0.0  # of processor time
-
-    @classmethod
-    def of_json(cls, values: dict[str, Any]) -> "Score":
-        """As `dataclasses.asdict` wrote it."""
-        return cls(**values)
 
 
 def score(truth: Truth, named: Sequence[Named], seconds: float) -> Score:
@@ -113,18 +107,17 @@ def table(scores: Sequence[Score]) -> str:
     for name, of in kinds:
         z = np.abs(np.array([value for s in scores for value in of(s)]))
         if len(z):
-            lines.append(
-                f"| {name} | {np.mean(z < 1):.0%} | {np.mean(z < 2):.0%} | {z.max():.1f} | {len(z)} |"
-            )
+            cells = f"{np.mean(z < 1):.0%} | {np.mean(z < 2):.0%} | {z.max():.1f} | {len(z)}"
+            lines.append(f"| {name} | {cells} |")
     still = [s for s in scores if s.is_still]
-    vibrating = [s for s in scores if not s.is_still]
-    sure = [s for s in vibrating if (s.strongest_px or 0) >= 0.1]
+    judged = [s for s in scores if s.strongest_px is not None]  # films; of sets no line is the strongest
+    sure = [s for s in judged if (s.strongest_px or 0) >= 0.1]
     false = sum(len(s.false) for s in scores)
     lines += [
         "",
         f"films on which nothing vibrates with a line: {sum(bool(s.false) for s in still)} of {len(still)}",
         f"false lines without a mark: {false} on {len(scores)} films; with one: {sum(s.marked for s in scores)}",
-        f"strongest vibration named: {share(s.strongest_named for s in vibrating)}; "
+        f"strongest vibration named: {share(s.strongest_named for s in judged)}; "
         f"of .1 px or more: {share(s.strongest_named for s in sure)}",
         f"median processor time: {np.median([s.seconds for s in scores]):.1f} s",
         "",
@@ -140,12 +133,10 @@ def table(scores: Sequence[Score]) -> str:
 
 def compared(ours: Sequence[Score], theirs: Sequence[Score]) -> str:
     """A line: errors of series, film by film, over those of another method on the same regions."""
-    pairs = [
-        (a, b) for s, t in zip(ours, theirs, strict=True) for a, b in zip(s.errors, t.errors, strict=True)
-    ]
-    if not pairs:
+    pairs = zip(ours, theirs, strict=True)
+    ratios = np.array([a / b for s, t in pairs for a, b in zip(s.errors, t.errors, strict=True)])
+    if not len(ratios):
         return "no series to compare"
-    ratios = np.array([a / b for a, b in pairs])
     return (
         f"geometric mean {np.exp(np.log(ratios).mean()):.2f}, median {np.median(ratios):.2f}, "
         f"largest {ratios.max():.1f} of {len(ratios)} axes"

@@ -56,21 +56,12 @@ def whole_stage(video: Path, truth: Truth, python: str) -> dict[str, Score]:
     sensors = [_sensor(Sensor, k, region, video.stem) for k, region in enumerate(regions)]
     measured = measure(run, sensors) if sensors else None
     seconds = time.process_time() - began
-    named = [
-        Named(
-            *(v.hz, v.deviation_hz, None if v.pixels is None else v.pixels.value),
-            *(
-                None if v.pixels is None else v.pixels.deviation,
-                v.damping,
-                v.damping_deviation,
-                v.begins_s or 0.0,
-                v.place_px,
-                bool(v.doubt),
-            ),
-            lower_bound=v.pixels is not None and v.pixels.is_bound,
-        )
-        for v in (*result.vibrations, *result.beside)
-    ]
+    named = []
+    for v in (*result.vibrations, *result.beside):
+        size, deviation = (None, None) if v.pixels is None else (v.pixels.value, v.pixels.deviation)
+        damped = v.damping, v.damping_deviation, v.begins_s or 0.0, v.place_px
+        lower_bound = v.pixels is not None and v.pixels.is_bound
+        named.append(Named(v.hz, v.deviation_hz, size, deviation, *damped, bool(v.doubt), lower_bound))
     out, peaks = score(truth, named, seconds), list[Named]()
     for region, sensor in zip(regions, measured.sensors if measured is not None else (), strict=True):
         own, px = sensor.series, sensor.px_per_unit

@@ -11,13 +11,34 @@ variances add up. So a window of √(3² − 1.5²) pixels follows one of 1.5 (f
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from ..cameras import Camera, CameraSetup, cameras_at, clock_offsets, films
 from ..cameras.paths import Tremor, rotation_matrix
 from .options import Effects
-from .rows import row_delays
+
+BANDS = 16
+MOMENTS = 5
+
+
+def bands(size: int, readout_s: float) -> list[tuple[slice, float]]:
+    """Rows from top to bottom, and by how many seconds they are read after the middle row."""
+    edges = np.linspace(0, size, min(BANDS, size) + 1).astype(int).tolist()
+    return [(slice(a, b), readout_s * ((a + b) / 2 / size - 0.5)) for a, b in pairwise(edges)]
+
+
+def row_delays(size: int, readout_s: float) -> np.ndarray:
+    """[size] seconds after the middle row."""
+    return np.asarray(readout_s * ((np.arange(size) + 0.5) / size - 0.5))
+
+
+def moments(shutter_s: float) -> list[tuple[float, float]]:
+    """(share of the light, seconds after the middle) of the moments of an exposure; the shares sum to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(MOMENTS)
+    return [(0.5 * w, 0.5 * shutter_s * x) for w, x in zip(weights.tolist(), nodes.tolist(), strict=True)]
+
 
 FINENESS = 2  # fine pixels per pixel along an edge
 FILTER_PX = 3.0  # full width of the filter of plain pictures (render.py: setting 1.5)

@@ -14,10 +14,9 @@ from ..errors import GenerateError
 from ..vibration.fields import Body
 from .bodies_file import Found
 from .copies import MaterialCopies, brighten, glows
-from .gather import Gathered, Lamp
+from .gather import Gathered, Lamp, rest_positions
 from .images import Anchors, list_names
 from .realise import realise
-from .strands import rest_positions
 
 _FLAT = 0.02  # thickness over width
 _BACKDROP = 4.0  # a part this many times as wide as all others together is not what is looked at

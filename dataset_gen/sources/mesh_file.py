@@ -17,9 +17,8 @@ from ..errors import GenerateError
 from ..scene import Gradient
 from .assemble import Loaded, Origin, assemble
 from .blend import file_cameras
-from .gather import Gathered, Piece, gather
+from .gather import Gathered, Piece, gather, rest_positions
 from .images import find_images
-from .strands import rest_positions
 
 RADIUS = 1.2  # scene units, of the sphere around the object after scaling
 _SKY = Gradient(((0.18, 0.17, 0.16), (0.4, 0.41, 0.43), (0.6, 0.64, 0.72)))

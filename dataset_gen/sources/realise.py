@@ -7,9 +7,8 @@ import numpy as np
 
 from ..errors import GenerateError
 from .copies import MaterialCopies
-from .gather import Piece
+from .gather import Piece, rest_positions
 from .images import Anchors
-from .strands import rest_positions
 
 _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 

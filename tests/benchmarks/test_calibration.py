@@ -6,9 +6,8 @@ import pytest
 from benchmarks.calibration.__main__ import scored
 from benchmarks.calibration.draw import TrueVibration, Truth, make_film, read_truth
 from benchmarks.calibration.film import Layer, Mode, texture
-from benchmarks.calibration.large import make_large_film
-from benchmarks.calibration.plain import make_plain_film
 from benchmarks.calibration.score import Named, score, smallest_found, table
+from benchmarks.calibration.special import make_large_film, make_plain_film
 
 TRUTH = Truth(320, 180, 30, 300, 3.0, "libx264", 1.0)
 

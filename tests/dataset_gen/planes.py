@@ -62,14 +62,12 @@ class Plane:
     def moves(self, x):
         return np.abs(x) < 0.5
 
-    def picture(self, t, alpha, path, noise=None):
+    def picture(self, t, alpha, path):
         """The square in grey, what moves in a pattern that goes along with x; noise as a renderer's."""
         columns = (np.arange(SIZE) + 0.5 - SIZE / 2) / FOCAL * DISTANCE
         rest = columns - (1 + alpha) * self.displaced[0, t]
         value = np.where(self.moves(columns), 0.5 + 0.25 * np.sin(12 * rest), 0.4)
-        image = np.repeat(np.repeat(value[None, :, None], SIZE, 0), 3, 2) + (
-            self.noise if noise is None else noise
-        )
+        image = np.repeat(np.repeat(value[None, :, None], SIZE, 0), 3, 2) + self.noise
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
 
@@ -115,14 +113,3 @@ class Plane:
             faces_0=faces.astype(np.int32),
             mode_0=mode,
         )
-
-    def reseed(self, alphas=(0, 5), rest=True):
-        """Second renders at timestep 2, with other noise."""
-        draw = np.random.default_rng(1)
-        folder = self.root / "report/reseeded"
-        for alpha in alphas:
-            place = folder / (f"magnified/x{alpha:03d}" if alpha else ".") / "002/test/r_000.png"
-            self.picture(2, alpha, place, draw.normal(0, SIGMA, self.noise.shape))
-        if rest:
-            other = draw.normal(0, SIGMA, self.noise.shape)
-            self.picture(2, -1, folder / "rest/002/test/r_000.png", other)

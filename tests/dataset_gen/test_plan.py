@@ -3,46 +3,35 @@
 import numpy as np
 import pytest
 
-from dataset_gen.effects.rows import moments
+from dataset_gen.effects.record import moments
 from dataset_gen.options import parser, request_from
-from dataset_gen.plan import RESEEDED, shots
+from dataset_gen.plan import shots
 from dataset_gen.prepare import builtin_bodies, motion_of
 
 
 def plan(arguments=""):
     settings = request_from(parser().parse_args(["mic", *arguments.split(), "--out", "x"])).sets[0]
-    every = shots(settings, motion_of(settings, builtin_bodies("mic")))
-    return settings, [s for s in every if not s.seed_offset], [s for s in every if s.seed_offset]
+    return settings, shots(settings, motion_of(settings, builtin_bodies("mic")))
 
 
-def test_the_demo_set_costs_155_renders_and_7_for_the_noise():
-    _, every, again = plan()
+def test_the_demo_set_costs_155_renders():
+    _, every = plan()
     assert sum(shot.split == "train" for shot in every) == 90
     assert sum(shot.split == "test" for shot in every) == 65
     assert sum(len(shot.pictures) for shot in every) == 30 * 30 + 30 * 5 * 6
-    assert len(again) == 7  # α = 0, the five, and rest
-
-
-def test_the_noise_is_measured_where_the_motion_is_largest():
-    _, _, again = plan()
-    assert {picture.alpha for shot in again for picture in shot.pictures} == {-1, 0, 5, 10, 20, 50, 100}
-    assert all(picture.path.startswith(RESEEDED) for shot in again for picture in shot.pictures)
-    assert [shot.state.at_rest for shot in again].count(True) == 1  # what "nothing moves" is scored by
 
 
 def test_with_noise_of_its_own_every_picture_is_a_render_and_truth_is_not_rendered_twice():
-    settings, shared, _ = plan("--noise picture")
-    every = [s for s in shots(settings, motion_of(settings, builtin_bodies("mic"))) if s.pictures or s.truth]
-    own = [s for s in every if s.pictures and not s.pictures[0].path.startswith(RESEEDED)]
+    _, every = plan("--noise picture")
+    own, shared = ([s for s in every if bool(s.pictures) == wanted] for wanted in (True, False))
     assert len({s.seed_offset for s in own}) == len(own) == 30 * 30 + 30 * 5 * 6
     assert not any(s.seed_offset == 0 for s in own)
     assert sorted(name for s in shared for name in s.truth) == sorted(n for s in plan()[1] for n in s.truth)
-    assert all(not s.pictures for s in shared)
     assert len(shared) == 15  # three states, five test cameras
 
 
 def test_an_exposure_shows_the_motion_times_the_sinc_of_it():
-    _, every, _ = plan("--shutter 33.3 --points 0")
+    _, every = plan("--shutter 33.3 --points 0")
     blurred = [s for s in every if s.blur]
     assert {s.split for s in blurred} == {"train"}
     shares = [share for share, _ in moments(0.0333)]

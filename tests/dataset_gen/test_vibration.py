@@ -225,7 +225,7 @@ def test_the_evaluation_reads_the_exact_motion_back(tmp_path, described, alpha):
     pytest.importorskip("torch")
     from tg4mm.capture.truth_file import load_truth
     from tg4mm.fit.motion.animate import displacement_at
-    from tg4mm.research.evaluate.truth import exact_motion
+    from tg4mm.research.evaluate.displacement import exact_motion
 
     truth.write_motion(tmp_path / "truth" / "motion.npz", bodies(), described, T)
     corners = np.concatenate([b.vertices for b in bodies()])

@@ -12,8 +12,7 @@ from tests.faults.mutate import Mutation
 from tg4mm.core.records import write_sealed
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
-from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.model import save_model, save_planes
+from tg4mm.research.paper.model import PaperConfig, save_model, save_planes
 from tg4mm.research.paper.space import started
 from tg4mm.run import Run
 

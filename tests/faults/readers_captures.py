@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from dataset_gen.report.findings import find
+from dataset_gen.report.page import find
 from tests.capture.conftest import write_folder, write_tree
 from tests.faults.containers import of_npz, of_png
 from tests.faults.mutate import of_bytes, of_header, of_json, of_text

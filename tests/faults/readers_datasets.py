@@ -9,7 +9,7 @@ from dataset_gen import run
 from dataset_gen.errors import GenerateError
 from dataset_gen.points import merge, read_view
 from dataset_gen.processes import RunFailed
-from dataset_gen.report.findings import read_picture
+from dataset_gen.report.page import read_picture
 from dataset_gen.sources.bodies_file import check
 from dataset_gen.sources.mesh_file import count_not_finite
 from tests.faults.containers import of_npz, of_sealed

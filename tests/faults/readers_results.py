@@ -23,7 +23,7 @@ from tg4mm.research.bench.means import group_means, line_means
 from tg4mm.research.bench.measure import VERSION, read_figures
 from tg4mm.research.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table, pivots
 from tg4mm.research.bench.scored import with_closure
-from tg4mm.research.evaluate.wanted import _is_ours
+from tg4mm.research.evaluate.run import _is_ours
 from tg4mm.research.paper import preset
 from tg4mm.research.paper.model import load_model, save_planes
 from tg4mm.research.paper.preset import series_of

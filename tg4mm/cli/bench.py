@@ -97,17 +97,11 @@ def _choices(options: WholeBenchOptions) -> Choices:
 
 def scenes(options: ScenesOptions) -> int:
     """Run `tg4mm bench scenes`."""
-    from tg4mm.research.bench.folder import write_text
-    from tg4mm.research.bench.pages.markdown import goals_page
     from tg4mm.research.bench.scenes import run_scenes
 
-    out, goals = options.out, options.goals
-    if goals is not None and goals.is_dir():
-        raise Tg4mmError(f"--goals {goals}: is a folder; expected a file such as {goals / 'goals.md'}")
+    out = options.out
     request = replace(_request(options), same_time=options.same_time.value, collect=options.collect)
     results = run_scenes(options.datasets, out, request, _say)
-    if goals is not None:
-        write_text(goals, goals_page(results))
     print(out / "results.html")
     return _exit_code(results, out)
 

@@ -283,8 +283,7 @@ def evaluate(options: EvaluateOptions) -> None:
     """Run `tg4mm evaluate`."""
     _ = options.temporal_filter  # raises
     from tg4mm.fit.device import check_device
-    from tg4mm.research.evaluate.run import evaluate_run
-    from tg4mm.research.evaluate.wanted import check_alphas, format_table, target_file
+    from tg4mm.research.evaluate.run import check_alphas, evaluate_run, format_table, target_file
     from tg4mm.run import Run
 
     o, device = options, options.device.value

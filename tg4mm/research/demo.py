@@ -119,8 +119,7 @@ def _orbit(places: Places) -> None:
 
 
 def _evaluate(places: Places) -> None:
-    from tg4mm.research.evaluate.run import evaluate_run
-    from tg4mm.research.evaluate.wanted import format_table
+    from tg4mm.research.evaluate.run import evaluate_run, format_table
     from tg4mm.run import Run
 
     print(format_table(evaluate_run(Run.open(places.run), out=places.metrics)), end="")

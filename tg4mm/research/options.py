@@ -192,9 +192,6 @@ class ScenesOptions(JobsOptions):
         "Train a paper preset once more with its iterations scaled to the seconds that modal took: where its own took "
         "less (needed), always, or never.",
     )
-    goals: Path | None = option(
-        None, "Also write a Markdown file that lists which of the project's goals are met."
-    )
     collect: bool = option(False, "Run nothing; write the tables of finished jobs and list unfinished ones.")
 
 

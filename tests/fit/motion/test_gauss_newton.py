@@ -20,8 +20,7 @@ from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
 from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.fit.space import SpaceConfig, rest_views
-from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import exact_motion
+from tg4mm.research.evaluate.displacement import displacement_figures, exact_motion
 from tg4mm.run import Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.run.stages.space import train_space

@@ -24,7 +24,7 @@ from tg4mm.fit.motion.solver.pcg import pcg
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, residual_displacement, unseen_motion
 from tg4mm.research.evaluate.displacement import mean_squares
-from tg4mm.research.evaluate.subject import uncertainty_figures
+from tg4mm.research.evaluate.scores import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.stages.motion import train_motion
 from tg4mm.show.maps import blending_weights

@@ -21,7 +21,6 @@ def refused(arguments, capsys):
         (["--set", "tracking.colour=1"], "tracking.colour"),
         (["--methods", "linear-2d", "--set", "tracking.iterations=5"], "tracking.iterations: no method here"),
         (["--methods", "linear-2d", "--set", "space.iterations=5"], "space.iterations: no method here"),
-        (["--goals", "."], "--goals .: is a folder"),
         (["--md-vqa", "/nowhere"], "holds no test_video.py"),
         (["--alphas", "5,many"], "'many'"),
         (["--alphas", "-3"], "-3"),

@@ -14,11 +14,11 @@ from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
 from tg4mm.core.pictures.frames import write_png
 from tg4mm.research.bench import BenchError
-from tg4mm.research.bench.observed import AGREES, agreement, observed_figures, rms_motion
+from tg4mm.research.bench.measure import AGREES, agreement, observed_figures, rms_motion
 from tg4mm.research.bench.scored import PROGRAMS, cameras_of, checkouts, score_pictures, video_of
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.subject import Subject
+from tg4mm.research.evaluate.scores import Subject
 from tg4mm.show.maps import blending_weights
 
 
@@ -183,7 +183,7 @@ def test_errors_of_what_is_not_observed_do_not_count(scene, monkeypatch):
     train = load_capture(data.root)
     seen = np.zeros(len(gaussians), bool)
     seen[np.flatnonzero(moving(motion))[::2]] = True
-    monkeypatch.setattr("tg4mm.research.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
+    monkeypatch.setattr("tg4mm.research.bench.measure.agreement", lambda *_: np.where(seen, 1.0, 0.0))
     estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
     subject = Subject(gaussians, estimated, motion, None, AS_CAPTURED, False, None)
     found = observed_figures(subject, data, train)

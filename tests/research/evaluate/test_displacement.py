@@ -7,7 +7,7 @@ import pytest
 
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, frequency_figures
-from tg4mm.research.evaluate.subject import uncertainty_figures, unresolved
+from tg4mm.research.evaluate.scores import uncertainty_figures, unresolved
 
 FPS, T, N = 30.0, 30, 40
 

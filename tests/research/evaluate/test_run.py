@@ -13,8 +13,7 @@ from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import psnr
 from tg4mm.research.evaluate import EvaluationError
-from tg4mm.research.evaluate.run import evaluate_run
-from tg4mm.research.evaluate.wanted import format_table
+from tg4mm.research.evaluate.run import evaluate_run, format_table
 from tg4mm.run import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
@@ -89,7 +88,7 @@ def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half):
 
 def test_caching_changes_no_number_and_saves_work(half, monkeypatch):
     calls = []
-    monkeypatch.setattr("tg4mm.research.evaluate.wanted.psnr", lambda a, b: calls.append(1) or psnr(a, b))
+    monkeypatch.setattr("tg4mm.research.evaluate.run.psnr", lambda a, b: calls.append(1) or psnr(a, b))
     cached = evaluate_run(half, out=half.path / "cached.json")
     n_cached = len(calls)
     plain = evaluate_run(half, out=half.path / "plain.json", use_cache=False)
@@ -121,7 +120,7 @@ def test_the_file_is_what_is_returned_and_strict_json(half):
 
 
 def test_without_its_package_flip_is_said_to_be_absent(half, monkeypatch):
-    monkeypatch.setattr("tg4mm.research.evaluate.wanted.has_flip", lambda: False)
+    monkeypatch.setattr("tg4mm.research.evaluate.run.has_flip", lambda: False)
     metrics = evaluate_run(half, alphas=[0], out=half.path / "other.json")
     assert metrics["metrics"] == ["psnr_db", "ssim"]
     assert metrics["absent"]["FLIP"].endswith('pip install "tg4mm[flip]"')

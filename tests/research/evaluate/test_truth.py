@@ -8,8 +8,7 @@ import pytest
 from tg4mm.capture.truth_file import Truth, TruthObject, load_truth
 from tg4mm.core.errors import CaptureError
 from tg4mm.fit.motion.animate import displacement_at
-from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.research.evaluate.truth import closest_on_triangles, exact_motion
+from tg4mm.research.evaluate.displacement import closest_on_triangles, displacement_figures, exact_motion
 
 FPS, T = 30.0, 30
 LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section

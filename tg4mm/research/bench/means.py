@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tg4mm.research.bench.measure import stage_costs
-from tg4mm.research.evaluate.run import CEILING
 
 # 95 % intervals by bootstrap: scenes are drawn with replacement, then of each drawn scene its sets, since sets of one
 # scene are alike. Half the interval is the standard deviation of the resampled means times √(n / (n − 1)) t, with t
@@ -51,7 +50,7 @@ def _drawn(scene_of: tuple[int, ...]) -> tuple[np.ndarray, float]:
     return counts / counts.sum(1, keepdims=True), factor
 
 
-JUDGED = "modal"  # the row that goals are for, and that others are compared with
+JUDGED = "modal"  # the row that others are compared with
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -100,12 +99,6 @@ def mean_of_all(values: Iterable[float | None]) -> float | None:
     return None if None in known else mean(known)
 
 
-def gap(row: Mapping[str, Mapping[str, Any]], way: str) -> float | None:
-    """How much a way's SSIM lies below the ceiling of the same Gaussians."""
-    ours, best = (row.get(name, {}).get("ssim") for name in (way, CEILING))
-    return None if ours is None or best is None else best - ours
-
-
 def half_of(values: Iterable[tuple[str, float | None]], scene_of: Mapping[str, str]) -> float | None:
     """Half of the 95 % interval of the mean over (set, value); None where `mean_of_all` is, and of one set."""
     sets, known = zip(*values, strict=True) if (values := list(values)) else ((), ())
@@ -117,50 +110,16 @@ def group_means(
     group_of: Mapping[str, str],
     scene_of: Mapping[str, str] = MappingProxyType({}),
 ) -> list[dict[str, Any]]:
-    """[{group, row, preset, n_sets, sets, scalars: {…}, half: {scalar: …}, gaps: {α: {way: SSIM}}}].
-
-    `group_of`, `scene_of` a set's label; half: of the 95 % interval of each scalar's mean. An α counts where every set
-    of the group that has this row has ground truth for it: means of different scenes must not stand in one line. For
-    the same reason a scalar that a set has for no row is the mean of the other sets in every row, and one that only
-    this row lacks somewhere is None.
-    """
-    runs = list(runs)
-    measured = {(run["set"], k) for run in runs for k, value in scalars(run).items() if value is not None}
-    return [_group_mean(g, row, some, measured, scene_of) for (g, row), some in _grouped(runs, group_of)]
-
-
-def _grouped(
-    entries: list[Mapping[str, Any]], group_of: Mapping[str, str]
-) -> Iterable[tuple[tuple[str, str], list[Mapping[str, Any]]]]:
-    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for entry in entries:
-        found.setdefault((group_of[entry["set"]], entry["row"]), []).append(entry)
-    return found.items()
-
-
-def _group_mean(
-    group: str,
-    row: str,
-    runs: list[Mapping[str, Any]],
-    measured: set[tuple[str, str]],
-    scene_of: Mapping[str, str],
-) -> dict[str, Any]:
-    """measured: (set, scalar) that some row has."""
-    common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
-    each = [(run["set"], scalars(run)) for run in runs]
-    values = {k: [(name, v[k]) for name, v in each if (name, k) in measured] for k in each[0][1]}
-    return {
-        "group": group,
-        "row": row,
-        "preset": runs[0]["preset"],
-        "n_sets": len(runs),
-        "sets": [run["set"] for run in runs],
-        "scalars": {k: mean_of_all(v for _, v in some) for k, some in values.items()},
-        "half": {k: half_of(some, scene_of) for k, some in values.items()},
-        "gaps": {
-            a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
-        },
-    }
+    """[{group, row, n_sets, sets, scalars: {…}, half: {scalar: …}}] of the `scalars`, as `line_means`."""
+    lines = [{**run, "alphas": {"": scalars(run)}, "frames_per_s": None} for run in runs]
+    return [
+        {
+            **{key: m[key] for key in ("group", "row", "n_sets", "sets")},
+            "scalars": m["alphas"][""],
+            "half": m["half"][""],
+        }
+        for m in line_means(lines, group_of, scene_of)
+    ]
 
 
 def line_means(
@@ -170,10 +129,14 @@ def line_means(
 ) -> list[dict[str, Any]]:
     """[{group, row, n_sets, sets, alphas, half: {α: {metric}}, frames_per_s}] of the scores, by group and row.
 
-    As in `group_means` an α counts where every set that has the row has it. A metric that a set has for no row (nothing
-    moves there, say) is the mean of the other sets in every row; one that only this row lacks somewhere is None.
+    `group_of`, `scene_of` a set's label; half: of the 95 % interval of each mean. An α counts where every set of the
+    group that has this row has ground truth for it: means of different scenes must not stand in one line. For the same
+    reason a metric that a set has for no row (nothing moves there, say) is the mean of the other sets in every row, and
+    one that only this row lacks somewhere is None.
     """
-    lines = list(lines)
+    lines, grouped = list(lines), dict[tuple[str, str], list[Mapping[str, Any]]]()
+    for line in lines:
+        grouped.setdefault((group_of[line["set"]], line["row"]), []).append(line)
     scored = {
         (line["set"], alpha, metric)
         for line in lines
@@ -181,37 +144,28 @@ def line_means(
         for metric, value in scores.items()
         if value is not None
     }
-    return [_line_mean(g, row, some, scored, scene_of) for (g, row), some in _grouped(lines, group_of)]
-
-
-def _line_mean(
-    group: str,
-    row: str,
-    lines: list[Mapping[str, Any]],
-    scored: set[tuple[str, str, str]],
-    scene_of: Mapping[str, str],
-) -> dict[str, Any]:
-    """scored: (set, α, metric) that some row has."""
-    common = [a for a in lines[0]["alphas"] if all(a in line["alphas"] for line in lines)]
-    metrics = dict.fromkeys(k for line in lines for scores in line["alphas"].values() for k in scores)
-    values = {
-        a: {
-            k: [(x["set"], x["alphas"][a].get(k)) for x in lines if (x["set"], a, k) in scored]
-            for k in metrics
+    found = []
+    for (group, row), mine in grouped.items():
+        common = [a for a in mine[0]["alphas"] if all(a in line["alphas"] for line in mine)]
+        metrics = dict.fromkeys(k for line in mine for scores in line["alphas"].values() for k in scores)
+        values = {
+            a: {
+                k: [(x["set"], x["alphas"][a].get(k)) for x in mine if (x["set"], a, k) in scored]
+                for k in metrics
+            }
+            for a in common
         }
-        for a in common
-    }
-    return {
-        "group": group,
-        "row": row,
-        "n_sets": len(lines),
-        "sets": [line["set"] for line in lines],
-        "alphas": {
+        means = {
             a: {k: mean_of_all(v for _, v in some) for k, some in of.items()} for a, of in values.items()
-        },
-        "half": {a: {k: half_of(some, scene_of) for k, some in of.items()} for a, of in values.items()},
-        "frames_per_s": mean(line["frames_per_s"] for line in lines),
-    }
+        }
+        halves = {a: {k: half_of(some, scene_of) for k, some in of.items()} for a, of in values.items()}
+        speed = mean(line["frames_per_s"] for line in mine)
+        sets = [line["set"] for line in mine]
+        found.append(
+            {"group": group, "row": row, "n_sets": len(mine), "sets": sets, "alphas": means, "half": halves}
+            | {"frames_per_s": speed}
+        )
+    return found
 
 
 def less(lines: Iterable[Mapping[str, Any]], base: str) -> list[dict[str, Any]]:

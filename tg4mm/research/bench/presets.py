@@ -181,24 +181,31 @@ def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer 
     return len(failed)
 
 
-def choices_from(config: Mapping[str, Any]) -> Choices:
-    """Return the choices of a configuration file. Raises BenchError for a value of another type."""
+_TEXT, _TEXTS, _NUMBERS = "a text", "a list of texts", "a list of whole numbers"
+
+
+def _given(config: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
+    """The values that a configuration has, lists as tuples. Raises BenchError for one of another kind."""
     found: dict[str, Any] = {}
-    for field in fields(Choices):
-        value = config.get(field.name)
-        several = isinstance(field.default, tuple)
-        if value is None:
-            continue
-        if str(value).startswith("-"):
-            raise BenchError(f"configuration: {field.name} is {value!r}, expected no option")
-        if several and isinstance(value, list) and all(isinstance(one, str) for one in value):
-            found[field.name] = tuple(value)
-        elif not several and isinstance(value, str | int | float):  # `alphas: 20` is a number in YAML
-            found[field.name] = str(value)
-        else:
-            kind = "a list of texts" if several else "a text"
-            raise BenchError(f"configuration: {field.name} is {value!r}, expected {kind}")
-    return Choices(**found)
+    for key, kind in kinds.items():
+        value = config.get(key)
+        one = int if kind == _NUMBERS else str
+        if kind == _TEXT and type(value) in (str, int, float):  # `alphas: 20` is a number in YAML
+            found[key] = str(value)
+        elif kind != _TEXT and isinstance(value, list) and all(type(each) is one for each in value):
+            found[key] = tuple(value)
+        elif value is not None:
+            raise BenchError(f"configuration: {key} is {value!r}, expected {kind}")
+    return found
+
+
+def choices_from(config: Mapping[str, Any]) -> Choices:
+    """Return the choices of a configuration file. Raises BenchError for a value of another type, and for an option."""
+    for key in (f.name for f in fields(Choices)):
+        if str(config.get(key)).startswith("-"):
+            raise BenchError(f"configuration: {key} is {config[key]!r}, expected no option")
+    kinds = {f.name: _TEXTS if isinstance(f.default, tuple) else _TEXT for f in fields(Choices)}
+    return Choices(**_given(config, kinds))
 
 
 def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
@@ -206,19 +213,11 @@ def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
     name = config.get("preset")
     if not isinstance(name, str) or name not in PRESETS:
         raise BenchError(f"configuration: preset is {name!r}, expected {', '.join(PRESETS)}")
-    kinds = {"scenes": str, "methods": str, "settings": str, "seeds": int, "options": str}
-    own: dict[str, Any] = {}
-    for key, kind in kinds.items():
-        value = config.get(key)
-        if key == "options" and isinstance(value, str):
-            own[key] = tuple(shlex.split(value))
-        elif isinstance(value, list) and key != "options" and all(type(one) is kind for one in value):
-            own[key] = tuple(value)
-        elif value is not None:
-            wanted = (
-                "a text" if key == "options" else f"a list of {'whole numbers' if kind is int else 'texts'}"
-            )
-            raise BenchError(f"configuration: {key} is {value!r}, expected {wanted}")
+    own = _given(
+        config, {"scenes": _TEXTS, "methods": _TEXTS, "settings": _TEXTS, "seeds": _NUMBERS, "options": _TEXT}
+    )
+    if "options" in own:
+        own["options"] = tuple(shlex.split(own["options"]))
     if own.get("scenes") == ():
         raise BenchError("configuration: scenes is [], expected one or more")
     checked_names(own.get("methods", DEFAULT))

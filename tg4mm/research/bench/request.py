@@ -10,7 +10,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench.sets import BenchSet
-from tg4mm.research.paper.config import PaperConfig
+from tg4mm.research.paper.model import PaperConfig
 from tg4mm.run import Run
 from tg4mm.run.preset import preset_named
 from tg4mm.run.train import parse_settings

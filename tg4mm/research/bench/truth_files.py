@@ -17,7 +17,7 @@ from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.pictures import exr
 from tg4mm.core.progress import progress
 from tg4mm.research.bench import BenchError
-from tg4mm.research.evaluate.truth import closest_on_triangles, interpolate, sample_surface
+from tg4mm.research.evaluate.displacement import closest_on_triangles, interpolate, sample_surface
 
 VISIBLE, LEAVES, HIDDEN = 0, 128, 255  # in the pictures of occlusion
 _NOTHING = 1e9  # depth from which a pixel sees nothing

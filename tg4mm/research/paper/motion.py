@@ -19,8 +19,14 @@ from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import RestViews
 from tg4mm.fit.space.view import render_view
-from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes
+from tg4mm.research.paper.model import (
+    PaperConfig,
+    PaperModel,
+    disk_mib,
+    load_planes,
+    planes_name,
+    save_planes,
+)
 from tg4mm.research.paper.space import Fit, cameras_on, view_loss, views_at
 from tg4mm.research.paper.triplane import Decoder, sample
 from tg4mm.run import Run

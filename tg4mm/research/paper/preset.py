@@ -33,8 +33,16 @@ from tg4mm.fit.magnify.linear import magnified_series
 from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.config import checked as checked_space
-from tg4mm.research.paper.config import PAPER, PAPER_TUNED, base_config, checked
-from tg4mm.research.paper.model import PaperModel, has_model, load_model, plane_video
+from tg4mm.research.paper.model import (
+    PAPER,
+    PAPER_TUNED,
+    PaperModel,
+    base_config,
+    checked,
+    has_model,
+    load_model,
+    plane_video,
+)
 from tg4mm.research.paper.motion import train_timesteps
 from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.research.paper.triplane import Cells, Decoder

@@ -19,8 +19,7 @@ from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, rest_views
 from tg4mm.fit.space.view import render_view
-from tg4mm.research.paper.config import PaperConfig
-from tg4mm.research.paper.model import PaperModel, active, save_model, with_active
+from tg4mm.research.paper.model import PaperConfig, PaperModel, active, save_model, with_active
 from tg4mm.research.paper.triplane import Decoder, base_below, cells_of, new_decoder, sample, scene_box
 from tg4mm.run import Run
 

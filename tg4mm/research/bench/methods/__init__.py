@@ -14,8 +14,7 @@ from tg4mm.research.bench.measure import measure
 from tg4mm.research.bench.request import Plan, Scoring, Training
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
-from tg4mm.research.evaluate.scores import Candidate, render_views
-from tg4mm.research.evaluate.subject import Subject, subject_of
+from tg4mm.research.evaluate.scores import Candidate, Subject, render_views, subject_of
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 

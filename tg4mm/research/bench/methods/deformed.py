@@ -8,13 +8,14 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.phasors import series_modes
 from tg4mm.core.progress import progress
@@ -24,13 +25,46 @@ from tg4mm.fit.motion.animate import moved
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import rest_views
 from tg4mm.research.bench.methods import Trained
-from tg4mm.research.bench.methods.own_settings import configured, overrides
 from tg4mm.research.bench.request import Scoring, Training
 from tg4mm.research.paper.space import Cameras, cameras_on, view_loss, views_at
+from tg4mm.research.paper.space import Fit as Fitting
 from tg4mm.research.paper.triplane import base_of, scene_box
 from tg4mm.run import Run
 from tg4mm.run.stages.space import train_space
 from tg4mm.run.train import parse_settings
+
+_MAY_BE_ZERO = ("smoothness", "seed", "margin", "stiffness")
+
+
+C = TypeVar("C")
+
+
+def configured(name: str, usual: C, given: Mapping[str, str]) -> C:
+    """`usual` with the settings `NAME.KEY`. Raises Tg4mmError for one that is none, and a value that does not fit."""
+    names = [f"{name}.{f.name}" for f in dataclasses.fields(usual)]  # type: ignore[arg-type]
+    for key in given:
+        if key not in names:
+            raise Tg4mmError(f"--set {key}: {name} has {', '.join(names)}")
+    values = {k.partition(".")[2]: _number(k, v, usual) for k, v in given.items()}
+    return dataclasses.replace(usual, **values)  # type: ignore[type-var]
+
+
+def overrides(name: str, config: Any, usual: Any) -> dict[str, str]:
+    """The settings that differ from the usual ones, as `--set` takes them."""
+    before = dataclasses.asdict(usual)
+    return {f"{name}.{k}": str(v) for k, v in dataclasses.asdict(config).items() if v != before[k]}
+
+
+def _number(name: str, text: str, usual: Any) -> Any:
+    kind = type(getattr(usual, name.partition(".")[2]))
+    try:
+        value = kind(text)
+    except ValueError:
+        value = -1
+    least = 0 if name.endswith(_MAY_BE_ZERO) else 1 if kind is int else 1e-12
+    if not least <= value < 1e9:
+        raise Tg4mmError(f"setting {name} is {text!r}, expected {kind.__name__} of at least {least:g}")
+    return value
 
 
 @dataclass(frozen=True)
@@ -168,3 +202,34 @@ def from_first(g: Gaussians, motion: Callable[[int], Tensor], n: int) -> tuple[G
     """The Gaussians at timestep 0, and the motion from there [n, N, 6]; rotations are small, and subtracted."""
     series = torch.stack([motion(t) for t in range(n)])
     return moved(g.detach(), series[0]), series - series[0]
+
+
+PER_FRAME = "per-frame"
+
+
+@dataclass(frozen=True)
+class PerFrameConfig:
+    """Positions and rotations are tuned; the rate falls to `falls_to` within a timestep, so that they come to rest."""
+
+    iterations: int = 100  # of each timestep, one view each
+    rate: float = 2e-4  # of Adam; of displacements per unit of the scene's box
+    falls_to: float = 0.03
+    seed: int = 0
+
+
+def tune_each(g: Gaussians, views: list[Cameras], config: PerFrameConfig) -> Moving:
+    """[T, N, 6] each timestep's own, from zero."""
+    box, n = box_of(g), config.iterations
+    unit = torch.tensor([float((box[1] - box[0]).max())] * 3 + [1.0] * 3, device=g.means.device)
+    series = []
+    with progress(PER_FRAME, len(views) * n) as update:
+        for t, (viewmats, ks, pictures) in enumerate(views):
+            cameras = viewmats.to(unit.device), ks.to(unit.device), pictures.to(unit.device)
+            zero = {"motion": torch.zeros(len(g), 6)}
+            fit = Fitting(zero, config.rate, n, config.seed + t, str(unit.device), config.falls_to)
+            while fit.iteration < n:
+                posed = moved(g, fit.parameters["motion"] * unit)
+                fit.step(view_loss(posed, cameras, fit.next_view(len(pictures))))
+                update(t * n + fit.iteration)
+            series.append((fit.parameters["motion"] * unit).detach())
+    return Moving(g, torch.stack(series), len(views) * n, 6 * len(g))

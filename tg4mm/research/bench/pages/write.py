@@ -176,6 +176,7 @@ def write_page(out: Path, results: Mapping[str, Any]) -> Path:
         sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
         sections += shown_sections(out, results, group)
     sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
+    left_out, note = markdown.failures(results), Markup('<p class="note">Left out:</p>{}')
     made = Commands([(markdown.machine(results["made"]), results["made"]["command"])])
     page = Page(
         title="3D motion magnification, measured",
@@ -185,7 +186,7 @@ def write_page(out: Path, results: Mapping[str, Any]) -> Path:
         lead=[
             Text(markdown.how(results)),
             Text(_list(markdown.about_methods(results)), plain=True),
-            *([Text(_failed(results), plain=True)] if markdown.failures(results) else []),
+            *([Text(note.format(_list(left_out)), plain=True)] if left_out else []),
         ],
         sections=[
             *sections,
@@ -234,13 +235,6 @@ def _stats(results: Mapping[str, Any]) -> list[Stat]:
                 )
             )
     return found
-
-
-def _failed(results: Mapping[str, Any]) -> Markup:
-    lines = [
-        line.removeprefix("- ") for line in markdown.failures(results).splitlines() if line.startswith("- ")
-    ]
-    return Markup('<p class="note">Left out:</p>{}').format(_list(lines))
 
 
 def _list(lines: Sequence[str]) -> Markup:
