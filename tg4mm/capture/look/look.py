@@ -99,7 +99,7 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
         lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light, _clipped(series)
     )
     first = {line.hz: line for line in reversed(lines)}
-    lines = [line for line in lines if not line.mark or line is first[line.hz]]
+    lines = [line for line in lines if line is first[line.hz] or not (line.mark or first[line.hz].mark)]
     swings = tuple(swings_of(scene))
     lines = [replace(line, mark=line.mark or left_of(line, swings, scene.duration)) for line in lines]
     found = _result(
@@ -124,12 +124,16 @@ def _edges(search: Search) -> np.ndarray:
         return out
     moving = np.zeros(len(out), bool)
     moving[cell_numbers(search)[_moved(search)]] = True
-    beside = ndimage.binary_dilation(scene.grid.picture(moving), BLOCK, _ITS_RIM).ravel()
+    touching, near_by = (
+        ndimage.binary_dilation(scene.grid.picture(moving), BLOCK, n).ravel() for n in (1, _ITS_RIM)
+    )
     own = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
     folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in own]
     for cells, tones in _by_themselves(scene):
         near = (abs(tone[0] - hz) < 1 / scene.duration for tone in tones for hz in folded)
-        if (cells & beside).any() and any(near):
+        left, upper, right, lower = scene.grid.box(cells)
+        is_thin = min(right - left, lower - upper) <= scene.grid.size  # as an edge is, unlike a body
+        if (cells & (near_by if is_thin else touching)).any() and any(near):
             out |= cells
     return out
 

@@ -39,7 +39,7 @@ _PREDICTED = 0.4  # of P pictures' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
 _OTHERWISE = np.deg2rad(30)  # in direction or phase: a part that moves otherwise
 _CLEARLY = 3.0  # deviations by which a part's amplitude and its difference are above 0
-_FEWEST_APART = 2  # cells of a part that moves otherwise: one alone may be an edge
+_FEWEST_APART = 4  # cells of a part that moves otherwise: fewer may be an edge, or what a codec makes
 _AROUND = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
 
 
