@@ -50,7 +50,7 @@ test-52 test-53: test-%: .venv%/.installed
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500
 test-faults: install
-	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/core/test_untrusted.py tests/core/test_values.py tests/core/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/core/test_untrusted.py tests/core/test_values.py tests/core/test_files.py tests/run/test_damage.py tests/run/test_folder.py
 
 # `make test` with everything held to AVX2, which most laptops have, or with the compilers held to SSE2: on a machine with
 # AVX-512 it runs code, and rounds in ways, that `make test` does not.

@@ -12,7 +12,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in an archive
 # Of tg4mm/core, what needs more than numpy.
-_NEED_MORE = ("pages", "metrics.py", "pictures/decode.py", "pictures/frames.py", "pictures/tiff.py")
+_NEED_MORE = ("pages", "metrics.py", "pictures/decode.py")
 _METADATA = "Metadata-Version: 2.4\nName: {name}\nVersion: {version}\nLicense-Expression: GPL-3.0-or-later\n"
 _WHEEL = "Wheel-Version: 1.0\nGenerator: make_extension\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 

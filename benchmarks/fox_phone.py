@@ -31,7 +31,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.files import write_json
 from tg4mm.core.magnification import Magnification
 from tg4mm.core.metrics import ssim
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import read_png
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.show.maps import blending_weights

@@ -22,7 +22,7 @@ from benchmarks.common import machine
 from tg4mm.capture import load_capture
 from tg4mm.fit.motion.animate import animate
 from tg4mm.run import Run
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 
 FPS, HZ, AMPLITUDE = 60, 5.7, 0.2  # pictures a second, Hz, pixels to the right
 FULL_HD, BITS = 1920 * 1080, 8_000_000

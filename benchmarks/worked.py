@@ -13,8 +13,7 @@ import numpy as np
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
 from benchmarks.common import print_found
 from tg4mm.capture.look import look
-from tg4mm.core.regions import Region, Regions, write_regions
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Region, Regions, Scale, write_regions
 from tg4mm.show.analyse.quantities import LIMITS
 from tg4mm.show.look.words import Words
 

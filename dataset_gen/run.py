@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm.core import events
+from tg4mm.core.files import remove_leftovers
 from tg4mm.core.pictures import png
 from tg4mm.core.progress import progress
-from tg4mm.core.records import read_formed
-from tg4mm.core.temporary import remove_leftovers
+from tg4mm.core.untrusted import read_formed
 
 from . import points, processes, tree
 from .effects import codec

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.files import replacing
 from tg4mm.core.pictures import exr
-from tg4mm.core.temporary import replacing
 from tg4mm.core.work_folder import WorkFolder
 
 from .cameras import Camera, cameras_at, clock_offsets, films, scene_time, transforms

@@ -13,7 +13,7 @@ from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.synthetic import make_synthetic_dataset, moving_run
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import read_png
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.fit.space import train as stage
@@ -25,8 +25,7 @@ from tg4mm.research.paper.model import PaperConfig
 from tg4mm.research.paper.motion import train_timesteps
 from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.run import Run
-from tg4mm.run.stages.motion import train_motion
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_motion, train_space
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.render.sequence import RenderRequest, render_sequence
 

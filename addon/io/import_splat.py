@@ -15,7 +15,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, read_head, read_splat
-from tg4mm.core.splatfile.drawable import Options, parsed_frequencies
+from tg4mm.core.splatfile.model import Options, parsed_frequencies
 from tg4mm.core.splatfile.read import ENDINGS
 
 from .. import compat, names, preferences

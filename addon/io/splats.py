@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
-from tg4mm.core.splatfile.axes import transformed
+from tg4mm.core.splatfile.formula import transformed
 from tg4mm.core.untrusted import read_json
 
 from .. import compat, names

@@ -14,7 +14,7 @@ from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Stat, Table, Text, picture, render_page
 from tg4mm.core.pages.svg import number, size_text
 from tg4mm.core.pictures.decode import decode
-from tg4mm.core.records import read_formed
+from tg4mm.core.untrusted import read_formed
 
 from ..cameras.camera import project
 from ..errors import GenerateError

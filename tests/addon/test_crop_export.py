@@ -7,7 +7,7 @@ import pytest
 
 from tests.addon.conftest import some_splat
 from tg4mm.core.splatfile import positions_at, read_splat, rotations_at, write_splat
-from tg4mm.core.splatfile.axes import transformed
+from tg4mm.core.splatfile.formula import transformed
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 

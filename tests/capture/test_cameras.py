@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
-from tg4mm.core.records import Record
+from tg4mm.core.untrusted import Record
 
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1)
 offsets = st.tuples(*[st.floats(-10, 10)] * 3)

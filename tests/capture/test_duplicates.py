@@ -13,7 +13,7 @@ from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.look import look
 from tg4mm.capture.sfm.clip import Clip, Window
 from tg4mm.capture.sfm.defects import stretches_of, warn_clocks
-from tg4mm.capture.sfm.frozen import NoveltyMeter
+from tg4mm.capture.sfm.steadiness import NoveltyMeter
 from tg4mm.capture.sfm.survey import survey_clip
 from tg4mm.cli import main
 

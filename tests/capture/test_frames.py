@@ -65,9 +65,8 @@ def test_a_window_and_its_repeats_count_from_the_first_frame(video, tmp_path):
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
     track = Track("a", clip, Lens(np.eye(3), (120, 160), None), poses, window=Window(0.5))
     assert video_frames_of(tmp_path, track) == [f"video/a#3.mp4#{k}" for k in numbers]
-    assert (
-        video_frames_of(tmp_path, replace(track, viewmats=poses[1:])) is None
-    )  # the container tells of others
+    # the container tells of others
+    assert video_frames_of(tmp_path, replace(track, viewmats=poses[1:])) is None
 
 
 def test_conversion_writes_them_out(dataset, truth, tmp_path):

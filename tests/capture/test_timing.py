@@ -1,17 +1,24 @@
 """When a capture's pictures were taken, and of what kind it is."""
 
 import json
+import logging
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.capture.conftest import edit, write_folder
 from tg4mm.capture import Capture, load_capture
-from tg4mm.capture.timing import check_times, kind_of_cameras
+from tg4mm.capture.model import check_times, kind_of_cameras
+from tg4mm.capture.sfm.clip import find_sources
+from tg4mm.capture.transforms import whole_dataset
 from tg4mm.core.choices import KINDS
 from tg4mm.core.errors import CaptureError
+from tg4mm.core.magnification import check_band
+from tg4mm.run.train import _capture
 
 
 def of_cameras(cameras, n_timesteps):
@@ -157,3 +164,77 @@ def test_a_wrong_length_or_kind_is_refused():
         Capture(Path(), "train", 4, 4, 0.0, 1, *arrays, times_s=np.zeros(2))
     with pytest.raises(ValueError, match="kind is 'x', expected one of photos"):
         Capture(Path(), "train", 4, 4, 0.0, 1, *arrays, kind="x")
+
+
+def test_a_timestep_and_its_pictures_are_parts(tree, monkeypatch):
+    root = tree.resolve()
+    assert whole_dataset(tree / "001") == (root, f"timestep 001 of the dataset {root}")
+    pictures = f"the train pictures, timestep 001, of the dataset {root}"
+    assert whole_dataset(tree / "001" / "train") == (root, pictures)
+    monkeypatch.chdir(tree / "001" / "train")
+    assert whole_dataset(Path(".")) == (root, pictures)
+
+
+def test_whole_datasets_and_other_folders_are_not(tree, folder, tmp_path):
+    (tmp_path / "photos" / "train").mkdir(parents=True)
+    for other in (tree, folder, tmp_path, tmp_path / "photos", tmp_path / "photos" / "train"):
+        assert whole_dataset(other) is None
+    root = folder.resolve()
+    assert whole_dataset(folder / "train") == (root, f"the train pictures of the dataset {root}")
+
+
+def test_training_pictures_alone_is_refused(tree, folder):
+    for part, root in ((tree / "000" / "train", tree), (folder / "train", folder)):
+        with pytest.raises(
+            CaptureError, match=rf"train: is no dataset, but .*: tg4mm train {root.resolve()} --out RUN"
+        ):
+            _capture(part)
+
+
+def test_training_one_timestep_is_said(tree, caplog):
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        assert _capture(tree / "000").n_timesteps == 1
+    (line,) = caplog.messages
+    assert f"is timestep 000 of the dataset {tree.resolve()}, by itself a still scene" in line
+    caplog.clear()
+    _capture(tree)
+    assert caplog.messages == []
+
+
+def test_sfm_takes_no_part_of_a_dataset(tree):
+    for part in (tree / "000", tree / "000" / "train"):
+        with pytest.raises(CaptureError, match="whose poses are known: tg4mm train"):
+            find_sources(part)
+    with pytest.raises(CaptureError, match="is a dataset already: tg4mm train"):
+        find_sources(tree)
+
+
+@given(st.floats(0, 1e6), st.floats(0, 1e6), st.floats(1e-3, 1e6))
+def test_a_band_passes_exactly_if_it_lies_below_half_the_frame_rate(low, high, fps):
+    if 0 <= low < high < fps / 2:
+        assert check_band((low, high), fps) == (low, high)
+    else:
+        with pytest.raises(CaptureError, match="band"):
+            check_band((low, high), fps)
+
+
+@pytest.mark.parametrize(
+    ("band", "fps", "message"),
+    [
+        ((4.0, 40.0), 30, r"band \(4, 40\) Hz reaches past half the frame rate, 15 Hz \(fps = 30\)"),
+        ((4.0, 15.0), 30, "reaches past half the frame rate, 15 Hz"),
+        ((-1, 4), 30, r"band \(-1, 4\) Hz starts below 0 Hz"),
+        ((4, 4), 30, r"band \(4, 4\) Hz is empty"),
+        ((5, 4), 30, "low must be below high"),
+        ((math.nan, 4), 30, r"band \(nan, 4\) is not two frequencies"),
+        ((1, math.inf), 30, "is not two frequencies"),
+        ((1, 2, 3), 30, "is not two frequencies"),
+        ("12", 30, "band '12' is not two frequencies"),
+        (None, 30, "band None is not two frequencies"),
+        ((1, 2), 0.0, r"band \(1, 2\) Hz needs a frame rate, and fps is 0"),
+        ((1, 2), math.nan, "fps is nan"),
+    ],
+)
+def test_a_bad_band_is_refused_with_its_numbers(band, fps, message):
+    with pytest.raises(CaptureError, match=message):
+        check_band(band, fps)

@@ -8,7 +8,7 @@ from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
 from tg4mm.core.splatfile import positions_at
-from tg4mm.core.splatfile.axes import TURN
+from tg4mm.core.splatfile.formula import TURN
 from tg4mm.run import Run
 from tg4mm.show.export.splat import splat_of
 

@@ -7,8 +7,7 @@ import pytest
 
 from tg4mm.cli import main
 from tg4mm.core.errors import RegionError
-from tg4mm.core.regions import Region, Regions, read_regions, write_regions
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Region, Regions, Scale, read_regions, write_regions
 
 SIZE = (480, 272)
 A_BOX = {"name": "a", "box": [10, 10, 60, 50]}

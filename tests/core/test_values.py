@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.untrusted import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe, check_form
 
 FORM = {

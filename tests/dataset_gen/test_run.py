@@ -19,8 +19,8 @@ from dataset_gen.options import parser, request_from
 from dataset_gen.prepare import plan
 from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
+from tg4mm.core.files import _HOST
 from tg4mm.core.pictures import png
-from tg4mm.core.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
 

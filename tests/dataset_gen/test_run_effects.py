@@ -219,7 +219,7 @@ def test_a_run_that_was_stopped_before_its_videos_goes_on(every, tmp_path):
 
 
 def test_videos_of_a_tripod_lie_as_structure_from_motion_takes_them(tmp_path):
-    sources = pytest.importorskip("tg4mm.capture.sfm.sources")
+    sources = pytest.importorskip("tg4mm.capture.sfm.clip")
     root = made(tmp_path, "--cameras sweep --views 3 --background white --codec h264 --keep-video")
     names = sorted(str(p.relative_to(root / "video")) for p in (root / "video").rglob("*") if p.is_file())
     assert names == ["r_000.mp4", *(f"sweep/r_{i:03d}.png" for i in (1, 2, 3))]

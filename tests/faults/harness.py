@@ -78,9 +78,8 @@ def _answers(name, start, count, seed):
     index, rest, silent = start, b"", False
     with os.fdopen(out, "rb", buffering=0) as channel:
         while True:
-            ready, _, _ = select.select(
-                [channel], [], [], FIRST_S if index == start else LIMIT_S
-            )  # the first one imports
+            # the first one imports
+            ready, _, _ = select.select([channel], [], [], FIRST_S if index == start else LIMIT_S)
             silent = not ready
             data = channel.read(1 << 16) if ready else b""
             if not data:

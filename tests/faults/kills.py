@@ -30,7 +30,7 @@ import tg4mm.show.measure
 import tg4mm.show.render
 from tests.faults.commands import COMMANDS
 from tg4mm.cli import main as program
-from tg4mm.core.temporary import is_temporary
+from tg4mm.core.files import is_temporary
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds
 _REPLACE = os.replace

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from tests.faults.mutate import Mutation
-from tg4mm.core.records import write_sealed
+from tg4mm.core.untrusted import write_sealed
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
 from tg4mm.research.paper.model import PaperConfig, save_model, save_planes

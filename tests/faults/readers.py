@@ -21,27 +21,23 @@ from dataset_gen.tree import work_folder
 from dataset_gen.vibration import read_motion
 from tests.capture.sfm.test_recording_files import tone, write_cine, write_photron
 from tests.capture.sfm.videos import still, write_video
-from tests.faults.containers import of_npz, of_png, of_tensors
-from tests.faults.mutate import of_bytes, of_header, of_json, of_text
+from tests.faults.mutate import of_bytes, of_header, of_json, of_npz, of_png, of_tensors, of_text
 from tests.faults.reader import Reader, T, gaussians, motion, paper_run, reading, record, run_of, sample
 from tests.faults.readers_captures import CAPTURES
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
 from tests.faults.readers_splats import SPLATS
 from tests.helpers.bodies_file import FOUND
-from tg4mm.capture.sfm.clip import WHOLE, Clip
+from tg4mm.capture.sfm.clip import WHOLE, Clip, Sources
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.defects import is_fixed, stretches_of
 from tg4mm.capture.sfm.scale import checked_length, read_length
-from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.staging import exif_turns
 from tg4mm.capture.sfm.survey import survey_clip
 from tg4mm.capture.video import video_frames, video_info
-from tg4mm.core.pictures.decode import decode
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import decode, read_png
 from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
-from tg4mm.core.steps import run_steps
-from tg4mm.core.work_folder import WorkFolder
+from tg4mm.core.work_folder import WorkFolder, run_steps
 from tg4mm.research.demo import STEPS_FILE
 from tg4mm.research.evaluate.lpips import _read
 from tg4mm.research.paper.model import load_model, load_planes, plane_video

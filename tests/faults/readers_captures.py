@@ -9,8 +9,7 @@ from PIL import Image
 
 from dataset_gen.report.page import find
 from tests.capture.conftest import write_folder, write_tree
-from tests.faults.containers import of_npz, of_png
-from tests.faults.mutate import of_bytes, of_header, of_json, of_text
+from tests.faults.mutate import of_bytes, of_header, of_json, of_npz, of_png, of_text
 from tests.faults.reader import Reader, T
 from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images

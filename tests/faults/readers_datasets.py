@@ -12,8 +12,7 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.report.page import read_picture
 from dataset_gen.sources.bodies_file import check
 from dataset_gen.sources.mesh_file import count_not_finite
-from tests.faults.containers import of_npz, of_sealed
-from tests.faults.mutate import of_bytes, of_header, of_json
+from tests.faults.mutate import of_bytes, of_header, of_json, of_npz, of_sealed
 from tests.faults.reader import Reader, reading, record, sample
 from tg4mm.capture.sfm.engine import colmap
 from tg4mm.capture.sfm.mapping import registered, save_model, saved_model

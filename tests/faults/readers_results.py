@@ -8,8 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from tests.faults.containers import of_sealed, of_tensors
-from tests.faults.mutate import of_bytes, of_json, of_text
+from tests.faults.mutate import of_bytes, of_json, of_sealed, of_tensors, of_text
 from tests.faults.reader import Reader, T, paper_run, reading, record, run_of, sample, sealed
 from tests.show.measure import filmed
 from tests.show.measure.filmed import modes, of_parts, sine

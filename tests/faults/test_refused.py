@@ -1,11 +1,27 @@
 """Input that is refused leaves nothing behind, and the corrected call works."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from tests.capture.sfm.videos import still, write_video
 from tests.cli.test_program import refused, tg4mm
+
+# kills after a rename, and the step between two
+RENAMES = {"train": ("40", "1"), "train-paper-tuned": ("40", "5")}
+COMMANDS = (
+    *RENAMES,
+    "render",
+    "measure",
+    "sfm",
+    "sfm-photographs",
+    "generate",
+    "export-usd",
+    "convert-colmap",
+)
 
 
 def pictures(folder, size):
@@ -39,3 +55,18 @@ def test_the_corrected_call_takes_the_folder_of_the_refused_one(tmp_path):
 def test_words_that_are_no_value_are_refused(words):
     pytest.importorskip("bpy")
     refused(tg4mm(*words))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_is_killed_loses_nothing(command, repo_root):
+    """In a process of its own: a fork of one that has used threads would hang."""
+    if command == "generate":
+        pytest.importorskip("bpy")
+    renames, step = RENAMES.get(command, ("0", "1"))
+    words = [sys.executable, "-m", "tests.faults.kills", "--kills", "3", "--command", command]
+    words += ["--renames", renames, "--step", step]
+    done = subprocess.run(words, cwd=repo_root, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "seed 0: nothing lost" in done.stdout

@@ -8,7 +8,7 @@ import pytest
 from tests.helpers.space_train import Killed
 from tg4mm.fit.motion.checkpoints import Arrays
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.run.stages.motion import RunCheckpoint
+from tg4mm.run.stages import RunCheckpoint
 
 NEVER = -1
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from tests.core.splatfile.conftest import random_splat
 from tg4mm.core.splatfile import SplatFile
-from tg4mm.core.splatfile.axes import y_up
+from tg4mm.core.splatfile.formula import y_up
+from tg4mm.core.splatfile.ply import write_splat
 from tg4mm.core.splatfile.spz import write_spz
-from tg4mm.core.splatfile.write import write_splat
 from tg4mm.show.export.gltf import write_glb
 
 C0 = 0.28209479177387814

@@ -1,15 +1,30 @@
 """The run folder: files read back as written, a kill costs nothing finished, foreign files are refused."""
 
+import json
 import re
+import subprocess
+import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, safe_open, save_file
 
 from tests.helpers.runs import SETTINGS, gaussians, modal, refused
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
+from tg4mm.run.tensor_file import model_hash
+
+HOLD = """
+import sys, time
+from tg4mm.run.config import work_folder
+with work_folder(sys.argv[1]).held("trains it"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
 
 
 @pytest.fixture
@@ -210,3 +225,81 @@ class TestLog:
             "space": {"seconds": 5.5, "peak_memory_mib": 300.0, "psnr": 25.0},
             "motion": {"seconds": 1.0},
         }
+
+
+@contextmanager
+def held(run):
+    """Another process that holds the run."""
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(run)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_second_process_gets_one_line_and_exit_code_2(tmp_path, capsys):
+    data, run = tmp_path / "data", tmp_path / "run"
+    make_synthetic_dataset(data, n_views=2, n_timesteps=1, size=24, alphas=(), n_test=0)
+    command = ["train", str(data), "--out", str(run), "--set", "space.iterations=5"]
+    with held(run) as other:
+        assert main(command) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert f"{run} is in use: another process trains it" in error
+        assert [p.name for p in run.iterdir()] == [".lock"]
+        other.kill()
+        other.wait()
+        assert main(command) == 0, capsys.readouterr().err  # what a killed one left blocks nobody
+    assert {p.name for p in run.iterdir()} == {"config.json", "log.json", "space.safetensors"}
+
+
+def written(folder, settings=SETTINGS, scale=1.0, fps=30.0):
+    run = Run.create(folder, folder.parent, "modal", settings)
+    run.save_space(gaussians(), {"seconds": 1.0})
+    motion = modal()
+    motion = type(motion)(motion.freqs_hz, motion.displacement * np.float32(scale), motion.rotation, fps, 30)
+    run.save_motion(motion, {})
+    return run.path
+
+
+def reordered(file):
+    """The same file as another writer may make it: keys of the header in another order."""
+    with safe_open(file, framework="pt") as opened:
+        meta = opened.metadata()
+    data = file.read_bytes()
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    turned = dict(reversed(header.items())) | {"__metadata__": dict(sorted(meta.items(), reverse=True))}
+    text = json.dumps(turned).encode()
+    text += b" " * (-len(text) % 8)
+    file.unlink()  # tensors read before are maps of it
+    file.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + length :])
+
+
+def test_equal_models_in_other_folders_with_other_settings_have_one_digest(tmp_path):
+    a, b = written(tmp_path / "a"), written(tmp_path / "b", {"seed": 5})
+    assert model_hash(a) == model_hash(b)
+
+
+def test_the_order_of_a_files_header_does_not_matter(tmp_path):
+    run = written(tmp_path / "run")
+    before, tensors = model_hash(run), load_file(run / "space.safetensors")
+    bytes_before = (run / "space.safetensors").read_bytes()
+    reordered(run / "space.safetensors")
+    assert (run / "space.safetensors").read_bytes() != bytes_before
+    assert all(torch.equal(v, tensors[k]) for k, v in load_file(run / "space.safetensors").items())
+    assert model_hash(run) == before
+
+
+def test_another_value_another_frame_rate_and_a_missing_motion_give_other_digests(tmp_path):
+    variants = [
+        written(tmp_path / "a"),
+        written(tmp_path / "b", scale=1.5),
+        written(tmp_path / "c", fps=25.0),
+    ]
+    digests = {model_hash(run) for run in variants}
+    (variants[0] / "motion.safetensors").unlink()
+    assert len(digests | {model_hash(variants[0])}) == 4

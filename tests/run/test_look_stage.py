@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, texture, write_video
 from tg4mm.capture.sfm.reconstruct import reconstruct
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.run.train import train
 from tg4mm.show.measure import measure
 from tg4mm.show.measure.write import write_json_file

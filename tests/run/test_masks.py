@@ -9,7 +9,7 @@ from PIL import Image
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
-from tg4mm.capture.masks import mask_of, region_mask
+from tg4mm.capture.pictures import mask_of, region_mask
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError
 from tg4mm.run import Run

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.records import Record, as_number
+from tg4mm.core.untrusted import Record, as_number
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity

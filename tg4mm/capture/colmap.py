@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from tg4mm.capture.cameras import check_near
-from tg4mm.capture.confine import image_path, inside, portable
+from tg4mm.capture.frames import image_path, inside, portable
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.planes import say_once
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import View, assemble, for_each_there, in_order
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.records import Record
+from tg4mm.core.splatfile.formula import rotation_matrices
+from tg4mm.core.untrusted import Record
 
 if TYPE_CHECKING:
     from tg4mm.capture.sfm.undistort import Lens
@@ -92,13 +93,8 @@ def _pose(where: str, quaternion: np.ndarray, translation: np.ndarray) -> np.nda
     if not np.isfinite([norm, *translation]).all() or abs(norm - 1) > 1e-3:
         numbers = [round(float(x), 4) for x in (*quaternion, *translation)]
         raise CaptureError(f"{where}: has the pose {numbers}; expected a unit quaternion and a translation")
-    w, x, y, z = quaternion / norm
     pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    pose[:3, :3] = rotation_matrices(quaternion[None] / norm)[0]
     pose[:3, 3] = translation
     return pose
 
@@ -204,10 +200,8 @@ _TEXT = (_cameras, _images, _points)
 
 LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
 IMAGES, MASKS = "images", "masks"
-FOLDERS = (
-    "sparse/0",
-    "sparse",
-)  # where a model lies: COLMAP's mapper numbers its models, its undistorter does not
+# where a model lies: COLMAP's mapper numbers its models, its undistorter does not
+FOLDERS = ("sparse/0", "sparse")
 # Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")

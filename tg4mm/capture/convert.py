@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from tg4mm.capture.sfm.clip import save_png
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.files import json_digest, link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import progress
-from tg4mm.core.splatfile.axes import quats_of
+from tg4mm.core.splatfile.formula import quats_of
 from tg4mm.core.work_folder import WorkFolder
 
 POINTS = "points3d.ply"
@@ -118,11 +119,7 @@ def _colmap(capture: Capture, out: Path) -> Path:
         rows.append(f"{i + 1} {pose} {camera} {name}\n\n")  # the second line is of features: none
     size = f"{capture.width} {capture.height}"
     cameras = [f"{n} PINHOLE {size} {' '.join(map(repr, lens))}\n" for lens, n in lenses.items()]
-    points = (
-        SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-        if capture.points is None
-        else capture.points
-    )
+    points = capture.points or SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     spots = [
         f"{i} {x!r} {y!r} {z!r} {r} {g} {b} 0\n"
         for i, ((x, y, z), (r, g, b)) in enumerate(
@@ -130,12 +127,8 @@ def _colmap(capture: Capture, out: Path) -> Path:
         )
     ]
     for file, lines in (("points3D", spots), ("cameras", cameras), ("images", rows)):
-        write_atomic(model / f"{file}.txt", _writer("".join(lines)))
+        write_atomic(model / f"{file}.txt", partial(Path.write_text, data="".join(lines), encoding="utf-8"))
     return out
-
-
-def _writer(text: str) -> Any:
-    return lambda path: path.write_text(text, encoding="utf-8")
 
 
 @contextmanager

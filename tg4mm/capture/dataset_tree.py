@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tg4mm.capture import colmap, nerf_synthetic, nerfstudio
-from tg4mm.capture.confine import IMAGE_SUFFIXES, inside
+from tg4mm.capture.frames import IMAGE_SUFFIXES, inside
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import Scene, read_scene
 from tg4mm.capture.transforms import View, assemble, natural, read_views

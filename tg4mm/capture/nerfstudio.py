@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.cameras import distortion_of, read_intrinsics
-from tg4mm.capture.confine import portable
-from tg4mm.capture.frames import picture_header
+from tg4mm.capture.frames import picture_header, portable
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import View, assemble, timed, views_of_frames
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 from tg4mm.core.values import shown
 
 LAYOUT = "a nerfstudio folder (transforms.json)"

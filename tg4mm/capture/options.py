@@ -32,10 +32,6 @@ def keep_duplicates_option() -> Any:
     return option(False, about)
 
 
-def _seconds(milliseconds: float | None) -> float | None:
-    return None if milliseconds is None else milliseconds / 1e3
-
-
 def _length(given: _LENGTH | None) -> "Length | None":
     from tg4mm.capture.sfm.scale import Length
 
@@ -79,7 +75,7 @@ class RecordingConfig:
         "phones. [default: global shutter]",
         name="--readout",
         metavar="MS",
-        into=_seconds,
+        into=lambda ms: None if ms is None else ms / 1e3,
     )
     start_s: float = option(0.0, "Where to begin in every recording.", name="--from", unit="seconds")
     stop_s: float | None = option(

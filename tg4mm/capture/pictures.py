@@ -1,5 +1,7 @@
 """A capture's pictures, held once in memory, or on disk and decoded when their turn comes; both are read by strips.
 
+Masks say which pixels count (white), and where a person says that motion may be.
+
 From disk, what one camera saw is decoded when its turn comes and let go when another's does: T · H · W · 4 bytes, of
 which more than 256 MiB lie in a temporary file (`mapped_zeros`).
 """
@@ -10,18 +12,19 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from tg4mm.capture.frames import each_picture, picture, picture_header
 from tg4mm.capture.model import Capture
 from tg4mm.capture.window import Window
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import mapped_zeros, release
-from tg4mm.core.pictures.decode import THREADS
+from tg4mm.core.pictures.decode import THREADS, decode
 from tg4mm.core.progress import progress
 
 WHITE = (1.0, 1.0, 1.0)
@@ -162,9 +165,8 @@ class FilePictures:
 
     capture: Capture
     window: Window | None = None
-    _decoded: dict[tuple[int, ...], np.ndarray] = field(
-        default_factory=dict
-    )  # the most pictures that were asked for
+    # the most pictures that were asked for
+    _decoded: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -280,3 +282,74 @@ def pictures_for(capture: Capture) -> ImageStack | FilePictures:
     """All pictures in memory, each decoded once; of long captures they stay on disk."""
     fit = len(capture) * capture.height * capture.width * 4 <= IN_MEMORY
     return load_images(capture) if fit else FilePictures(capture)
+
+
+def mask_of(capture: Capture, i: int) -> np.ndarray | None:
+    """[H, W] bool of picture i, true where it counts; None where it has no mask.
+
+    Raises CaptureError for a mask of another size than its picture, and for one that leaves nothing.
+    """
+    path = capture.masks[i] if capture.masks else None
+    if path is None:
+        return None
+    lens = capture.lenses[i] if capture.lenses else None
+    size = (capture.width, capture.height)
+    own = (lens.taken_of or size) if lens is not None else size
+    white = _read(path, own)
+    if lens is not None:
+        shown = np.repeat(np.where(white, 255, 0).astype(np.uint8)[..., None], 3, axis=2)
+        white = lens.apply(shown)[..., 0] > 254  # what is ignored in part is ignored
+    return white
+
+
+def _read(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """[H, W] bool of a mask for a picture of (width, height)."""
+    state = path.stat()
+    return _read_once(path, size, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(64)
+def _read_once(path: Path, size: tuple[int, int], length: int, changed_ns: int) -> np.ndarray:
+    image = decode(path)
+    if image.shape[1::-1] != size:
+        raise CaptureError(
+            f"{path}: the mask is {image.shape[1]}×{image.shape[0]} pixels, its picture {size[0]}×{size[1]}"
+        )
+    white = (image[..., :3].max(2) > 0) & (image[..., 3] > 0)
+    return _not_empty(white, str(path))
+
+
+def _not_empty(white: np.ndarray, name: str) -> np.ndarray:
+    if not white.any():
+        raise CaptureError(f"{name}: the mask is empty: no pixel of the picture is left")
+    return white
+
+
+def region_mask(text: str, size: tuple[int, int]) -> np.ndarray:
+    """[H, W] bool of "X,Y X,Y X,Y …", a polygon in pixels, or of a PNG's path, for pictures of (width, height).
+
+    Raises CaptureError for a polygon of fewer than three corners, one with no pixel in it, a mask of another size, and
+    for a file that is not there.
+    """
+    corners = _corners(text)
+    if corners is None:
+        path = Path(text)
+        if not path.is_file():
+            raise CaptureError(f"{text!r} is neither a mask's file nor a polygon, X,Y X,Y X,Y in pixels")
+        return _read(path, size)
+    if len(corners) < 3:
+        raise CaptureError(f"{text!r} has {len(corners)} corners, a polygon has three or more")
+    image = Image.new("1", size)
+    ImageDraw.Draw(image).polygon([(x - 0.5, y - 0.5) for x, y in corners], fill=1)
+    return _not_empty(np.array(image, bool), repr(text))
+
+
+def _corners(text: str) -> list[tuple[float, float]] | None:
+    """None for what is no list of pairs of numbers."""
+    try:
+        pairs = [tuple(float(n) for n in part.split(",")) for part in text.split()]
+    except ValueError:
+        return None
+    if not pairs or any(len(p) != 2 or not np.isfinite(p).all() for p in pairs):
+        return None
+    return [(p[0], p[1]) for p in pairs]

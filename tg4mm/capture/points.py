@@ -6,7 +6,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 
 from tg4mm.capture.cameras import FAR
-from tg4mm.capture.confine import inside
+from tg4mm.capture.frames import inside
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic

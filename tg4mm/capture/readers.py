@@ -16,13 +16,8 @@ from tg4mm.core.errors import CaptureError, MissingSplitError
 
 _LOG = logging.getLogger("tg4mm")
 _SAID: set[Path] = set()  # datasets whose origin has been said
-READERS = (
-    real_captures,
-    dataset_tree,
-    nerf_synthetic,
-    nerfstudio,
-    colmap,
-)  # the first that recognises a folder reads it
+# the first that recognises a folder reads it
+READERS = (real_captures, dataset_tree, nerf_synthetic, nerfstudio, colmap)
 
 
 def load_capture(path: str | Path, split: str = "train", magnification: int | float | None = None) -> Capture:

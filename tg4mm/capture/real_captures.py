@@ -13,13 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from tg4mm.capture import colmap
-from tg4mm.capture.confine import IMAGE_SUFFIXES, image_path, inside
+from tg4mm.capture.frames import IMAGE_SUFFIXES, image_path, inside
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import Scene, read_scene
 from tg4mm.capture.transforms import View, assemble, natural
 from tg4mm.core.choices import Kind
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 
 LAYOUT = "a capture of 3DMM (images/, sparse/0/ and video_frames_1/, or dynamic_start in scene.json)"
 FRAMES = "video_frames_1"

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.confine import inside
-from tg4mm.capture.timing import CLOCKS
+from tg4mm.capture.frames import inside
+from tg4mm.capture.model import CLOCKS
 from tg4mm.core.choices import KINDS, Kind
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 from tg4mm.core.values import Maybe, Number, check_form
 
 FORMAT_VERSION = 1

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.pictures import tiff
+from tg4mm.core.pictures import decode
 from tg4mm.core.pictures.decode import DAMAGE
 
 TIFF_SUFFIXES = (".tif", ".tiff")
@@ -64,14 +64,14 @@ def stack_pictures(path: Path) -> Iterator[np.ndarray]:
         return
     _pages(path)
     try:
-        yield from tiff.decode_pages(path)
+        yield from decode.decode_pages(path)
     except DAMAGE as error:
         raise CaptureError(f"{path}: cannot be decoded: {' '.join(str(error).split())}") from error
 
 
 def _pages(path: Path) -> int:
     try:
-        count = tiff.page_count(path)
+        count = decode.page_count(path)
     except DAMAGE as error:
         raise CaptureError(
             f"{path}: is no TIFF that can be decoded: {' '.join(str(error).split())}"

@@ -13,17 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
-from tg4mm.capture.confine import MissingPictureError, image_path, inside, portable
-from tg4mm.capture.frames import frame_of, picture_header
-from tg4mm.capture.model import Capture, SurfacePoints
+from tg4mm.capture.frames import MissingPictureError, frame_of, image_path, inside, picture_header, portable
+from tg4mm.capture.model import Capture, SurfacePoints, check_times, times_of_timesteps
 from tg4mm.capture.planes import say_once
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import Scene
-from tg4mm.capture.timing import check_times, times_of_timesteps
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.files import argument
 from tg4mm.core.pictures.decode import THREADS
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 from tg4mm.core.values import shown
 
 if TYPE_CHECKING:

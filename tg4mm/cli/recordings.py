@@ -165,7 +165,7 @@ def train(options: TrainOptions) -> None:
 
 def list_settings() -> int:
     """Print the settings of all presets; return the exit code."""
-    from tg4mm.core.settings import listed
+    from tg4mm.core.options import listed
     from tg4mm.run.preset import presets
 
     for preset, chosen in presets().items():

@@ -99,7 +99,7 @@ def warn_too_far(run: Run, plan: Magnification) -> None:
 def render(options: RenderOptions) -> None:
     """Run `tg4mm render`."""
     given = _check_render(options)
-    from tg4mm.core.splatfile.drawable import parsed_frequencies
+    from tg4mm.core.splatfile.model import parsed_frequencies
     from tg4mm.fit.device import check_device
     from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
     from tg4mm.show.render.sequence import RenderRequest, render_orbit, render_path, render_sequence
@@ -193,7 +193,7 @@ def measure(options: MeasureOptions) -> None:
     """Run `tg4mm measure`."""
     require("--fps", options.fps, Maybe(POSITIVE), Tg4mmError)
     require("--readout", options.readout, Maybe(NOT_NEGATIVE), Tg4mmError)
-    from tg4mm.core.temporary import remove_leftovers
+    from tg4mm.core.files import remove_leftovers
     from tg4mm.show.measure import measure as measured
     from tg4mm.show.measure import read_sensors
     from tg4mm.show.measure.video import is_video
@@ -211,9 +211,8 @@ def measure(options: MeasureOptions) -> None:
         print(write_measurement(found, o.out, o.animate, formats), end="")
 
 
-_Scene = tuple[
-    Callable[[], "Prepared"], list["Sensor"]
-]  # made when it is asked for; the sensors that were drawn
+# made when it is asked for; the sensors that were drawn
+_Scene = tuple[Callable[[], "Prepared"], list["Sensor"]]
 
 
 def _video_scene(options: MeasureOptions, sensors: Sequence[Sensor]) -> _Scene:

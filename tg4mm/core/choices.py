@@ -127,7 +127,7 @@ class Kind(_Fields, StrEnum):
 
 
 class Filter(StrEnum):
-    """Temporal filters (tg4mm/core/filters.py)."""
+    """Temporal filters (tg4mm/core/magnification.py)."""
 
     zero_phase = "zero-phase"
     ideal = "ideal"

@@ -33,10 +33,8 @@ _STOPS = np.array(
     ]
 )
 STILL = 0.55  # sRGB grey of what moves too little to have a phase
-STILL_BELOW, MOVES_ABOVE = (
-    0.1,
-    0.2,
-)  # of the scale's top: grey below, a phase's colour above, a mixture between
+# of the scale's top: grey below, a phase's colour above, a mixture between
+STILL_BELOW, MOVES_ABOVE = (0.1, 0.2)
 
 
 def to_display(linear: np.ndarray) -> np.ndarray:

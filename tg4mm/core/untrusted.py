@@ -1,15 +1,24 @@
-"""JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked first."""
+"""JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked first.
+
+What tg4mm wrote may carry a digest of its other entries (`write_sealed`); it then is what was written, or is refused.
+`Record` checks values where they are read, so that an error names file, key and value.
+"""
 
 import errno
 import io
 import json
 import math
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import json_digest, write_json
+from tg4mm.core.values import Number, check_form, shown
 
 JSON_BYTES = 32 << 20  # 40,000 frames of a transforms.json; at worst some 25 times as much in memory
 YAML_BYTES = 64 << 10  # a description is a page; PyYAML reads 30 KiB a second where it lacks libyaml
@@ -21,6 +30,8 @@ DIGITS = 20  # of a whole number; past that no 64 bits hold it
 DEFLATE = 1032  # bytes, at most, that one byte packed by zlib stands for (zlib's technical notes)
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DEEP = f"is nested more than {DEPTH} deep"
+
+DIGEST = "digest"
 
 
 def read_json(path: Path, most: int = JSON_BYTES, finite: bool = False) -> Any:
@@ -232,3 +243,79 @@ def _array(data: bytes) -> np.ndarray:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160] or type(error).__name__
+
+
+def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
+    """Write an object of JSON values with a digest of it, atomically."""
+    write_json(path, {**values, DIGEST: json_digest(dict(values))})
+
+
+def read_formed(path: Path, form: Mapping[Any, Any]) -> dict[str, Any]:
+    """A JSON file of that form (`values`), without its digest.
+
+    Raises ValueError of one line, without the file's name, for what is no JSON, not what was written, or of another
+    form; and OSError.
+    """
+    values = read_json(path, finite=True)
+    digest = values.pop(DIGEST, None) if isinstance(values, dict) else None
+    if digest is not None and digest != json_digest(values):
+        raise ValueError("is damaged or edited: its content is not what was written")
+    check_form(values, form)
+    return dict(values)
+
+
+def as_number(value: Any) -> float:
+    """A JSON number as float, NaN for anything else (booleans and numbers past float's range too)."""
+    return float(value) if Number().fits(value) else math.nan
+
+
+@dataclass(frozen=True)
+class Record:
+    """A JSON object and where it came from; its getters raise CaptureError with both."""
+
+    where: str  # file, and the part of it
+    values: dict[str, Any]
+
+    def error(self, key: str, expected: str) -> CaptureError:
+        """CaptureError saying what `key` is and what it should be."""
+        if key not in self.values:
+            return CaptureError(f"{self.where}: {key} is missing; expected {expected}")
+        return CaptureError(f"{self.where}: {key} is {shown(self.values[key])}; expected {expected}")
+
+    def has(self, key: str) -> bool:
+        """Return whether `key` exists with a value other than null."""
+        return self.values.get(key) is not None
+
+    def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
+        """A finite number with low < number < high."""
+        rule = Number(low, high, above=True, below=True)
+        if not rule.fits(self.values.get(key)):
+            raise self.error(key, str(rule))
+        return float(self.values[key])
+
+    def whole(self, key: str, at_least: int) -> int:
+        """A whole number of at least `at_least` (30.0 counts as whole)."""
+        value = as_number(self.values.get(key))
+        if not (value.is_integer() and value >= at_least):
+            raise self.error(key, f"a whole number of at least {at_least}")
+        return int(value)
+
+    def text(self, key: str) -> str:
+        """A string that is not empty."""
+        value = self.values.get(key)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, "a non-empty string")
+        return value
+
+
+def read_record(path: Path) -> Record:
+    """A JSON file whose top level is an object."""
+    try:
+        values = read_json(path)
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise CaptureError(f"{path}: is not valid JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise CaptureError(f"{path}: holds {shown(values)}; expected a JSON object {{…}}")
+    return Record(str(path), values)

@@ -3,22 +3,31 @@
 What was asked for stands in a JSON file of the folder, its record. Files of unfinished work lie beside it under
 temporary names; a kill loses what was not finished, and nothing else. Needs Python's own library alone, and for the
 lock the package filelock: inside Blender's own Python, which lacks it, nothing is held.
+
+`run_steps` fills such a folder one step after another: finished steps are skipped, what depends on a changed one is
+made anew. `Checkpoint` saves a run's unfinished stage now and then, beside the seconds that it has taken.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tg4mm.core.errors import RunError, Tg4mmError, system_says
-from tg4mm.core.files import give_back, write_json
-from tg4mm.core.temporary import is_temporary, remove_leftovers
+from tg4mm.core.files import give_back, is_temporary, remove_leftovers, write_json
 from tg4mm.core.untrusted import read_json
 
 LOCK = ".lock"  # in the folder, while a process holds it
 _LONGEST = 80  # characters of a value in a message
+
+Say = Callable[[str], None]
+
+CHEAP_S = 0.4  # if saving takes longer, saves are so many times rarer
+Stored = tuple[dict[str, Any], dict[str, Any]]  # tensors by name, and the rest of the state, in JSON's types
+Check = Callable[[Mapping[str, Any], Mapping[str, Any]], None]  # raises RunError
 
 
 @dataclass(frozen=True)
@@ -60,10 +69,8 @@ class WorkFolder:
         try:
             yield
         except Tg4mmError:
-            if is_new and {p.name for p in self.path.iterdir()} <= {
-                self.record,
-                LOCK,
-            }:  # refused before any work
+            # refused before any work
+            if is_new and {p.name for p in self.path.iterdir()} <= {self.record, LOCK}:
                 self._file.unlink(missing_ok=True)
             raise
         finally:
@@ -88,13 +95,7 @@ class WorkFolder:
         """Return the record's contents, or None if there is none. Raises if it is not a JSON object."""
         if not self._file.exists():
             return None
-        try:
-            found = read_json(self._file, finite=True)
-        except (OSError, ValueError) as error:
-            raise self.error(f"{self._file} is not readable JSON: {error}") from None
-        if not isinstance(found, dict):
-            raise self.error(f"{self._file} holds {type(found).__name__}, expected an object")
-        return found
+        return read_object(self._file, self.error)
 
     def claim(
         self,
@@ -140,6 +141,17 @@ class WorkFolder:
             )
 
 
+def read_object(file: Path, error: type[Tg4mmError] = RunError) -> dict[str, Any]:
+    """Read a JSON object. Raises `error` if the file is torn or holds anything else."""
+    try:
+        found = read_json(file, finite=True)
+    except (OSError, ValueError) as problem:
+        raise error(f"{file} is not readable JSON: {problem}") from None
+    if not isinstance(found, dict):
+        raise error(f"{file} holds {type(found).__name__}, expected an object")
+    return found
+
+
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested values by dotted names, as on the command line: {"space": {"seed": 0}} is space.seed."""
     out: dict[str, Any] = {}
@@ -152,3 +164,152 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _shown(values: Mapping[str, Any], key: str) -> str:
     text = json.dumps(values[key], ensure_ascii=False) if key in values else "(not set)"
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step: its outputs, inputs and action."""
+
+    name: str
+    title: str  # as it is said
+    result: Path  # file or folder that is there once the step is done
+    work: Callable[[], object]  # goes on by itself where a kill left it
+    # JSON values that the result depends on; a function where the steps before it say which
+    asked: Mapping[str, Any] | Callable[[], Mapping[str, Any]] = field(default_factory=dict)
+    after: Sequence[str] = ()  # names of the steps whose results it reads
+    folder: Path | None = None  # holds the result; None: the result itself
+    in_place: bool = False  # another request changes the result; else its folder is moved aside first
+
+
+def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Step], say: Say) -> None:
+    """Do what is left of `steps` in a folder that was claimed with `record`, whose entry `done` holds what is done.
+
+    A step is done again where what it was asked for has changed, where its result is gone, and where a step that it
+    reads was done again. A folder made of other input or with other options is kept as NAME_1, NAME_2 …, and said; a
+    file is replaced.
+    """
+    found = (folder.read() or {}).get("done")
+    done: dict[str, dict[str, Any]] = (
+        {k: v for k, v in found.items() if isinstance(v, dict)} if isinstance(found, dict) else {}
+    )
+
+    def write() -> None:
+        write_json(folder.path / folder.record, {**record, "done": done})
+
+    for number, step in enumerate(steps, 1):
+        label = f"[{number}/{len(steps)}] {step.title}"
+        asked = json.loads(json.dumps(step.asked() if callable(step.asked) else step.asked))
+        entry = done.get(step.name)
+        if entry and entry.get("asked") == asked and "seconds" in entry and step.result.exists():
+            say(f"{label}: already done")
+            continue
+        if (entry is None or entry.get("asked") != asked) and not step.in_place:
+            _set_aside(step.folder or step.result, say)
+        for name in _dependents(step.name, steps):
+            done.pop(name, None)
+        done[step.name] = {"asked": asked}  # begun: after a kill the same request goes on
+        write()
+        say(f"{label} …")
+        start = time.monotonic()
+        step.work()
+        done[step.name]["seconds"] = round(time.monotonic() - start, 2)
+        write()
+        say(f"{label}: {clock(time.monotonic() - start)}")
+
+
+def clock(seconds: float) -> str:
+    """65 as 1 min 05 s."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def _dependents(name: str, steps: Sequence[Step]) -> set[str]:
+    """Names of the steps that read the result of `name`, or of one that does."""
+    found = {name}
+    for step in steps:  # in order, so that one pass is enough
+        if found & set(step.after):
+            found.add(step.name)
+    return found - {name}
+
+
+def _set_aside(path: Path, say: Say) -> None:
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    number = 1
+    while (kept := path.with_name(f"{path.name}_{number}")).exists():
+        number += 1
+    path.rename(kept)
+    say(f"{path} was made of other input or with other options: kept as {kept.name}")
+
+
+class Store(Protocol):
+    """A run folder, `tg4mm.run.Run`."""
+
+    def load_checkpoint(self, stage: str) -> Stored | None:
+        """Return what was saved last, None if nothing was."""
+
+    def save_checkpoint(self, stage: str, tensors: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+        """Replace what was saved."""
+
+    def drop_checkpoint(self, stage: str) -> None:
+        """Remove what was saved."""
+
+    def record(self, stage: str, info: Mapping[str, Any]) -> None:
+        """Add figures of the stage to the log."""
+
+    def part_file(self, name: str) -> Path:
+        """Return the file of a part of the run."""
+
+
+class Checkpoint:
+    """The checkpoint of one stage in a store; without a store nothing is saved, and a fit begins anew each time."""
+
+    def __init__(self, store: Store | None = None, stage: str = "") -> None:
+        self._store, self.stage = store, stage
+        self._recorded = self._saved = time.monotonic()
+        self._rarer = 1.0
+
+    @property
+    def unrecorded_s(self) -> float:
+        """Seconds that the stage has taken and the log does not contain yet."""
+        return time.monotonic() - self._recorded
+
+    def load(self, check: Check = lambda tensors, state: None) -> Stored | None:
+        """Return what was saved last, None if nothing was.
+
+        Raises RunError, naming the file, if `check` does: the stage cannot continue from it.
+        """
+        stored = None if self._store is None else self._store.load_checkpoint(self.stage)
+        if self._store is None or stored is None:
+            return None
+        try:
+            check(*stored)
+        except RunError as error:
+            file = self._store.part_file(f"checkpoint_{self.stage}")
+            raise RunError(f"{file}: {error}; delete it to start the {self.stage} stage again") from None
+        return stored
+
+    def is_due(self, every_s: float) -> bool:
+        """Return whether the last save was so many seconds ago; more, if saving takes long."""
+        return self._store is not None and time.monotonic() - self._saved > every_s * self._rarer
+
+    def save(self, tensors: Mapping[str, Any], state: Mapping[str, Any], **figures: Any) -> None:
+        """Save the state, and add the seconds since the last save and the figures to the log."""
+        if self._store is None:
+            return
+        begun = time.monotonic()
+        self._store.save_checkpoint(self.stage, tensors, state)
+        self.record(**figures)
+        self._saved = time.monotonic()
+        self._rarer = max(1.0, (self._saved - begun) / CHEAP_S)
+
+    def record(self, **figures: Any) -> None:
+        """Add the seconds since the last call, and figures, to the log."""
+        if self._store is not None:
+            self._store.record(self.stage, {"seconds": self.unrecorded_s, **figures})
+        self._recorded = self._saved = time.monotonic()
+
+    def drop(self) -> None:
+        """Remove what was saved: the stage is finished."""
+        if self._store is not None:
+            self._store.drop_checkpoint(self.stage)

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.steps import Step, clock, run_steps
-from tg4mm.core.work_folder import WorkFolder
+from tg4mm.core.work_folder import Step, WorkFolder, clock, run_steps
 
 STEPS_FILE = "demo.json"
 ALPHA = 20.0

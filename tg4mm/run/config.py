@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from tg4mm.core import __version__, untrusted
+from tg4mm.core import __version__
 from tg4mm.core.errors import RunError
 from tg4mm.core.values import require
 from tg4mm.core.work_folder import WorkFolder
@@ -47,10 +47,10 @@ def _from_run(dataset: PurePath, path: PurePath) -> str:
 
 def read_config(path: Path) -> dict[str, Any]:
     """config.json of the run folder `path`. Raises RunError if it is missing, torn or foreign."""
-    file = path / "config.json"
-    if not file.is_file():
+    folder = work_folder(path)
+    if (config := folder.read()) is None:
         raise RunError(f"{path} is not a run folder: it has no config.json")
-    config = read_json(file)
+    file = path / folder.record
     found = config.get("format"), config.get("kind")
     if found != (FORMAT, "run"):
         raise RunError(f"{file} is not a tg4mm run: format {found[0]!r}, kind {found[1]!r}")
@@ -61,17 +61,6 @@ def read_config(path: Path) -> dict[str, Any]:
     for stage in _STAGES:
         require(f"{file}: settings of {stage}", config["settings"].get(stage, {}), dict, RunError)
     return config
-
-
-def read_json(file: Path) -> dict[str, Any]:
-    """A JSON object. Raises RunError if `file` is torn or holds anything else."""
-    try:
-        value = untrusted.read_json(file, finite=True)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{file} is not readable JSON: {error}") from None
-    if not isinstance(value, dict):
-        raise RunError(f"{file} holds {type(value).__name__}, expected an object")
-    return value
 
 
 def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:

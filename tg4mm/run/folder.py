@@ -25,7 +25,8 @@ from torch import Tensor
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json, write_json
-from tg4mm.core.settings import of_file
+from tg4mm.core.options import of_file
+from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
@@ -44,7 +45,6 @@ from tg4mm.run.config import (
     dataset_folder,
     new_config,
     read_config,
-    read_json,
     request_of,
     work_folder,
 )
@@ -285,8 +285,8 @@ class Run:
 
     def log(self) -> dict[str, Any]:
         """{stage: figures}; {} before anything was recorded. Raises RunError if torn or of another form."""
-        file = self.path / "log.json"
-        return checked_log(read_json(file), str(file)) if file.exists() else {}
+        folder = WorkFolder(self.path, "log.json")
+        return checked_log(folder.read() or {}, str(self.path / folder.record))
 
     def _file(self, kind: str) -> Path:
         return self.path / f"{kind}.safetensors"

@@ -8,7 +8,7 @@ import numpy as np
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json
-from tg4mm.core.records import read_formed
+from tg4mm.core.untrusted import read_formed
 from tg4mm.core.values import NOT_NEGATIVE, Just, Maybe, Number, check_form
 
 _HZ = [NOT_NEGATIVE]

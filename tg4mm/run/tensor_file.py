@@ -13,8 +13,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.files import write_atomic
-from tg4mm.core.temporary import WINDOWS
+from tg4mm.core.files import WINDOWS, write_atomic
 from tg4mm.core.untrusted import parse_json
 
 FORMAT = "tg4mm"
@@ -73,7 +72,9 @@ def read_tensors(path: Path, kind: str, version: int) -> tuple[dict[str, Tensor]
         raise
     # The package and torch report damage by many types: SafetensorError, RuntimeError, KeyError of a type.
     except Exception as error:
-        raise RunError(f"{path} is truncated or not a safetensors file: {_one_line(error)}") from None
+        raise RunError(
+            f"{path} is truncated or not a safetensors file: {' '.join(str(error).split())}"
+        ) from None
     texts = {k: v for k, v in meta.items() if k != DIGEST}
     if DIGEST in meta and meta[DIGEST] != _digest(stored, texts):
         raise RunError(f"{path} is damaged or edited: its content is not what was written")
@@ -117,10 +118,6 @@ def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
         if tensor.numel():  # of a run without motion there are none
             digest.update(np.ascontiguousarray(tensor.numpy()).data)
     return digest.hexdigest()
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def model_hash(run_path: Path) -> str:

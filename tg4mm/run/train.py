@@ -11,7 +11,7 @@ from tg4mm.capture.cameras import check_depth_observable, check_picture_size
 from tg4mm.capture.readers import READERS
 from tg4mm.capture.transforms import train_command, whole_dataset
 from tg4mm.core.errors import CaptureError, Tg4mmError
-from tg4mm.core.settings import unknown
+from tg4mm.core.options import unknown
 from tg4mm.fit.device import check_device
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told, check_shows_motion
@@ -87,7 +87,7 @@ def _capture(dataset: Path) -> Capture:
             raise CaptureError(f"{dataset}: is no dataset, but {what}: {train_command(root)}")
         _LOG.warning(f"{dataset}: is {what}, by itself a still scene; with its motion: {train_command(root)}")
     if dataset.is_file() or (dataset.is_dir() and not any(reader.recognises(dataset) for reader in READERS)):
-        from tg4mm.capture.sfm.sources import suggested_command
+        from tg4mm.capture.sfm.clip import suggested_command
 
         if (command := suggested_command(dataset)) is not None:
             raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")

@@ -36,8 +36,7 @@ from tg4mm.core.options import (
 
 if TYPE_CHECKING:
     from tg4mm.capture.options import SfmConfig
-    from tg4mm.core.regions import Regions
-    from tg4mm.core.scale import Scale
+    from tg4mm.core.regions import Regions, Scale
     from tg4mm.show.measure import Measurement, Sensor
     from tg4mm.show.report.sources import Shown
 

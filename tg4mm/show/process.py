@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import load_capture
-from tg4mm.capture.sfm.clip import Clip, clip_frames
+from tg4mm.capture.sfm.clip import Clip, Sources, clip_frames, find_sources
 from tg4mm.capture.sfm.config import SCENE_ONLY, SfmConfig, checked, files_of
 from tg4mm.capture.sfm.reconstruct import reconstruct
-from tg4mm.capture.sfm.sources import Sources, find_sources
 from tg4mm.capture.video import video_info
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import RunError
@@ -19,9 +18,8 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import few_lines
-from tg4mm.core.steps import Say, Step, run_steps
 from tg4mm.core.untrusted import read_json
-from tg4mm.core.work_folder import WorkFolder
+from tg4mm.core.work_folder import Say, Step, WorkFolder, run_steps
 from tg4mm.fit.motion.observations import check_band_told, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train

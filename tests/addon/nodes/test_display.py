@@ -5,7 +5,7 @@ import pytest
 
 from tests.addon.conftest import some_splat
 from tg4mm.core.splatfile import positions_at, read_splat, write_splat
-from tg4mm.core.splatfile.axes import harmonics
+from tg4mm.core.splatfile.formula import harmonics
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 

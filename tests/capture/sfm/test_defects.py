@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
-from tg4mm.capture.sfm.defects import check_usable, is_fixed, warn_bumps, warn_clocks
-from tg4mm.capture.sfm.light import warn_light
+from tg4mm.capture.sfm.defects import check_usable, is_fixed, warn_bumps, warn_clocks, warn_light
 from tg4mm.capture.sfm.steadiness import find_bumps
 from tg4mm.cli import main
 

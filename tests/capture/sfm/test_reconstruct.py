@@ -11,9 +11,9 @@ from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, surface_d
 from tests.capture.sfm.videos import still
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.cameras import optical_axes
+from tg4mm.capture.sfm.clip import find_sources
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
-from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 

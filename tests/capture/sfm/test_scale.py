@@ -10,9 +10,8 @@ import pytest
 
 from tests.capture.sfm.scenes import orbit
 from tg4mm.capture.sfm.config import SfmConfig, checked
-from tg4mm.capture.sfm.depth import CLICK_PX, triangulated
 from tg4mm.capture.sfm.points import Similarity
-from tg4mm.capture.sfm.scale import Length, measured_length, read_length
+from tg4mm.capture.sfm.scale import CLICK_PX, Length, measured_length, read_length, triangulated
 from tg4mm.capture.sfm.staging import Shot
 from tg4mm.core.errors import Tg4mmError
 

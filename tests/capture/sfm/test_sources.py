@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.capture.sfm.scenes import save
+from tg4mm.capture.sfm.clip import find_sources, suggested_command
 from tg4mm.capture.sfm.kind import possible_kinds
-from tg4mm.capture.sfm.sources import find_sources, suggested_command
 from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError

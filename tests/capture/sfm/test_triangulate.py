@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from tests.capture.sfm.scenes import intrinsics, orbit, picture, surface_distance
+from tests.capture.sfm.scenes import CENTRE, intrinsics, orbit, picture, save, surface_distance
 from tests.fit.space.scenes import views_of
-from tg4mm.capture.sfm import triangulate_views
-from tg4mm.capture.sfm.points import outside_masks
+from tg4mm.capture import load_capture
+from tg4mm.capture.cameras import optical_axes
+from tg4mm.capture.sfm import engine, mapping, reconstruct, triangulate_views
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.engine import most_alike
+from tg4mm.capture.sfm.points import DISTANCE, Similarity, outside_masks, up_axis, world_of
 from tg4mm.fit.space import initial
 from tg4mm.fit.space.initial import initial_points
 
@@ -75,3 +80,85 @@ class TestStart:
             first = initial_points(plain, None, "sfm", 300, np.random.default_rng(0))
         assert first.source.startswith("hull (sfm found ")
         assert len(first.xyz) == initial.FEWEST
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    """Twelve of a box, and one of something else."""
+    size = (240, 180)
+    for i, viewmat in enumerate(orbit(12, turn=2.4)):
+        save(tmp_path / "in" / f"p_{i:02d}.png", picture(viewmat, intrinsics(*size, 250.0), size))
+    noise = np.random.default_rng(0).integers(0, 256, (18, 24, 3), np.uint8)
+    Image.fromarray(noise).resize(size, Image.Resampling.BICUBIC).save(tmp_path / "in" / "z.png")
+    return tmp_path / "in"
+
+
+def test_of_many_photographs_the_likely_pairs_place_all(photographs, tmp_path, monkeypatch):
+    """The one that is like none is tried with all others, the rest with their nearest alone."""
+    pytest.importorskip("pycolmap")
+    monkeypatch.setattr(engine, "CHOSEN_FROM", 6)
+    monkeypatch.setattr(engine, "most_alike", lambda alike: most_alike(alike, most=4))
+    asked: list[list[engine.Pair]] = []
+
+    def counting(database, some, *rest):
+        asked.append(some)
+        return engine.match(database, some, *rest)
+
+    monkeypatch.setattr(mapping, "match", counting)
+    with pytest.warns(
+        UserWarning, match=r"1 pictures could not be placed and are left out: photographs/z\.png"
+    ):
+        reconstruct.reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)
+    assert len(load_capture(tmp_path / "out").paths) == 12
+    tried = [frozenset(pair) for some in asked for pair in some]
+    assert len(tried) == len(set(tried)) < 13 * 12 // 2
+    assert sum("photographs/z.png" in pair for pair in tried) == 12
+
+
+def rotation(seed=0):
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return q * np.linalg.det(q)
+
+
+def elsewhere(viewmats, seed=0):
+    """The same cameras in a world that is turned, shifted and 7 times smaller."""
+    return Similarity(rotation(seed), 1 / 7, np.array([3.0, -2.0, 5.0])).viewmats(viewmats)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_orbit_comes_back_upright_centred_and_four_units_away(seed):
+    viewmats = elsewhere(orbit(12), seed)
+    world = world_of(viewmats, np.zeros((0, 3)))
+    centres, axes = optical_axes(world.viewmats(viewmats))
+    elevation = np.arcsin(centres[:, 2] / np.linalg.norm(centres, axis=1))
+    true_centres, _ = optical_axes(orbit(12))
+    true = np.arcsin((true_centres - CENTRE)[:, 2] / 4)
+    np.testing.assert_allclose(elevation, true, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(centres, axis=1).mean(), DISTANCE)
+    assert abs(axes[0, 0]) < 1e-9  # the first camera looks along +y
+    assert axes[0, 1] > 0
+    assert np.linalg.det(world.rotation) == pytest.approx(1)
+
+
+def test_up_is_across_to_the_pictures_rows_though_cameras_look_down():
+    """A quarter of a turn: the mean of the cameras' ups leans by tens of degrees, the rows do not."""
+    viewmats = orbit(8, turn=np.pi / 2, low=0.9, high=1.1)
+    mean_up = -viewmats[:, 1, :3].mean(0)
+    assert mean_up[2] / np.linalg.norm(mean_up) < 0.85
+    np.testing.assert_allclose(up_axis(viewmats), [0, 0, 1], atol=1e-9)
+
+
+def test_parallel_axes_take_the_points_middle():
+    viewmats = np.tile(np.eye(4), (3, 1, 1))
+    viewmats[:, 0, 3] = range(3)
+    xyz = np.array([[0, 0, 8.0], [0, 1, 8], [-1, 0, 8]])
+    world = world_of(viewmats, xyz)
+    np.testing.assert_allclose(world.centre, [0, 0, 8])
+
+
+def test_a_camera_straight_above_has_a_direction_too():
+    down = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]])
+    viewmats = np.concatenate([down[None], orbit(6)])
+    world = world_of(viewmats, np.zeros((0, 3)))
+    assert np.isfinite(world.rotation).all()
+    np.testing.assert_allclose(world.rotation @ world.rotation.T, np.eye(3), atol=1e-9)

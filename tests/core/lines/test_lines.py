@@ -9,6 +9,8 @@ from tg4mm.core.lines import find_lines, fit_line_near, fit_lines
 
 FPS = 30.0
 
+T = np.arange(480) / 120
+
 
 def ring(t, hz, ratio, begin=0.0):
     """Free decay of unit size that begins at `begin`; hz: of the oscillation, damped."""
@@ -168,9 +170,8 @@ def test_a_loss_too_small_to_be_seen_makes_no_amplitude_wrong():
 
 def test_a_tone_that_the_other_pictures_cannot_tell_from_its_mirror_image_is_that_of_all():
     t, rng = np.arange(200) / 30, np.random.default_rng(9)
-    values = np.cos(2 * np.pi * 3.72 * t) + 0.1 * rng.normal(
-        size=200
-    )  # a quarter of the rate has 3.75 half way
+    # a quarter of the rate has 3.75 half way
+    values = np.cos(2 * np.pi * 3.72 * t) + 0.1 * rng.normal(size=200)
     assert find_lines(values, t, between=np.arange(200) % 4 != 0).lines[0].hz == one(values, t).hz
 
 
@@ -297,3 +298,29 @@ def test_a_record_whose_columns_are_nearly_dependent_is_analysed():
     assert not is_lost, words
     assert others == 0, words
     assert abs(error) < 3, words
+
+
+def scores(loss, n=60):
+    """(decay − true) / ± over random ring-downs of which `loss`, a share of the first amplitude, is half lost."""
+    out = []
+    for seed in range(n):
+        rng = np.random.default_rng(seed)
+        decay, hz = 0.55 + rng.uniform(0, 0.9), rng.uniform(5, 30)
+        envelope = np.exp(-decay * T)
+        envelope *= envelope**2 / (envelope**2 + loss**2)
+        y = envelope * np.cos(2 * np.pi * hz * T + rng.uniform(0, 6)) + rng.normal(0, 0.02, len(T))
+        line = find_lines(y, T, most=1).lines[0]
+        out.append((line.decay_per_s - decay) / np.sqrt(line.covariance[1, 1]))
+    return np.array(out)
+
+
+def test_of_one_exponential_the_deviation_stays_true():
+    found = np.abs(scores(0.0))
+    assert 0.55 < (found < 1).mean() < 0.82
+    assert (found < 2).mean() > 0.88
+    assert found.max() < 4
+
+
+@pytest.mark.parametrize("loss", [0.1, 0.2])
+def test_where_small_motion_is_lost_the_deviation_says_so(loss):
+    assert np.abs(scores(loss)).max() < 3.5

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.filters import TemporalFilter, apply_response, bins
+from tg4mm.core.magnification import TemporalFilter, apply_response, bins
 from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig, _give, crop, pyramid, sub_bands, turn
 
 FPS, T, SIZE = 30.0, 30, 64

@@ -41,8 +41,8 @@ from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.reference import rasterize_dense
 from tg4mm.run import Run
-from tg4mm.run.poses import poses_of
-from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.preset import poses_of
+from tg4mm.run.stages import train_motion
 
 DARK = 0.015  # peak of the shadow's change, of 1: four levels of 8 bits
 

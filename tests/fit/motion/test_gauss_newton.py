@@ -22,8 +22,7 @@ from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures, exact_motion
 from tg4mm.run import Run
-from tg4mm.run.stages.motion import train_motion
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_motion, train_space
 from tg4mm.show.maps import blending_weights
 from tg4mm.show.render.image import render_image
 

@@ -18,7 +18,7 @@ from tg4mm.capture import ImageStack, load_capture, load_images
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.research.evaluate.displacement import displacement_figures
-from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages import train_motion
 from tg4mm.show.maps import blending_weights
 
 FREQS = (3.0, 6.0)  # the post's and the ball's

@@ -26,7 +26,7 @@ from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, residual_displac
 from tg4mm.research.evaluate.displacement import mean_squares
 from tg4mm.research.evaluate.scores import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages import train_motion
 from tg4mm.show.maps import blending_weights
 
 SIZE = 4 * BLOCK * 3 + 2  # the last blocks are cut off

@@ -12,7 +12,7 @@ from tg4mm.core.errors import RunError
 from tg4mm.fit.space import RestViews
 from tg4mm.fit.space import train as stage
 from tg4mm.run import Run
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 
 FILE = "checkpoint_space.safetensors"
 

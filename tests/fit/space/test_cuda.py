@@ -16,7 +16,7 @@ from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.checkpoint import pictures_digest
 from tg4mm.fit.space.targets import SceneUnit
 from tg4mm.fit.space.view import _render_cuda, render_view
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 
 SCENE = make_scene(0)
 SIZE = (SCENE.width, SCENE.height)

@@ -9,7 +9,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.density import EVERY
 from tg4mm.fit.space.levels import check_levels, level_at, levels, sampled
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 
 FULL = (1080, 1920)
 

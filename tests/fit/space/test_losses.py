@@ -12,7 +12,7 @@ from skimage.metrics import structural_similarity
 
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.fit.space.losses import photometric_loss, ssim
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 from tg4mm.show.render.image import render_image
 
 

@@ -12,7 +12,7 @@ from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.space import RestViews, SpaceConfig
 from tg4mm.fit.space.plane import FINEST, RIDGE, plane_gaussians, plane_psnr, quadtree, solve_colours
 from tg4mm.run import Run
-from tg4mm.run.stages.space import train_plane
+from tg4mm.run.stages import train_plane
 from tg4mm.show.render.image import render_image
 
 # at the origin of a world whose z is up, looking along +y

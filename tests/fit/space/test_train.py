@@ -11,7 +11,7 @@ from tg4mm.fit.space import RestViews, SpaceConfig, density
 from tg4mm.fit.space import train as stage
 from tg4mm.fit.space.levels import levels
 from tg4mm.run import Run
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 LEVELS = replace(SHORT, levels=2, gains=True)

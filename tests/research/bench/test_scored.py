@@ -12,7 +12,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import ssim_map
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.measure import AGREES, agreement, observed_figures, rms_motion
 from tg4mm.research.bench.scored import PROGRAMS, cameras_of, checkouts, score_pictures, video_of

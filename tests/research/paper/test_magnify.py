@@ -8,12 +8,11 @@ import torch
 
 from tests.research.paper.conftest import N_TIMESTEPS
 from tg4mm.cli import main
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.magnification import BandGain, Magnification, TemporalFilter
 from tg4mm.core.splatfile import read_splat
 from tg4mm.research.paper.model import load_model, load_planes, plane_video
 from tg4mm.research.paper.preset import FOLDER, series_of
-from tg4mm.run.poses import poses_of
+from tg4mm.run.preset import poses_of
 from tg4mm.show.export.lowpass import smoothing_of
 
 IDEAL = TemporalFilter("ideal")

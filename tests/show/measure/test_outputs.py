@@ -278,7 +278,7 @@ def test_what_compression_may_have_taken_is_in_the_levels(out, tmp_path, capsys)
 
 
 def test_a_picture_names_the_parts(run, out):
-    from tg4mm.core.pictures.frames import read_png
+    from tg4mm.core.pictures.decode import read_png
 
     picture = read_png(out / "regions.png").astype(int)
     coloured = np.ptp(picture, axis=2) > 60  # the ball, named; the whole scene is no part

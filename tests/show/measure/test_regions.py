@@ -10,7 +10,7 @@ from tests.helpers.look import found
 from tests.show.measure.filmed import of_parts, run_of, sine
 from tg4mm.capture.look.record import to_record
 from tg4mm.cli import main
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Scale
 from tg4mm.show.measure import MeasureError, measure, parse_sensor, prepare
 
 CORNERS = ((10.0, 12.0), (38.0, 8.0), (40.0, 42.0), (9.0, 36.0))

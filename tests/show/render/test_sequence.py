@@ -9,7 +9,7 @@ import pytest
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import read_png
 from tg4mm.show.render.cameras import capture_cameras, capture_path, orbit
 from tg4mm.show.render.image import render_image
 from tg4mm.show.render.sequence import RenderRequest, pose_of, render_orbit, render_path, render_sequence

@@ -6,7 +6,7 @@ import pytest
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.pictures import png
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.show.render.video import write_mp4
 
 

@@ -12,7 +12,7 @@ from tests.show.report.page_checks import check, read_page, words
 from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.research.evaluate.run import evaluate_run
 from tg4mm.run import Run
 from tg4mm.show.measure import measure

@@ -12,7 +12,7 @@ import pytest
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.colour import amount_colours
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.fit.motion.animate import animate
 from tg4mm.run import Run
 from tg4mm.show.maps import middle_depth

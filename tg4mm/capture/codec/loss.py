@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.codec.probe import Probe, is_lossless, probe
-from tg4mm.capture.codec.trial import Tone, through
+from tg4mm.capture.codec.trial import Probe, Tone, is_lossless, probe, through
 from tg4mm.capture.video import av_module
 from tg4mm.core.errors import Tg4mmError
 
@@ -27,10 +26,8 @@ SCATTER, BESIDE = 1.15, 0.05
 _TOO_LARGE = "it is too large for a test in seconds (tg4mm measure tests it)"
 _UNASKED = "the file names no encoder that can be tested"
 LOST = 0.5  # a gain below it is marked
-FRESH_PIXELS, FRESH_NOISE = (
-    0.15,
-    0.1,
-)  # equal pixels and the noise's correlation from frame to frame, at most,
+# equal pixels and the noise's correlation from frame to frame, at most,
+FRESH_PIXELS, FRESH_NOISE = (0.15, 0.1)
 FRESH = 0.08  # of what lost nothing; the deviation of its gain
 # Frames of the test, its periods of the slowest tone, both at least; the pixels of all its frames, at most.
 _FEWEST, _PERIODS, _PIXELS = 64, 6, 30e6

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture.codec import is_lossless
-from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.duplicates import DuplicateMeter
+from tg4mm.capture.frames import IMAGE_SUFFIXES
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, Picture, read_cells
 from tg4mm.capture.sfm.clip import (
     NAMES,

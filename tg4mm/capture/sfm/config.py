@@ -8,10 +8,10 @@ from typing import Any
 
 from tg4mm.capture.options import Matching, SfmConfig
 from tg4mm.capture.scene import read_scene
+from tg4mm.capture.sfm.clip import FEWEST, Sources
 from tg4mm.capture.sfm.scale import checked_length
-from tg4mm.capture.sfm.sources import FEWEST, Sources
 from tg4mm.core.errors import CaptureError, Tg4mmError
-from tg4mm.core.temporary import remove_leftovers
+from tg4mm.core.files import remove_leftovers
 from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, Choice, Either, Just, Maybe, Number, require
 from tg4mm.core.work_folder import WorkFolder
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.clip import SWEEP, Clip, Sources, Window
 from tg4mm.capture.sfm.dataset import Track
 from tg4mm.capture.sfm.points import SfmPoints, Similarity, points_of, world_of
-from tg4mm.capture.sfm.sources import SWEEP, Sources
 from tg4mm.capture.sfm.staging import Shot, staged_name
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.capture.sfm.undistort import Key, Lens, lenses, quarter_turned

@@ -15,25 +15,33 @@ from statistics import median
 from typing import Any
 
 from tg4mm.capture.sfm import mapping
-from tg4mm.capture.sfm.clip import KEYS, SWEEP_FRAMES, WHOLE, extract_frames, sharp_rows
+from tg4mm.capture.sfm.clip import (
+    FEWEST,
+    KEYS,
+    SWEEP,
+    SWEEP_FRAMES,
+    WHOLE,
+    Sources,
+    extract_frames,
+    find_sources,
+    sharp_rows,
+)
 from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, Work, checked, open_request
 from tg4mm.capture.sfm.dataset import video_of, write_dataset, write_flat
-from tg4mm.capture.sfm.defects import check_usable, motion_of, warn_bumps, warn_clocks
-from tg4mm.capture.sfm.engine import colmap
+from tg4mm.capture.sfm.defects import check_usable, motion_of, warn_bumps, warn_clocks, warn_light
+from tg4mm.capture.sfm.engine import chosen_pairs, colmap
 from tg4mm.capture.sfm.kind import (
     check_enough,
     check_fits,
     check_kind,
     check_options,
+    divided,
     kind_of,
     possible_kinds,
 )
-from tg4mm.capture.sfm.light import warn_light
-from tg4mm.capture.sfm.pairs import chosen_pairs
+from tg4mm.capture.sfm.mapping import Workspace, register_frames
 from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
-from tg4mm.capture.sfm.register import Workspace, register_frames
 from tg4mm.capture.sfm.scale import baseline_scale, measured_length
-from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources, find_sources
 from tg4mm.capture.sfm.staging import (
     Shot,
     camera_shots,
@@ -45,7 +53,6 @@ from tg4mm.capture.sfm.staging import (
     staged_name,
     sweep_shots,
 )
-from tg4mm.capture.sfm.standing import divided
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError, Tg4mmError

@@ -11,9 +11,8 @@ import numpy as np
 from PIL import Image
 
 from tg4mm.capture.cameras import check_picture_size
-from tg4mm.capture.sfm.clip import Clip
+from tg4mm.capture.sfm.clip import SWEEP, Clip
 from tg4mm.capture.sfm.engine import colmap, opened
-from tg4mm.capture.sfm.sources import SWEEP
 from tg4mm.capture.sfm.survey import Survey
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import link_or_copy, write_atomic

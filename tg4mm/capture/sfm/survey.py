@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.ndimage import laplace
 
 from tg4mm.capture.cameras import check_picture_size
-from tg4mm.capture.codec.probe import codec_period
+from tg4mm.capture.codec.trial import codec_period
 from tg4mm.capture.duplicates import DuplicateMeter, Duplicates
 from tg4mm.capture.scene import KINDS_OF_PICTURES
 from tg4mm.capture.sfm.clip import (
@@ -28,13 +28,12 @@ from tg4mm.capture.sfm.clip import (
     is_regular,
     regular_times,
 )
-from tg4mm.capture.sfm.frozen import NoveltyMeter
-from tg4mm.capture.sfm.steadiness import PartMeter, reduced
+from tg4mm.capture.sfm.steadiness import NoveltyMeter, PartMeter, reduced
 from tg4mm.capture.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.progress import progress
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 
 BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
 NOTHING = -1  # the part of such a frame

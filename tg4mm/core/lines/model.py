@@ -29,9 +29,8 @@ class Shape:
     decay: float = 0.0  # per second
     start: int = 0  # sample from which on it is there
     is_free: bool = False  # whether the decay is fitted
-    rates: tuple[
-        float, ...
-    ] = ()  # of its modulation, half cycles in its part of the record (`modulation.py`)
+    # of its modulation, half cycles in its part of the record (`modulation.py`)
+    rates: tuple[float, ...] = ()
     pairs: tuple[float, ...] = ()  # Hz, of sidebands that were seen
     modulation: np.ndarray | None = field(default=None, compare=False)  # [T] complex, of mean 1; None: 1
 

@@ -27,10 +27,8 @@ _OVERSAMPLED = 4  # frequencies to each 1 / duration
 _DECAYS = 0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0  # e-foldings over the record
 _GROWTHS = -1.5, -4.0
 _BLOCKS = 32  # beginnings that are tried
-_LEAST_SAMPLES, LEAST_PERIODS = (
-    8.0,
-    1.0,
-)  # of a filter's energy; periods also of the record before a beginning
+# of a filter's energy; periods also of the record before a beginning
+_LEAST_SAMPLES, LEAST_PERIODS = (8.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,30 @@
-"""Charts by matplotlib as inline SVG whose colours are the page's CSS variables, so that they follow light and dark."""
+"""Charts by matplotlib as inline SVG whose colours are the page's CSS variables, so that they follow light and dark.
+
+With its numbers, read from the matplotlib axes, `zoom.js` draws a chart by uPlot so that it zooms. uPlot 1.6.32 (MIT,
+`uplot/LICENSE.txt`, https://github.com/leeoniya/uPlot) lies in `uplot/` as its author built it.
+"""
 
 import io
+import json
 import re
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup, escape
 
-from tg4mm.core.pages.curves import curves
-from tg4mm.core.pages.plotstyle import COLOURS, STYLE
+COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "svg.hashsalt": "tg4mm",
+    "legend.frameon": False,
+}
 
 # Colours that nothing else is drawn in, and the variables that take their places.
 INK, MUTED, RULE, OURS, CEILING, STILL, CARD = (f"#0a0b{k:02x}" for k in range(1, 8))
@@ -39,6 +54,9 @@ _CONTEXT: dict[Any, Any] = {
     "figure.facecolor": "none",
     "legend.facecolor": "none",
 }
+_HERE = Path(__file__).parent
+_DIGITS = 6
+_COLOURS = 32  # steps of a waterfall's colours
 
 
 def chart(
@@ -86,3 +104,96 @@ def _inline(text: str, label: str) -> Markup:
     ).format(Markup(box[0]), escape(label))
     body = re.sub(r"\n\s*", "\n", text[text.index(">", text.index("<svg")) + 1 :].strip())
     return head + Markup(body)
+
+
+def curves(axes: Any, variables: dict[str, str]) -> Markup:
+    """A script element of JSON: lines, bands, stems, levels and names of an axes; `variables`: CSS names of colours.
+
+    Curves share their abscissae; where one has no value it is null. A mesh becomes `levels`, 0 … 31, and their colours.
+    """
+    from matplotlib.collections import LineCollection, PolyCollection, QuadMesh
+    from matplotlib.colors import to_hex
+
+    def colour(value: Any) -> str:
+        return variables.get(to_hex(value), to_hex(value))
+
+    lines = [line for line in axes.lines if line.get_transform() == axes.transData]
+    stems = [c for c in axes.collections if isinstance(c, LineCollection)]
+    found = [(np.asarray(n.get_xdata(), float), np.asarray(n.get_ydata(), float)) for n in lines]
+    found += [(np.array([s[0, 0] for s in c.get_segments()]), np.array([s[:, 1].max() for s in c.get_segments()]))
+              for c in stems]  # fmt: skip
+    x = np.unique(np.concatenate([own for own, _ in found])) if found else np.zeros(0)
+    series = [
+        {"name": _name(line), "colour": colour(line.get_color()), "dash": line.get_linestyle() not in ("-", "None"),
+         "points": line.get_linestyle() == "None", "y": _placed(x, *own)}
+        for line, own in zip(lines, found, strict=False)
+    ]  # fmt: skip
+    series += [
+        {"name": "", "colour": colour(np.atleast_2d(c.get_color())[0]), "stem": True, "y": _placed(x, *own)}
+        for c, own in zip(stems, found[len(lines) :], strict=True)
+        if len(own[0])
+    ]
+    for band in (c for c in axes.collections if isinstance(c, PolyCollection)):
+        own, tone = np.asarray(band.get_paths()[0].vertices), colour(np.asarray(band.get_facecolor())[0, :3])
+        of = next(s for s in series if s["colour"] == tone and "low" not in s and not s.get("dash"))
+        of["low"], of["high"] = (_placed(x, *_extreme(own, end)) for end in (np.fmin, np.fmax))
+    content = {
+        "x": _plain(x), "series": series, "xLabel": axes.get_xlabel(), "yLabel": axes.get_ylabel(),
+        "xRange": _plain(axes.get_xlim()), "yRange": _plain(axes.get_ylim()), "log": axes.get_yscale() == "log",
+        "levels": [_levels(c) for c in axes.collections if isinstance(c, QuadMesh)],
+        "across": [[float(n.get_ydata()[0]), colour(n.get_color())] for n in axes.lines
+                   if n.get_transform() == axes.get_yaxis_transform()],
+        "marks": [[float(t.xy[0]), float(t.xy[1]), t.get_text()] for t in axes.texts
+                  if getattr(t, "xycoords", "") == "data"],
+    }  # fmt: skip
+    for second in axes.child_axes:  # the same lengths in another unit
+        content["second"] = [second.get_ylabel(), float(second._functions[0](1.0))]
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return Markup('<script type="application/json" class="curves">{}</script>').format(Markup(text))
+
+
+def zoom_style() -> str:
+    """CSS of a page with such charts."""
+    return (_HERE / "uplot" / "uPlot.min.css").read_text(encoding="utf-8")
+
+
+def zoom_script() -> str:
+    """JavaScript of a page with such charts."""
+    return "".join(
+        (_HERE / name).read_text(encoding="utf-8") for name in ("uplot/uPlot.iife.min.js", "zoom.js")
+    )
+
+
+def _name(line: Any) -> str:
+    return "" if str(line.get_label()).startswith("_") else str(line.get_label())
+
+
+def _placed(x: np.ndarray, own_x: np.ndarray, own_y: np.ndarray) -> list[float | None]:
+    values = np.full(len(x), np.nan)
+    values[np.searchsorted(x, own_x)] = own_y
+    return _plain(values)
+
+
+def _extreme(vertices: np.ndarray, end: Any) -> tuple[np.ndarray, np.ndarray]:
+    x, at = np.unique(vertices[:, 0], return_inverse=True)
+    y = np.full(len(x), np.nan)
+    end.at(y, at, vertices[:, 1])
+    return x, y
+
+
+def _plain(values: Any) -> list[float | None]:
+    return [float(f"{v:.{_DIGITS}g}") if np.isfinite(v) else None for v in np.asarray(values, float)]
+
+
+def _levels(mesh: Any) -> dict[str, Any]:
+    from matplotlib.colors import to_hex
+
+    values = mesh.get_array()  # [rows, columns]
+    low, high = mesh.get_clim()
+    corners = mesh.get_coordinates()
+    steps = np.clip((values - low) / ((high - low) or 1.0) * _COLOURS, 0, _COLOURS - 1).astype(int)
+    return {
+        "x": _plain(corners[0, :, 0]), "y": _plain(corners[:, 0, 1]), "steps": np.asarray(steps).tolist(),
+        "limits": [float(low), float(high)],
+        "colours": [to_hex(mesh.cmap((k + 0.5) / _COLOURS)) for k in range(_COLOURS)],
+    }  # fmt: skip

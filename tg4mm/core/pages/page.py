@@ -11,8 +11,8 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
-from tg4mm.core.pages.curves import zoom_script, zoom_style
-from tg4mm.core.pictures.frames import png_bytes, to_bytes
+from tg4mm.core.pages.charts import zoom_script, zoom_style
+from tg4mm.core.pictures.decode import png_bytes, to_bytes
 
 _HERE = Path(__file__).parent
 PHOTO_EDGE = 800  # pixels

@@ -8,6 +8,8 @@ from markupsafe import Markup
 
 from tg4mm.core.colour import amount_colours, hex_colour, phase_colours
 
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
     """Round numbers (1, 2, 2.5 or 5 times a power of ten apart) that lie in low..high."""
@@ -35,7 +37,7 @@ def number(value: float, digits: int = 3, trim: bool = True) -> str:
         text = f"{value:.{places}f}"
         return text.rstrip("0").rstrip(".") if "." in text and trim else text
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}·10{_superscript(int(exponent))}"
+    return f"{mantissa.rstrip('0').rstrip('.')}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
 
 
 def size_text(size: int) -> str:
@@ -44,10 +46,6 @@ def size_text(size: int) -> str:
         if size >= factor:
             return f"{number(size / factor)} {unit}"
     return f"{size} B"
-
-
-def _superscript(value: int) -> str:
-    return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def colour_bar(top: float, unit: str, label: str) -> Markup:

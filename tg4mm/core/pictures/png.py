@@ -1,4 +1,4 @@
-"""PNG by numpy and zlib alone: writing, checking, and reading of 16 bits (PNG specification, §§ 9 and 11).
+"""PNG by numpy and zlib: writing, checking, and, with numba, reading of 16 bits (PNG specification, §§ 9 and 11).
 
 Pillow keeps only the high byte of 16 bits, and Blender's own Python lacks it.
 """
@@ -153,8 +153,9 @@ def unfilter(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
         raise ValueError(f"unknown row filter {filters.max()}")
     if filters.max(initial=0) <= 2:
         return _unfilter_by_row(filters, filtered)
-    by_byte = _compiled_by_byte()
-    return (by_byte or _unfilter_by_diagonal)(filters, filtered)
+    with _COMPILING:  # once for all threads
+        by_byte = _compiled()
+    return by_byte(filters, filtered)
 
 
 def _unfilter_by_row(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
@@ -200,37 +201,10 @@ def _unfilter_by_byte(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def _compile() -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
-    try:
-        import numba
-    except ImportError:  # numba comes with the core extra, and reading must work without it
-        return None
+def _compiled() -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    import numba
+
     return numba.njit(nogil=True, cache=True)(_unfilter_by_byte)
-
-
-def _compiled_by_byte() -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
-    """`_unfilter_by_byte` compiled, once for all threads; None without numba."""
-    with _COMPILING:
-        return _compile()
-
-
-def _unfilter_by_diagonal(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-    """The same without numba: a pixel needs left, upper, corner neighbours, so a diagonal goes at once."""
-    height, width, size = filtered.shape
-    kind = filters[:, None]
-    out = np.zeros((height + 1, width + 1, size), np.int16)  # row 0 and column 0: the zeros outside the image
-    for d in range(height + width - 1):
-        r = np.arange(max(0, d - width + 1), min(height, d + 1))
-        x = d - r
-        left, up, corner = out[r + 1, x], out[r, x + 1], out[r, x]
-        to_left, to_up, to_corner = np.abs(up - corner), np.abs(left - corner), np.abs(left + up - 2 * corner)
-        paeth = np.where(
-            (to_left <= to_up) & (to_left <= to_corner), left, np.where(to_up <= to_corner, up, corner)
-        )
-        k = kind[r]
-        guess = np.select([k == 1, k == 2, k == 3, k == 4], [left, up, (left + up) >> 1, paeth], np.int16(0))
-        out[r + 1, x + 1] = (filtered[r, x] + guess) & 255
-    return np.ascontiguousarray(out[1:, 1:].astype(np.uint8))
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:

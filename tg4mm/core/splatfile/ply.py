@@ -1,19 +1,20 @@
 """A PLY of Gaussians: ours, with motion, and those of other programs (docs/conventions.md, "Splat file")."""
 
+import contextlib
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from tg4mm.core.errors import SplatFileError, system_says
+from tg4mm.core.files import replacing as replacing_file
 from tg4mm.core.splatfile import model, supersplat
-from tg4mm.core.splatfile.header import blocks, check_size, columns
-
-from ..errors import SplatFileError
-from .drawable import ANTIALIASED, Head, Options, drawable
-from .header import ASCII, Element, Header, read_header
-from .model import SH_COUNTS, SplatFile
+from tg4mm.core.splatfile.header import ASCII, Element, Header, blocks, check_size, columns, read_header
+from tg4mm.core.splatfile.model import ANTIALIASED, SH_COUNTS, Head, Options, SplatFile, drawable
 
 MODE_NAME = re.compile(r"mode_[0-9]+_(re|im)_r?[xyz]")
 RGB = ("red", "green", "blue")
@@ -29,6 +30,8 @@ _KINDS = {
 }
 _FINE = 0.01  # of a Gaussian's median size, that float32 must tell at its place
 DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
+
+ROWS_AT_ONCE = 8192  # keeps the block being interleaved in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -198,9 +201,8 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
     displacement, rotation = (np.empty((m, n, 3), np.complex64) for _ in range(2))
     deviation = np.empty((m, n), np.float32) if plan.deviations else None
     start = 0
-    with np.errstate(
-        over="ignore"
-    ):  # a double past float32's range becomes infinity, which `drawable` counts
+    # a double past float32's range becomes infinity, which `drawable` counts
+    with np.errstate(over="ignore"):
         for block in blocks(file, header, vertex):
             rows = slice(start, start := start + len(block))
             means[rows] = columns(block, model.POSITION)
@@ -280,3 +282,94 @@ def _smoothed(scales: np.ndarray, opacities: np.ndarray, smooth: np.ndarray) -> 
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(wide > 0, scales / wide, 1.0).prod(axis=1)
     return wide, opacities * part
+
+
+def write_splat(path: str | Path, splat: SplatFile) -> None:
+    """Write a binary 3DGS PLY with the modes as further properties. Needs numpy alone.
+
+    All values are float32: means, quats, sh and phasors that are float32 come back exactly, scales to 1e-5 of their
+    size (log), opacities to 1e-7 (logit). Scales under 1e-12 are written as that, opacities of 0 and 1 as 2⁻²⁴ and
+    1 − 2⁻²⁴.
+
+    Args:
+        path: replaced in one step, so that a kill leaves the old file whole.
+        splat: what to write.
+
+    Raises:
+        SplatFileError: the file cannot be written.
+    """
+    with replacing(Path(path)) as name, name.open("wb") as file:
+        file.write(_header(splat))
+        for block in _blocks(splat):
+            file.write(block.tobytes())
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Like `files.replacing`, but raise SplatFileError naming the file for errors of system or writer."""
+    try:
+        with replacing_file(path, path.suffix) as name:
+            yield name
+    except OSError as error:
+        raise SplatFileError(f"{path}: cannot be written: {system_says(error)}") from error
+    except SplatFileError as error:
+        raise SplatFileError(f"{path}: {error}") from error
+
+
+def _names(splat: SplatFile) -> list[str]:
+    rest = model.f_rest(3 * (splat.sh.shape[1] - 1))
+    modes = [name for k in range(splat.n_modes) for name in model.mode(k)]
+    if splat.deviation is not None:
+        modes += [model.deviation(k) for k in range(splat.n_modes)]
+    fixed = (model.POSITION, model.NORMAL, model.F_DC, rest, model.OPACITY, model.SCALE, model.ROTATION)
+    return [name for names in fixed for name in names] + modes
+
+
+def _header(splat: SplatFile) -> bytes:
+    about = {
+        "format_version": model.FORMAT_VERSION,
+        "fps": splat.fps or None,
+        "n_timesteps": int(splat.n_timesteps),
+        "frequencies_hz": [float(f) for f in splat.freqs_hz],
+        "unit_scale_m": splat.unit_scale_m,
+        "time_origin_s": splat.time_origin_s,
+    }
+    if splat.low_pass_px2 is not None:
+        about["low_pass_px2"] = splat.low_pass_px2
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        model.MARK + json.dumps(about, allow_nan=False),
+        f"element vertex {len(splat)}",
+        *(f"property float {name}" for name in _names(splat)),
+        "end_header",
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _blocks(splat: SplatFile) -> Iterator[np.ndarray]:
+    """The vertices as [rows, properties] float32, a block of rows at a time."""
+    n, k = splat.sh.shape[:2]
+    for start in range(0, n, ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        means = splat.means[rows]
+        parts = [
+            means,
+            np.zeros_like(means),
+            splat.sh[rows, 0],
+            splat.sh[rows, 1:].transpose(0, 2, 1).reshape(len(means), 3 * (k - 1)),
+            model.logit(splat.opacities[rows])[:, None],
+            model.log_scale(splat.scales[rows]),
+            splat.quats[rows],
+        ]
+        for displacement, rotation in zip(splat.displacement, splat.rotation, strict=True):
+            for phasor in (displacement[rows], rotation[rows]):
+                parts += [phasor.real, phasor.imag]
+        if splat.deviation is not None:
+            parts.append(splat.deviation[:, rows].T)
+        with np.errstate(over="ignore"):
+            block = np.concatenate(parts, axis=1).astype("<f4")
+        if not np.isfinite(block).all():
+            size = max(np.abs(part).max(initial=0) for part in parts)
+            raise SplatFileError(f"a value of size {size:g} is past float32's range, 3.4e38")
+        yield block

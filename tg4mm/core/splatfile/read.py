@@ -15,10 +15,9 @@ from typing import BinaryIO
 import numpy as np
 
 from tg4mm.core.errors import SplatFileError
-from tg4mm.core.splatfile import accessors, model, spz
-from tg4mm.core.splatfile.drawable import Decode, Head, Options, drawable
+from tg4mm.core.splatfile import gltf, model, spz
 from tg4mm.core.splatfile.gltf import head_of_gltf, read_gltf
-from tg4mm.core.splatfile.model import SplatFile
+from tg4mm.core.splatfile.model import Decode, Head, Options, SplatFile, drawable
 from tg4mm.core.splatfile.ply import head_of_ply, read_ply
 from tg4mm.core.splatfile.sog import head_of_sog, read_sog
 
@@ -137,7 +136,7 @@ def _kind(path: Path) -> str:
         start = file.read(64)
     if start.startswith((spz.GZIP, spz.NGSP)):
         return "spz"
-    if start.startswith(accessors.MAGIC):
+    if start.startswith(gltf.MAGIC):
         return "gltf"
     if start.startswith(b"PK\x03\x04"):
         return "sog"

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.splatfile import model
+from tg4mm.core.splatfile.gltf import beside
+from tg4mm.core.splatfile.model import Decode, Head, Options, drawable
 
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE, parse_json
 from ..values import Number
-from .accessors import beside
-from .drawable import Decode, Head, Options, drawable
 from .model import SplatFile
 from .supersplat import largest_put_in
 

@@ -16,13 +16,14 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from tg4mm.core.splatfile.formula import TURN, transformed, y_up
+from tg4mm.core.splatfile.model import ANTIALIASED, Head, drawable
+from tg4mm.core.splatfile.ply import replacing
+
 from ..errors import SplatFileError
 from ..untrusted import DEFLATE
-from .axes import TURN, transformed, y_up
-from .drawable import ANTIALIASED, Head, drawable
 from .model import SplatFile, log_scale
 from .supersplat import largest_put_in
-from .write import replacing
 
 GZIP, NGSP = b"\x1f\x8b", b"NGSP"
 _HEAD, _HEAD_4 = struct.Struct("<IIIBBBB"), struct.Struct("<IIIBBBBI12x")

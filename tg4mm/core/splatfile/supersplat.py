@@ -9,9 +9,9 @@ import numpy as np
 
 from tg4mm.core.splatfile import model
 from tg4mm.core.splatfile.header import blocks, columns
+from tg4mm.core.splatfile.model import drawable
 
 from ..errors import SplatFileError
-from .drawable import drawable
 from .header import Element, Header
 from .model import SplatFile
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.core.filters import apply_response
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import Magnification, apply_response
 from tg4mm.core.phasors import series_modes
 from tg4mm.fit.motion.animate import displacement_at, mode_gains, rotation_at
 from tg4mm.fit.motion.modes import ModalMotion

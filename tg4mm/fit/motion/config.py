@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import check_band
-from tg4mm.core.settings import setting
+from tg4mm.core.options import setting
 from tg4mm.core.values import NOT_NEGATIVE, POSITIVE, SEED, Choice, Number, require
 
 FASTEST = 1e9  # Hz, where the frame rate is not known yet

@@ -14,10 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.masks import mask_of
-from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, over_white
+from tg4mm.capture.model import FEWEST_FRAMES, FEWEST_MOVING
+from tg4mm.capture.pictures import FilePictures, MaskedPictures, Pictures, mask_of, over_white
 from tg4mm.capture.scene import codec_period
-from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.capture.window import Window
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.errors import CaptureError

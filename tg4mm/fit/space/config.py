@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.settings import setting
+from tg4mm.core.options import setting
 from tg4mm.core.values import NOT_NEGATIVE, SEED, Choice, Either, Just, Number, require
 
 MOST_ITERATIONS = 100_000_000  # a year of them

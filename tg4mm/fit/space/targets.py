@@ -13,8 +13,7 @@ import torch
 
 from tg4mm.capture import Capture, ImageStack, SurfacePoints
 from tg4mm.capture.cameras import middle_distance, relative_to
-from tg4mm.capture.masks import mask_of
-from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures, mask_of
 from tg4mm.core.pictures.decode import THREADS
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
@@ -31,7 +30,7 @@ class RestViews:
 
     viewmats: np.ndarray  # [V, 4, 4] float32 or float64
     Ks: np.ndarray  # [V, 3, 3] float32
-    rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1; NaN where no picture counts (`capture/masks.py`)
+    rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1; NaN where no picture counts (`capture/pictures.py`)
     alpha: np.ndarray  # [V, H, W] float32 in 0..1
     images: tuple[np.ndarray, ...]  # for each camera, the rows of the capture it took
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
-from tg4mm.core.checkpoint import Checkpoint, Stored
 from tg4mm.core.memory import peak_memory_mib
 from tg4mm.core.progress import progress
+from tg4mm.core.work_folder import Checkpoint, Stored
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space.checkpoint import check_checkpoint, pictures_digest

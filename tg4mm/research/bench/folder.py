@@ -18,9 +18,8 @@ from tg4mm.core import __version__
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.values import Maybe
-from tg4mm.core.work_folder import WorkFolder
+from tg4mm.core.work_folder import WorkFolder, read_object
 from tg4mm.research.bench import BenchError
-from tg4mm.run.config import read_json
 
 RECORD = "bench.json"
 SET = "set.json"
@@ -46,7 +45,7 @@ def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> No
     record = out / "runs" / label / SET
     if record.is_file():
         try:
-            found = read_json(record)
+            found = read_object(record)
         except RunError:  # torn: written anew
             found = {}
         if found.get("digest", digest) != digest:

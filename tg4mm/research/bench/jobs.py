@@ -13,9 +13,9 @@ from tg4mm.capture import Capture
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import json_digest
 from tg4mm.core.metrics import has_flip
-from tg4mm.core.pictures.frames import to_bytes, write_png
+from tg4mm.core.pictures.decode import to_bytes, write_png
 from tg4mm.core.progress import progress
-from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.untrusted import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import claim_set, files_state, filmed_digest, safe_name

@@ -14,7 +14,7 @@ from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED
 from tg4mm.core.metrics import NO_FLIP, has_flip
-from tg4mm.core.records import read_formed, write_sealed
+from tg4mm.core.untrusted import read_formed, write_sealed
 from tg4mm.core.values import Just, Maybe
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion

@@ -7,11 +7,11 @@ from pathlib import Path, PurePosixPath
 
 from tg4mm.core import __version__
 from tg4mm.core.progress import progress
+from tg4mm.core.work_folder import read_object
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import write_text
 from tg4mm.research.bench.sets import open_set
 from tg4mm.research.text import table
-from tg4mm.run.config import read_json
 
 CARD, SUMS = "README.md", "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *]([^\x00-\x1f]+)")
@@ -66,7 +66,7 @@ def release(root: Path, version: str) -> list[Path]:
 
 
 def _row(root: Path, dataset: Path) -> list[str]:
-    data, scene = open_set(dataset, dataset.name), read_json(dataset / "scene.json")
+    data, scene = open_set(dataset, dataset.name), read_object(dataset / "scene.json")
     files = {(s.st_ino, s.st_size) for s in (f.stat() for f in dataset.rglob("*") if f.is_file())}
     mib = sum(size for _, size in files) / 2**20
     pixels, hz, px = f"{data.width}×{data.height}", f"{data.frequency_hz:g}", f"{data.amplitude_px:.2g}"

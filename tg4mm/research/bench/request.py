@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.magnification import Magnification, TemporalFilter
 from tg4mm.research.bench.sets import BenchSet
 from tg4mm.research.paper.model import PaperConfig
 from tg4mm.run import Run

@@ -16,9 +16,9 @@ from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.files import to_json
+from tg4mm.core.work_folder import read_object
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import files_state
-from tg4mm.run.config import read_json
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
 GOAL_AMPLITUDES_PX = (0.02, 0.2)  # for which the goals name a displacement error
@@ -252,7 +252,7 @@ def alpha_to_show(alphas: Iterable[int]) -> int:
 def _described(root: Path, key: str) -> Any:
     """An entry of scene.json, None where there is none."""
     try:
-        return read_json(root / "scene.json").get(key)
+        return read_object(root / "scene.json").get(key)
     except RunError:  # it is none of the generator's
         return None
 

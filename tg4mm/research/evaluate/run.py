@@ -14,8 +14,7 @@ from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.files import json_digest, write_json
-from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.magnification import AS_CAPTURED, Magnification
+from tg4mm.core.magnification import AS_CAPTURED, Magnification, TemporalFilter
 from tg4mm.core.metrics import NO_FLIP, SSIM_WINDOW, flip, has_flip, psnr, ssim
 from tg4mm.core.progress import progress
 from tg4mm.core.untrusted import read_json
@@ -39,7 +38,7 @@ from tg4mm.research.evaluate.scores import (
 from tg4mm.research.text import shown, table
 from tg4mm.run import Run
 from tg4mm.run.log import FORMAT
-from tg4mm.run.poses import method_of
+from tg4mm.run.preset import method_of
 
 
 def target_file(run: Run, out: Path | str | None) -> Path:

@@ -20,7 +20,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.research.evaluate.displacement import displacement_figures, exact_motion, mean_squares
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
-from tg4mm.run.poses import method_of, poses_of
+from tg4mm.run.preset import method_of, poses_of
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.maps import blending_weights
 from tg4mm.show.render.image import render_images

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.core.errors import RunError, Tg4mmError
-from tg4mm.core.settings import setting
+from tg4mm.core.options import setting
 from tg4mm.core.values import POSITIVE, SEED, Number, require
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import SpaceConfig

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.core.checkpoint import Checkpoint
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.phasors import series_modes
 from tg4mm.core.progress import Update, progress
+from tg4mm.core.work_folder import Checkpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import RestViews

@@ -21,13 +21,11 @@ import torch
 from filelock import FileLock, Timeout
 
 from tg4mm.capture import Capture, load_images
-from tg4mm.core.files import give_back, json_digest, write_json
-from tg4mm.core.filters import bins
-from tg4mm.core.magnification import Magnification
+from tg4mm.core.files import give_back, json_digest, rename, write_json
+from tg4mm.core.magnification import Magnification, bins
 from tg4mm.core.memory import reserve
 from tg4mm.core.progress import progress
-from tg4mm.core.records import read_formed
-from tg4mm.core.temporary import rename
+from tg4mm.core.untrusted import read_formed
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.magnify.linear import magnified_series
 from tg4mm.fit.magnify.phase import PhaseMagnifier, PyramidConfig
@@ -48,7 +46,7 @@ from tg4mm.research.paper.space import first_views, train_triplane
 from tg4mm.research.paper.triplane import Cells, Decoder
 from tg4mm.run import Run
 from tg4mm.run.preset import Poses, Preset
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 from tg4mm.run.tensor_file import model_hash
 
 _VERSION = 1  # of how they are made: raise it when the same request would give other numbers

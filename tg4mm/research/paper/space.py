@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.core.checkpoint import Checkpoint
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.core.progress import progress
+from tg4mm.core.work_folder import Checkpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import RestViews, rest_views

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.core.pages.plotstyle import COLOURS
+from tg4mm.core.pages.charts import COLOURS
 from tg4mm.show.analyse.channel import Channel
 from tg4mm.show.analyse.modal import Modes
 from tg4mm.show.analyse.orders import OrderTrack

@@ -14,7 +14,7 @@ import numpy as np
 from tg4mm.core import __version__
 from tg4mm.core.digits import aligned
 from tg4mm.core.files import to_json, write_atomic, write_json
-from tg4mm.core.pages.plotstyle import STYLE
+from tg4mm.core.pages.charts import STYLE
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.analyse.channel import AnalyseError
 from tg4mm.show.analyse.results import QUANTITIES, Analysis

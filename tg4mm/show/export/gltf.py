@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.splatfile.formula import y_up
+from tg4mm.core.splatfile.ply import replacing
+
 from ...core.errors import SplatFileError
-from ...core.splatfile.axes import y_up
 from ...core.splatfile.model import SplatFile
-from ...core.splatfile.write import replacing
 
 EXTENSION = "KHR_gaussian_splatting"
 KEYS_PER_TIMESTEP = 4  # between keys weights go in straight lines: under 1 % off at a sixth of the frame rate

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.core.splatfile.ply import replacing
+
 from ...core.errors import SplatFileError
 from ...core.extras import install
 from ...core.splatfile.model import SplatFile
-from ...core.splatfile.write import replacing
 
 SUFFIXES = (".usdc", ".usda", ".usd")
 _SIGMAS = 3.0  # how far a Gaussian is drawn

@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.capture.look import Look
 from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.charts import chart
+from tg4mm.core.pages.charts import STYLE, chart
 from tg4mm.core.pages.page import (
     Block,
     Commands,
@@ -23,7 +23,6 @@ from tg4mm.core.pages.page import (
     picture,
     render_page,
 )
-from tg4mm.core.pages.plotstyle import STYLE
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.regions import composite, region_picture
 

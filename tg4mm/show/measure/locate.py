@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tg4mm.capture import load_capture
+from tg4mm.core.regions import Scale
 from tg4mm.core.regions import inside as inside_of
-from tg4mm.core.scale import Scale
 from tg4mm.fit.motion.jacobian.view import blend_sum
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run

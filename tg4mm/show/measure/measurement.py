@@ -10,7 +10,7 @@ import numpy as np
 from tg4mm.capture.look import Found
 from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Scale
 from tg4mm.fit.motion.config import asked_band
 from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run

@@ -12,8 +12,8 @@ from PIL import Image
 from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import over_white
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.plotstyle import COLOURS, STYLE
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pages.charts import COLOURS, STYLE
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult

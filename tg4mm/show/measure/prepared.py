@@ -31,7 +31,7 @@ from tg4mm.fit.motion.nuisance.registration import mean_pictures
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.show.measure.kept import HALVES, Kept, KeptPass, Sides, Wanted
 from tg4mm.show.measure.residuals import (
     MeasuredView,

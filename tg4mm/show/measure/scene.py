@@ -14,7 +14,7 @@ from tg4mm.capture.pictures import Strips
 from tg4mm.capture.scene import VideoFile
 from tg4mm.core.choices import Clock
 from tg4mm.core.memory import mapped_zeros
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Scale
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate

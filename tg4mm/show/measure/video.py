@@ -8,15 +8,15 @@ import numpy as np
 import torch
 
 from tg4mm.capture import Capture
-from tg4mm.capture.codec.probe import codec_period
+from tg4mm.capture.codec.trial import codec_period
 from tg4mm.capture.duplicates import DuplicateMeter
 from tg4mm.capture.look import Found, Picture, look_at_pictures
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.reading import BETWEEN, INTRA
 from tg4mm.capture.look.recording import taken, video_pictures
 from tg4mm.capture.look.rows import with_rows
+from tg4mm.capture.model import FEWEST_FRAMES
 from tg4mm.capture.scene import VideoFile
-from tg4mm.capture.timing import FEWEST_FRAMES
 from tg4mm.capture.video import RECORDING_SUFFIXES, is_turned, is_untimed, video_info
 from tg4mm.core.choices import Clock, Kind
 from tg4mm.core.memory import mapped_zeros

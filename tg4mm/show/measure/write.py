@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.capture.codec import before_compression
 from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_json
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases

@@ -14,11 +14,11 @@ from tg4mm.capture.cameras import (
     read_pose,
     world_to_camera,
 )
-from tg4mm.capture.confine import image_path
+from tg4mm.capture.frames import image_path
 from tg4mm.capture.model import Capture
 from tg4mm.core.errors import CaptureError, RunError
 from tg4mm.core.pictures.decode import image_header
-from tg4mm.core.records import Record, read_record
+from tg4mm.core.untrusted import Record, read_record
 from tg4mm.core.values import shown
 from tg4mm.fit.motion.observations import PosedFrames
 

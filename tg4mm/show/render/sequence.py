@@ -14,12 +14,12 @@ import torch
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED, LARGEST_ALPHA, Magnification
 from tg4mm.core.pictures import png
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.core.progress import progress
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
-from tg4mm.run.poses import method_of, poses_of
+from tg4mm.run.preset import method_of, poses_of
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.export.lowpass import lacking, smoothing_of
 from tg4mm.show.render.cameras import Camera, transforms_json

@@ -16,7 +16,7 @@ import numpy as np
 
 from tg4mm.core.errors import ROOM, RunError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import read_png
 from tg4mm.core.progress import progress
 
 _RATES = (0.01, 10_000.0)  # pictures a second that encoder and players can do

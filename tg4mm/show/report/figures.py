@@ -13,7 +13,7 @@ from tg4mm.core.choices import Clock
 from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
 from tg4mm.core.pages.page import Block, Figure, Panel, Text, film, missing, picture
 from tg4mm.core.pages.svg import number
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.show.render.video import loops_to_last, write_mp4
 from tg4mm.show.report.summary import Material
 from tg4mm.show.slices import Axis, most_moving_line, space_time_slice

@@ -13,7 +13,7 @@ from tg4mm.core.pages.charts import CEILING, MUTED, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Text, drawing, film, picture
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction, scale_top
-from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.pictures.decode import read_png
 from tg4mm.show.maps import leading_modes, motion_maps, uncertainty_map
 from tg4mm.show.report.figures import (
     Line,

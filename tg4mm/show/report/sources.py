@@ -12,7 +12,7 @@ from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import Magnification
-from tg4mm.core.pictures.frames import read_png, to_bytes
+from tg4mm.core.pictures.decode import read_png, to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion

@@ -9,7 +9,7 @@ from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.even_clock import is_filled, on_even_clock
 from tg4mm.core.pages.charts import CEILING, OURS, STILL, chart
 from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, picture
-from tg4mm.core.scale import Scale
+from tg4mm.core.regions import Scale
 from tg4mm.run import Run
 from tg4mm.show.analyse.channel import DISPLACEMENT, Channel
 from tg4mm.show.analyse.spectra import Averaging, waterfall_of

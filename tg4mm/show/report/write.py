@@ -20,7 +20,7 @@ from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, drawing, picture, render_page
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.options import ReportOptions
 from tg4mm.show.regions import composite, region_picture

@@ -12,7 +12,7 @@ from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PERIODS, frames_of
 from tg4mm.run import Run
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.show.result.advice import next_command, suggested_alpha, suggested_bands
 from tg4mm.show.result.looked import cannot_tell, depths_of, looked_vibrations
 from tg4mm.show.result.model import (

@@ -25,7 +25,7 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import frames_of
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.show.maps import blending_weights
 from tg4mm.show.result.model import Length
 

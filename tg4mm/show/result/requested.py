@@ -9,7 +9,7 @@ from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.mode_selection import worth_keeping
 from tg4mm.fit.motion.observations import check_band_told
 from tg4mm.run import Run
-from tg4mm.run.poses import method_of
+from tg4mm.run.preset import method_of
 from tg4mm.show.result.model import Band, Result, with_deviation
 from tg4mm.show.result.read import result_from, result_of
 from tg4mm.show.result.reading import NOISE_PX, TURN, Reach, reading_of

@@ -12,8 +12,7 @@ import viser
 from markupsafe import Markup
 
 from tg4mm.capture import load_capture
-from tg4mm.capture.confine import IMAGE_SUFFIXES
-from tg4mm.capture.frames import picture
+from tg4mm.capture.frames import IMAGE_SUFFIXES, picture
 from tg4mm.capture.look import look
 from tg4mm.capture.transforms import natural
 from tg4mm.capture.video import RECORDING_SUFFIXES, video_frames

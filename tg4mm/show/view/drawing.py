@@ -11,8 +11,7 @@ from tg4mm.capture.look.reading import CELL
 from tg4mm.capture.look.usual import LEAST_INFORMATION, QUANTISED
 from tg4mm.capture.tracking.template import FROZEN, Grid, Template, false_information
 from tg4mm.core.errors import RegionError
-from tg4mm.core.regions import POINT_RADIUS, Region, Regions
-from tg4mm.core.scale import Pixel, Scale
+from tg4mm.core.regions import POINT_RADIUS, Pixel, Region, Regions, Scale
 from tg4mm.show.regions import COLOURS
 
 BOX, POLYGON, POINT, LENGTH, RECTANGLE = "box", "polygon", "point", "length", "rectangle"

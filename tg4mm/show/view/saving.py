@@ -12,7 +12,7 @@ import viser
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pictures.frames import write_png
+from tg4mm.core.pictures.decode import write_png
 from tg4mm.show.render.video import stream_mp4
 from tg4mm.show.view.charts import block
 from tg4mm.show.view.pixel_panel import Waveform

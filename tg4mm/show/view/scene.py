@@ -15,11 +15,11 @@ from tg4mm.core.choices import Clock
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
 from tg4mm.core.phasors import peak_displacement, scale_top
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.run.stages.look import look_of
+from tg4mm.run.stages import look_of
 from tg4mm.show.maps import blending_weights, leading_modes, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras, look_at
 from tg4mm.show.result import result_of

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animator
 from tg4mm.show.maps import pixel_sums

@@ -30,8 +30,8 @@ from tests.helpers.splat_files import (
 )
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, read_head, read_splat
-from tg4mm.core.splatfile.axes import transformed
-from tg4mm.core.splatfile.drawable import Head
+from tg4mm.core.splatfile.formula import transformed
+from tg4mm.core.splatfile.model import Head
 
 
 @pytest.mark.parametrize("k", [1, 16])
@@ -224,7 +224,7 @@ def test_legal_infinities_are_read_and_the_others_left_out_with_their_count(kind
 def test_motion_that_is_no_number_takes_its_gaussian_along(tmp_path):
     splat = random_splat(n=6, m=2, deviation=True)
     splat.displacement[1, 4, 2] = np.nan + 1j
-    from tg4mm.core.splatfile.write import write_splat
+    from tg4mm.core.splatfile.ply import write_splat
 
     with pytest.raises(SplatFileError):  # our own writer writes no such thing
         write_splat(tmp_path / "a.ply", splat)

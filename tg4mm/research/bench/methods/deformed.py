@@ -30,7 +30,7 @@ from tg4mm.research.paper.space import Cameras, cameras_on, view_loss, views_at
 from tg4mm.research.paper.space import Fit as Fitting
 from tg4mm.research.paper.triplane import base_of, scene_box
 from tg4mm.run import Run
-from tg4mm.run.stages.space import train_space
+from tg4mm.run.stages import train_space
 from tg4mm.run.train import parse_settings
 
 _MAY_BE_ZERO = ("smoothness", "seed", "margin", "stiffness")

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.files import write_atomic
 from tg4mm.core.pages.page import Block, Figure, Section, Text, film, photo_uri, picture
-from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.research.bench.jobs import picture_folder
 from tg4mm.research.bench.scored import most_changing, video_of
 from tg4mm.research.bench.sets import BenchSet, alpha_to_show, open_set, truth_at

@@ -1,32 +1,45 @@
-"""The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill."""
+"""The stages of a run of the preset `modal`: look, space and motion. Each is kept in the run folder."""
 
 import dataclasses
 import hashlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.look import Found
+from tg4mm.capture import Capture, ImageStack, SurfacePoints
+from tg4mm.capture.look import Found, Picture, look_at_pictures
+from tg4mm.capture.look.compression import with_losses
+from tg4mm.capture.look.reading import FEWEST, INTRA
+from tg4mm.capture.look.record import from_record, to_record
+from tg4mm.capture.look.rows import with_rows
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.core.checkpoint import Checkpoint
+from tg4mm.capture.scene import picture_kinds, video_file
 from tg4mm.core.choices import Clock
 from tg4mm.core.errors import RunError
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.progress import progress
+from tg4mm.core.work_folder import Checkpoint
 from tg4mm.fit.device import gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import held, note_on, observe, window_on
+from tg4mm.fit.motion.observations import fixed_cameras, held, note_on, observe, window_on
 from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.space.config import SpaceConfig
+from tg4mm.fit.space.plane import fit_plane
+from tg4mm.fit.space.targets import RestViews
+from tg4mm.fit.space.train import fit_space
 from tg4mm.run import UNCERTAINTY, Run
 
-_STAGE, _SCENE = "motion", "scene"
+_SCENE = "scene"
 _VERSION = 18  # of a checkpoint: steps of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
+
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def train_motion(
@@ -48,7 +61,7 @@ def train_motion(
     each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
     Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
     """
-    kept = Checkpoint(run, _STAGE)
+    kept = Checkpoint(run, "motion")
     reset_peak_memory()
     reset_gpu_peak(device)
     window = window_on(capture, config, moves)
@@ -147,3 +160,55 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def train_space(
+    run: Run, views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str = "cpu"
+) -> Gaussians:
+    """`fit_space`, kept in the run: RUN/checkpoint_space.safetensors while it goes on, then RUN/space.safetensors.
+
+    Returns the Gaussians (on the CPU). The run's log gets the figures of `SpaceFit`. Raises what `fit_space` raises.
+    """
+    reset_peak_memory()
+    kept = Checkpoint(run, "space")
+    fit = fit_space(views, points, config, device, kept)
+    run.save_space(fit.gaussians, fit.figures)
+    kept.drop()
+    return fit.gaussians
+
+
+def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "cpu") -> Gaussians:
+    """`fit_plane`, saved in the run with its figures. Returns the Gaussians (on the CPU)."""
+    reset_peak_memory()
+    fit = fit_plane(views, config, device)
+    run.save_space(fit.gaussians, fit.figures)
+    return fit.gaussians
+
+
+def look_at_capture(run: Run, capture: Capture, images: ImageStack | FilePictures) -> Found | None:
+    """Look at the recording of a single fixed camera; return None for several cameras or too few pictures."""
+    if len(fixed_cameras(capture)) != 1 or capture.n_timesteps < FEWEST:
+        return None
+    if (kept := look_of(run)) is None:
+        kept = look_at_pictures(_pictures(capture, images), str(capture.root))
+        if (video := video_file(capture.root)) is not None:
+            lines = with_losses(kept, video.path, kept.rate, video.from_s, video.repeats)
+            kept = replace(kept, lines=lines)
+        kept = with_rows(kept, capture.rows_s)
+        run.record("look", to_record(kept))
+    return kept
+
+
+def look_of(run: Run) -> Found | None:
+    """Return the look stored in the run's log."""
+    values = run.log().get("look")
+    return None if not values else from_record(values)
+
+
+def _pictures(capture: Capture, images: ImageStack | FilePictures) -> Iterator[Picture]:
+    (frames,) = fixed_cameras(capture)[:1]
+    kinds = picture_kinds(capture.root, len(frames.rows)) or [INTRA] * len(frames.rows)
+    with progress("regions", len(frames.rows), "pictures") as update:
+        for k, (row, time) in enumerate(zip(frames.rows, frames.times_s, strict=True)):
+            yield Picture(255 * (images.rgb(int(row)) @ _LUMA), float(time), kinds[k])
+            update(k + 1)
