@@ -14,12 +14,15 @@ from tg4mm.capture.sfm.dataset import VIEWMAT
 from tg4mm.core.magnification import check_band
 from tg4mm.core.phasors import series_modes
 from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.show.measure.measurement import region_sensors
 from tg4mm.show.result.advice import suggested_bands
 from tg4mm.show.result.looked import looked_notes, looked_vibrations
 from tg4mm.show.result.model import line_near, mode_deviations, phasors_at, why_no_damping, with_deviation
 
 FPS, N = 30.0, 120
 T = np.arange(N) / FPS
+K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
+CAPTURE = SimpleNamespace(viewmats=VIEWMAT[None], Ks=K[None])
 
 
 def ringing(hz, decay):
@@ -93,15 +96,27 @@ def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share():
 
 
 def test_a_line_is_a_vibration_in_pixels_and_scene_units_at_its_place():
-    K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
-    capture = SimpleNamespace(viewmats=VIEWMAT[None], Ks=K[None])
-    (v,) = looked_vibrations(found(), capture, fps=30.0, duration_s=6.0)
+    (v,) = looked_vibrations(found(), CAPTURE, fps=30.0, duration_s=6.0)
     assert (v.hz, v.deviation_hz) == (5.2, 0.01)
     assert (v.pixels.value, v.pixels.deviation) == (0.12, 0.004)
     assert v.amplitude.value == pytest.approx(0.12 / 64)
     assert v.place == pytest.approx(((40 - 32) / 64, 1.0, (25 - 24) / 64))
     assert v.damping == 0.02
     assert v.band[0] < 5.2 < v.band[1]
+
+
+def test_parts_that_move_at_one_frequency_share_its_band_and_have_sensors_of_their_own():
+    first = found()
+    other = replace(first.lines[0], amplitude_px=0.05, direction=(0.8, 0.6), centre_px=(10.0, 40.0))
+    both = replace(first, lines=(first.lines[0], other))
+    one, two = looked_vibrations(both, CAPTURE, fps=30.0, duration_s=6.0)
+    (alone,) = looked_vibrations(first, CAPTURE, fps=30.0, duration_s=6.0)
+    assert one.band == two.band == alone.band
+    assert two.pixels.value == 0.05
+    scene = SimpleNamespace(observations=SimpleNamespace(frames=[SimpleNamespace(name="r_000")]))
+    sensors = region_sensors(scene, both)
+    assert [sensor.name for sensor in sensors] == ["5.2 Hz", "5.2 Hz 2"]
+    assert sensors[1].values[:2] == (10.0, 40.0)
 
 
 def test_a_marked_line_is_no_vibration_and_the_notes_say_why():
@@ -117,10 +132,8 @@ def test_an_amplitude_that_the_codec_took_from_is_said_to_be_larger():
     said = "the amplitude above 0.12 px at 5.2 Hz at (40, 24): smaller than the codec lets through"
     assert said in looked_notes(lost)
     assert said not in looked_notes(seen)
-    K = np.array([[64.0, 0, 32], [0, 64.0, 25], [0, 0, 1]])
-    capture = SimpleNamespace(viewmats=VIEWMAT[None], Ks=K[None])
     shown = [
-        with_deviation(looked_vibrations(f, capture, fps=30.0, duration_s=6.0)[0].pixels)
+        with_deviation(looked_vibrations(f, CAPTURE, fps=30.0, duration_s=6.0)[0].pixels)
         for f in (seen, lost)
     ]
     assert shown == ["0.1200 ± 0.0040", "> 0.1200 ± 0.0040"]
