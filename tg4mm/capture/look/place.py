@@ -38,7 +38,12 @@ _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P pictures' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
 _OTHERWISE = np.deg2rad(30)  # in direction or phase: a part that moves otherwise
-_CLEARLY = 3.0  # deviations by which a part's amplitude and its difference are above 0
+_REAL, _REAL_CODED = (
+    2.0,
+    3.0,
+)  # deviations of a part's amplitude; where a codec may carry motion from place to place
+_CLEARLY = 3.0  # deviations by noise of how a part differs from others
+_JOINS = 0.05  # of the amplitude that a cell moves by at least, to be of one part with the next
 _FEWEST_APART = 4  # cells of a part that moves otherwise: fewer may be an edge, or what a codec makes
 _AROUND = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
 
@@ -55,6 +60,7 @@ class Placed:
     region: np.ndarray  # indices of the grid's cells that the amplitude is of
     moving: np.ndarray  # indices of the grid's cells that show the line
     readout: Readout | None  # that would make phases alike at all heights
+    noise_px: float  # the part of the deviation that noise makes
 
 
 @dataclass(frozen=True)
@@ -76,13 +82,15 @@ def cell_numbers(search: Search) -> np.ndarray:
 def placed(search: Search, line: Line) -> list[Placed]:
     """Region, amplitude and readout of a line, and those of parts that move at its frequency in another way.
 
-    Cells that show the line fall into parts that do not touch. A part is a row of its own where its direction or its
-    phase (but for half a period) clearly differs by more than 30° from that of each part before it.
+    Cells that clearly show the line fall into parts that do not touch. A part is a row of its own where its direction
+    or its phase (but for half a period) clearly differs by more than 30° from that of each part before it.
     """
     placing = _Placing(search, line)
     out = [placing.placed()]
     numbers, grid = cell_numbers(search), search.scene.grid
-    labels, count = ndimage.label(grid.picture(np.isin(np.arange(len(grid)), out[0].moving)), BLOCK)
+    sizes = np.linalg.norm(placing.cells.fit, axis=(0, 2))
+    joined = numbers[np.isin(numbers, out[0].moving) & (sizes > _JOINS * out[0].amplitude_px)]
+    labels, count = ndimage.label(grid.picture(np.isin(np.arange(len(grid)), joined)), BLOCK)
     own = labels.ravel()[numbers]
     largest = [float(placing.cells.statistic[own == k].max()) for k in range(1, count + 1)]
     for k in 1 + np.argsort(largest)[::-1]:
@@ -100,11 +108,9 @@ def placed(search: Search, line: Line) -> list[Placed]:
 
 def _differs(search: Search, line: Line, part: Placed, other: Placed) -> bool:
     """Whether a part clearly moves in another direction or phase; rows that are read later are later in phase."""
-    if part.amplitude_px < _CLEARLY * part.deviation_px:
+    if part.amplitude_px < (_REAL_CODED if search.scene.patterns else _REAL) * part.deviation_px:
         return False
-    sure = _CLEARLY * np.hypot(
-        part.deviation_px / part.amplitude_px, other.deviation_px / max(other.amplitude_px, 1e-12)
-    )
+    sure = _CLEARLY * np.hypot(part.noise_px / part.amplitude_px, other.noise_px / other.amplitude_px)
     turned = np.arccos(min(abs(float(part.direction @ other.direction)), 1.0))
     away = abs((part.phase_rad - other.phase_rad + np.pi / 2) % np.pi - np.pi / 2)
     height = abs(part.centre_px[1] - other.centre_px[1]) / search.scene.series.size[1]
@@ -143,7 +149,7 @@ class _Placing:
         statistic = self.cells.statistic
         seed, size = self._seed()
         region, is_rim = self._inner(self._grown(seed, size))
-        amplitude, deviation, direction, phase = self._amplitude(region, is_rim)
+        amplitude, deviation, direction, phase, noise = self._amplitude(region, is_rim)
         if len(region) <= size**2:  # the largest of all, so that its error is rather up than down
             beside = self._beside(region.tolist(), self._common(region))
             deviation = float(np.hypot(deviation, 0.0 if beside is None else abs(amplitude - beside) / 2))
@@ -154,7 +160,7 @@ class _Placing:
         numbers = cell_numbers(self.search)
         return Placed(
             *(amplitude, deviation, direction, phase, (float(x), float(y)), numbers[region]),
-            *(numbers[statistic > cut], self._readout(direction)),
+            *(numbers[statistic > cut], self._readout(direction), noise),
         )
 
     def _everywhere(self, j: int) -> _Everywhere:
@@ -282,8 +288,8 @@ class _Placing:
         covariance *= np.sqrt(np.outer(typical / np.diag(covariance), typical / np.diag(covariance)))
         return np.asarray(covariance * len(search.times) / 4 / seen.mean())
 
-    def _amplitude(self, region: np.ndarray, is_rim: bool) -> tuple[float, float, np.ndarray, float]:
-        """Amplitude and its ±, direction and phase of a region."""
+    def _amplitude(self, region: np.ndarray, is_rim: bool) -> tuple[float, float, np.ndarray, float, float]:
+        """Amplitude and its ±, direction, phase and the ± by noise alone of a region."""
         series, seen = self._series(region)
         noise, scene, vibration = self._noise(series, seen), self.search.scene, self.line.vibration
         y, basis, kinds = series[seen], self.basis[seen], scene.series.kinds[seen]
@@ -311,7 +317,8 @@ class _Placing:
         relative = np.linalg.norm(
             [RIM if is_rim else GAIN_ERROR, inexact, _PREDICTED * self._predicted_lack()]
         )
-        return amplitude, float(np.hypot(variance**0.5, relative * amplitude)), direction, phase
+        noise_px = float(variance**0.5)
+        return amplitude, float(np.hypot(noise_px, relative * amplitude)), direction, phase, noise_px
 
     def _predicted_lack(self) -> float:
         """The share of detail that P pictures lack beside I pictures."""
