@@ -26,7 +26,7 @@ MAGNIFY = """
 import sys
 import numpy as np
 import torch
-from tg4mm.core.filters import TemporalFilter, bins
+from tg4mm.core.magnification import TemporalFilter, bins
 from tg4mm.fit.magnify.phase import PhaseMagnifier
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 torch.set_num_threads(1)
