@@ -65,7 +65,9 @@ class Capture:
     times_s: np.ndarray = None  # type: ignore[assignment]
     # C, by which a picture as it is stored becomes a pinhole's when it is decoded; (): all are
     lenses: tuple[Lens | None, ...] = ()
-    masks: tuple[Path | None, ...] = ()  # C files, white where a picture counts (`pictures.py`); (): everywhere
+    masks: tuple[
+        Path | None, ...
+    ] = ()  # C files, white where a picture counts (`pictures.py`); (): everywhere
     # [3] float64, in the dataset's coordinates: where those of viewmats and points begin. 0 but for a scene that lies
     # far from the dataset's own origin (`far_origin`), whose places float32 would not hold.
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, sliding, texture, write_video
 from tg4mm.capture.look import Picture, look, look_at_pictures
-from tg4mm.capture.look.look import _is_told_apart
+from tg4mm.capture.look.look import _is_off_mirror
 from tg4mm.core.errors import CaptureError
 
 WIDTH, HEIGHT, FPS, FRAMES = 160, 112, 30, 180
@@ -199,10 +199,10 @@ def test_pictures_that_are_shown_again_are_left_out_and_the_others_have_their_tr
     assert [round(line.hz, 1) for line in found.vibrations] == [5.2]
 
 
-@pytest.mark.parametrize(("hz", "told"), [(3.7, False), (2.4, True), (7.4, False), (5.2, True)])
-def test_few_frames_tell_a_frequency_from_its_mirror_image(hz, told):
+@pytest.mark.parametrize(("hz", "resolved"), [(3.7, False), (2.4, True), (7.4, False), (5.2, True)])
+def test_predicted_frames_alone_do_not_resolve_a_frequency_near_half_their_rate(hz, resolved):
     """Frames that are predicted, every fourth of 30 a second: 3.7 Hz looks like 3.8 Hz among them."""
-    assert _is_told_apart(hz, np.arange(0, 8, 4 / FPS), 8.0) == told
+    assert _is_off_mirror(hz, np.arange(0, 8, 4 / FPS), 8.0) == resolved
 
 
 def test_what_cannot_be_looked_at_is_said():

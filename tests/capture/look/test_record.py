@@ -69,6 +69,13 @@ def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_f
         own = marked([replace(line, amplitude_px=size)], 30.0, 6.0, light=[lamp], clipped=cells)
         assert own[0].mark.startswith(mark)
         assert bool(own[0].mark) == bool(mark)
+    for deviation, marked_so in ((0.0005, False), (0.002, True)):
+        uncertain = replace(line, amplitude_px=0.012, amplitude_deviation_px=deviation)
+        assert bool(marked([uncertain], 30.0, 6.0, light=[lamp], clipped=clear)[0].mark) == marked_so
+    large = replace(line, amplitude_px=0.05, amplitude_deviation_px=0.03)
+    assert not marked([large], 30.0, 6.0, light=[lamp], clipped=clear)[
+        0
+    ].mark  # uncertain, but far above the light
 
 
 def test_an_image_by_the_codec_is_where_its_line_is():

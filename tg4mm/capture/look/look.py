@@ -31,9 +31,7 @@ _MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is 
 _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
-_ITS_RIM = (
-    2  # cells from one that moves by itself, whose neighbours are left out, to the nearest that is used
-)
+_ITS_RIM = 2  # cells from an edge, whose neighbours are left out, to the nearest that is used
 _LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 _APART = 2.0  # times the resolution, from a frequency to its mirror image at half the rate
@@ -156,17 +154,17 @@ def _moved(search: Search) -> np.ndarray:
 
 def _lines(search: Search, line: Line) -> list[LookLine]:
     """Return a line's rows: the place where it is largest, then parts that move at its frequency in another way."""
-    told = _reported(search, line)
-    return [_line(search, line, told, where) for where in placed(search, line)]
+    reported = _reported(search, line)
+    return [_line(search, line, reported, where) for where in placed(search, line)]
 
 
-def _line(search: Search, line: Line, told: CoreLine, where: Placed) -> LookLine:
+def _line(search: Search, line: Line, reported: CoreLine, where: Placed) -> LookLine:
     grid = search.scene.grid
     cells = where.moving if len(where.moving) else where.region
     return LookLine(
-        *(told.hz, told.hz_deviation, where.amplitude_px, where.deviation_px),
-        told.change,
-        *(told.damping, told.damping_deviation, told.start_s, told.from_s),
+        *(reported.hz, reported.hz_deviation, where.amplitude_px, where.deviation_px),
+        reported.change,
+        *(reported.damping, reported.damping_deviation, reported.start_s, reported.from_s),
         *(
             (float(where.direction[0]), float(where.direction[1])),
             where.phase_rad,
@@ -192,7 +190,7 @@ def _reported(search: Search, line: Line) -> CoreLine:
     reported = steady = fit_lines(series[seen], search.times[seen], [own.hz]).lines[0]
     if own.decay_per_s:
         rows = seen & ~scene.between if scene.treats_apart else seen
-        rows = rows if _is_told_apart(own.hz, search.times[rows], scene.duration) else seen
+        rows = rows if _is_off_mirror(own.hz, search.times[rows], scene.duration) else seen
         half = max(1 / scene.duration, own.decay_per_s / np.pi)
         ends = max(own.hz - half, 1 / scene.duration), own.hz + half
         found = find_lines(series[rows], search.times[rows], ends=ends, most=1).lines
@@ -202,8 +200,8 @@ def _reported(search: Search, line: Line) -> CoreLine:
     return reported
 
 
-def _is_told_apart(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
-    """Whether frames at some times tell a frequency from its mirror image at half their rate."""
+def _is_off_mirror(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
+    """Whether frames at some times resolve a frequency from its mirror image about half their rate."""
     rate = 1 / float(np.median(np.diff(times_s)))
     apart = abs((2 * hz + rate / 2) % rate - rate / 2)
     return bool(apart > _APART / duration_s)

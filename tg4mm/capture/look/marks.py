@@ -54,7 +54,7 @@ def _beside_light(
             seems = _LIGHT_PX * lamp.amplitude
             why = f"no more than light makes seem to move that flickers at {lamp.hz:.4g} Hz"
             deviation = float(np.hypot(line.amplitude_deviation_px, seems))
-            if line.amplitude_px - 2 * line.amplitude_deviation_px < seems:
+            if line.amplitude_px - 2 * min(line.amplitude_deviation_px, seems) < seems:
                 mark = why
             elif is_clipped and line.amplitude_px < _LIGHT_MOST_PX * lamp.amplitude:
                 mark = line.mark or f"may be light, which flickers at {lamp.hz:.4g} Hz"

@@ -38,10 +38,8 @@ _KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
 _PREDICTED = 0.4  # of P pictures' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
 _OTHERWISE = np.deg2rad(30)  # in direction or phase: a part that moves otherwise
-_REAL, _REAL_CODED = (
-    2.0,
-    3.0,
-)  # deviations of a part's amplitude; where a codec may carry motion from place to place
+_REAL = 2.0  # deviations of a part's amplitude
+_REAL_CODED = 3.0  # the same where a codec may carry motion from place to place
 _CLEARLY = 3.0  # deviations by noise of how a part differs from others
 _JOINS = 0.05  # of the amplitude that a cell moves by at least, to be of one part with the next
 _FEWEST_APART = 4  # cells of a part that moves otherwise: fewer may be an edge, or what a codec makes
@@ -173,8 +171,8 @@ class _Placing:
     def _seed(self) -> tuple[list[int], int]:
         """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side.
 
-        Its amplitude is the lesser of its own and that of the cells around it which show the line too: of many places
-        the largest would else be one that is wrong.
+        A deviation includes half of what the amplitude exceeds those of the cells around by: the largest of many
+        places is otherwise one that is wrong.
         """
         best_of = [float(e.statistic.max()) for e in self.all]
         surest = self.all[int(np.argmax(best_of))]
