@@ -91,7 +91,8 @@ def shots(settings: Settings, motion: Motion) -> list[Shot]:
                     if not alpha and settings.truth in (split, "all"):
                         seen = state, split, record.true_camera(split, camera, t), rows, ()
                         truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
-    ordered = sorted({*pictures, *((seen, 0) for seen in truth)}, key=_order)
+    # Not a set: its order, which decides between equal keys, would differ from one render process to the next.
+    ordered = sorted(dict.fromkeys([*pictures, *((seen, 0) for seen in truth)]), key=_order)
     painters = _painters(sorted(pictures, key=_order)) if settings.points else set()
     return [
         Shot(

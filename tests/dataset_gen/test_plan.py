@@ -1,5 +1,9 @@
 """Every file of the set comes from exactly one shot, and equal states are rendered once."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -39,3 +43,26 @@ def test_an_exposure_shows_the_motion_times_the_sinc_of_it():
     shown = [np.dot(shares, [state.gains[0] for state in s.blur]) for s in blurred]
     true = [s.state.gains[0] * np.sinc(5 * 0.0333) for s in blurred]
     np.testing.assert_allclose(shown, true, rtol=1e-6, atol=1e-9)
+
+
+def test_every_process_plans_the_same_order():
+    """Workers receive positions in the plan: frames 1 and 2 of a hand-held camera show one state, and nothing may
+    decide between them that differs from process to process."""
+    code = (
+        "from dataset_gen.options import parser, request_from; from dataset_gen.plan import shots\n"
+        "from dataset_gen.prepare import builtin_bodies, motion_of\n"
+        "words = 'mic --cameras handheld --timesteps 12 --out x'.split()\n"
+        "settings = request_from(parser().parse_args(words)).sets[0]\n"
+        "print([s.files for s in shots(settings, motion_of(settings, builtin_bodies('mic')))])"
+    )
+    orders = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("0", "1", "2", "3")
+    }
+    assert len(orders) == 1
