@@ -15,7 +15,7 @@ import pytest
 import torch
 from PIL import Image
 
-from tests.helpers.synthetic import make_synthetic_dataset, moving_run
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.splatfile import positions_at, read_splat
@@ -80,67 +80,56 @@ def test_render_takes_an_orbit_in_slow_motion(run_path, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--alpha", "inf"], "--alpha inf"),
+        ("inf", "--alpha inf"),
+        ("1 --alpha 2", "--alpha is given 2 times, --band 0 times: without --band there is one"),
+        ("1 --band 1 2 --band 3 4", "each band needs its own"),
+        ("1 --band 4", "--band '4' is neither two frequencies in Hz"),
+        ("1 --band 4 --no-video", "--band '4' is neither two frequencies in Hz, LO HI, nor auto"),
+        ("1 --band --no-video", "--band '' is neither two frequencies in Hz"),
+        ("1 --band=4 --no-video", "--band '4' is neither two frequencies in Hz"),
+        ("1 --band -4 6", "band (-4, 6) Hz starts below 0 Hz"),
         (
-            ["--alpha", "1", "--alpha", "2"],
-            "--alpha is given 2 times, --band 0 times: without --band there is one",
+            "1 --band 7.2 7.4",
+            "no motion was found there; no vibration stands out, and the modes lie at 5 Hz; --allow",
         ),
-        (["--alpha", "1", "--band", "1", "2", "--band", "3", "4"], "each band needs its own"),
-        (["--alpha", "1", "--band", "4"], "--band '4' is neither two frequencies in Hz"),
-        (
-            ["--alpha", "1", "--band", "4", "--no-video"],
-            "--band '4' is neither two frequencies in Hz, LO HI, nor auto",
-        ),
-        (["--alpha", "1", "--band", "--no-video"], "--band '' is neither two frequencies in Hz"),
-        (["--alpha", "1", "--band=4", "--no-video"], "--band '4' is neither two frequencies in Hz"),
-        (["--alpha", "1", "--band", "-4", "6"], "band (-4, 6) Hz starts below 0 Hz"),
-        (
-            ["--alpha", "1", "--band", "7.2", "7.4"],
-            "--band 7.2 7.4: no motion was found there; no vibration stands out, and the modes lie at 5 Hz; --allow",
-        ),
-        (
-            ["--alpha", "1", "--alpha", "2", "--band", "1", "4", "--band", "3", "5"],
-            "overlap: 3 Hz lies in both",
-        ),
-        (["--alpha", "1", "--method", "phase"], "--method phase"),
-        (["--alpha", "1", "--filter", "ideal"], "--filter ideal goes with --band: without one nothing is"),
-        (
-            ["--alpha", "1", "--band", "4", "6", "--filter", "ideal"],
-            "--filter ideal: the method modal picks modes",
-        ),
-        (["--alpha", "1", "--amplitude-percentile", "50"], "--amplitude-percentile is of the method phase"),
-        (["--alpha", "1", "--slow", "2", "--no-video"], "--slow 2 and --no-video exclude each other"),
-        (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),
-        (["--alpha", "1", "--slow", "0"], "--slow 0"),
-        (["--alpha", "1", "--slow", "1e9"], "pictures a second: expected 0.01 … 10000; see --slow"),
-        (["--alpha", "nan"], "--alpha nan"),
-        (["--alpha", "1e308"], "must be within ±1e+06"),
-        (["--alpha", "1", "--cameras", "nowhere.json"], "nowhere.json: cannot be read"),
+        ("1 --alpha 2 --band 1 4 --band 3 5", "overlap: 3 Hz lies in both"),
+        ("1 --method phase", "--method phase"),
+        ("1 --filter ideal", "--filter ideal goes with --band: without one nothing is"),
+        ("1 --band 4 6 --filter ideal", "--filter ideal: the method modal picks modes"),
+        ("1 --amplitude-percentile 50", "--amplitude-percentile is of the method phase"),
+        ("1 --slow 2 --no-video", "--slow 2 and --no-video exclude each other"),
+        ("1 --band 4 40", "(4, 40) Hz reaches past half the frame rate"),
+        ("1 --slow 0", "--slow 0"),
+        ("1 --slow 1e9", "pictures a second: expected 0.01 … 10000; see --slow"),
+        ("nan", "--alpha nan"),
+        ("1e308", "must be within ±1e+06"),
+        ("1 --cameras nowhere.json", "nowhere.json: cannot be read"),
     ],
 )
 def test_render_refuses_bad_values(run_path, tmp_path, capsys, options, message):
-    assert main(["render", str(run_path), "--out", str(tmp_path / "o"), *options]) == 2
+    assert main(["render", str(run_path), "--out", str(tmp_path / "o"), "--alpha", *options.split()]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    "words",
     [
-        ["train", "DATA", "--out", "FILE/x"],
-        ["render", "RUN", "--alpha", "1", "--out", "FILE/x"],
-        ["render", "RUN", "--alpha", "1", "--out", "FILE"],
-        ["evaluate", "RUN", "--out", "FILE/x/m.json"],
-        ["export", "RUN", "--out", "FILE/x/a.ply"],
-        ["export", "RUN", "--out", "FILE/x", "--format", "ply-sequence"],
+        "train DATA --out FILE/x",
+        "render RUN --alpha 1 --out FILE/x",
+        "render RUN --alpha 1 --out FILE",
+        "evaluate RUN --out FILE/x/m.json",
+        "export RUN --out FILE/x/a.ply",
+        "export RUN --out FILE/x --format ply-sequence",
     ],
 )
-def test_out_that_cannot_be_made_is_one_line(run_path, tmp_path, capsys, arguments):
+def test_out_that_cannot_be_made_is_one_line(run_path, tmp_path, capsys, words):
     (tmp_path / "file").write_text("mine")
     places = {"RUN": str(run_path), "DATA": str(run_path.parent / "data"), "FILE": str(tmp_path / "file")}
-    for name, path in places.items():
-        arguments = [a.replace(name, path, 1) if a.startswith(name) else a for a in arguments]
-    assert main(arguments) == 2
+    assert (
+        main([re.sub("^(RUN|DATA|FILE)", lambda found: places[found[0]], word) for word in words.split()])
+        == 2
+    )
     line = capsys.readouterr().err
     file = re.escape(places["FILE"])
     reasons = rf"{file}[/x]*(: | cannot be written: )(Not a directory|File exists)|{file} is a file, expected a folder"
@@ -173,19 +162,17 @@ def test_evaluate_prints_a_table_and_writes_the_figures(run_path, tmp_path, caps
     assert "nothing moves" in printed
 
 
-def test_evaluate_refuses_an_alpha_without_ground_truth(run_path, tmp_path, capsys):
+def test_evaluate_refuses_an_alpha_without_ground_truth_and_a_band_without_motion(run_path, tmp_path, capsys):
     out = tmp_path / "metrics.json"
-    assert main(["evaluate", str(run_path), "--alphas", "5,3", "--out", str(out)]) == 2
-    assert "--alphas holds α = 3: no such ground truth under" in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_evaluate_refuses_a_band_without_motion(run_path, tmp_path, capsys):
-    out = tmp_path / "metrics.json"
-    command = ["evaluate", str(run_path), "--alphas", "5", "--band", "6.4", "7", "--out", str(out)]
-    assert main(command) == 2
-    assert "--band 6.4 7: no motion was found there" in capsys.readouterr().err
-    assert not out.exists()
+    evaluate = ["evaluate", str(run_path), "--out", str(out), "--alphas"]
+    command = [*evaluate, "5", "--band", "6.4", "7"]
+    for words, message in (
+        ([*evaluate, "5,3"], "--alphas holds α = 3: no such ground truth under"),
+        (command, "--band 6.4 7: no motion was found there"),
+    ):
+        assert main(words) == 2
+        assert message in capsys.readouterr().err
+        assert not out.exists()
     assert main([*command, "--allow-empty-band"]) == 0
 
 
@@ -220,19 +207,19 @@ def test_report_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--band", "6.4", "7"], "no motion was found there"),
-        (["--band", "1", "2", "--band", "4", "6"], "--band is given 2 times"),
-        (["--band", "4", "40"], "half the frame rate"),
-        (["--alpha", "nan"], "--alpha nan"),
-        (["--sensor", "a=cube:1"], "'cube'"),
-        (["--sensor", "far=sphere:99,0,0,.1"], "far"),
-        (["--sensor", "a=all", "--sensor", "a=all"], "two sensors are called"),
-        (["--alpha", "x"], "x"),
+        ("--band 6.4 7", "no motion was found there"),
+        ("--band 1 2 --band 4 6", "--band is given 2 times"),
+        ("--band 4 40", "half the frame rate"),
+        ("--alpha nan", "--alpha nan"),
+        ("--sensor a=cube:1", "'cube'"),
+        ("--sensor far=sphere:99,0,0,.1", "far"),
+        ("--sensor a=all --sensor a=all", "two sensors are called"),
+        ("--alpha x", "x"),
     ],
 )
 def test_bad_options_of_report_give_one_line_and_no_page(run_path, tmp_path, capsys, options, message):
     out = tmp_path / "page.html"
-    assert main(["report", str(run_path), "--out", str(out), *options]) == 2
+    assert main(["report", str(run_path), "--out", str(out), *options.split()]) == 2
     error = capsys.readouterr().err.strip()
     assert message in error.splitlines()[-1]
     assert not out.exists()
@@ -276,14 +263,14 @@ def test_a_port_in_use_is_one_line(run_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--alpha", "nan"], "--alpha nan: expected a finite number"),
-        (["--band", "3", "5", "--band", "6", "7"], "--band is given 2 times"),
-        (["--band", "5", "90"], "reaches past half the frame rate, 7.5 Hz"),
-        (["--port", "70000"], "--port 70000: expected 0 … 65535"),
+        ("--alpha nan", "--alpha nan: expected a finite number"),
+        ("--band 3 5 --band 6 7", "--band is given 2 times"),
+        ("--band 5 90", "reaches past half the frame rate, 7.5 Hz"),
+        ("--port 70000", "--port 70000: expected 0 … 65535"),
     ],
 )
 def test_bad_options_of_view_are_one_line(run_path, options, message, capsys):
-    assert main(["view", str(run_path), "--no-open", *options]) == 2
+    assert main(["view", str(run_path), "--no-open", *options.split()]) == 2
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
@@ -344,23 +331,9 @@ def test_pictures_of_another_file_are_not_mixed_in(run_path, tmp_path, capsys):
     assert "out was made of another model: give another folder" in capsys.readouterr().err
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    root = tmp_path_factory.mktemp("device")
-    return moving_run(root, n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,), n_test=2)
-
-
 def test_an_unknown_device_is_named():
     with pytest.raises(Tg4mmError, match=r"\Adevice is 'tpu', expected cpu or cuda\Z"):
         check_device("tpu")
-
-
-def commands(run, out):
-    return [
-        ["train", str(run.dataset), "--out", str(out)],
-        ["render", str(run.path), "--alpha", "5", "--out", str(out)],
-        ["evaluate", str(run.path), "--out", str(out / "m.json")],
-    ]
 
 
 @pytest.mark.parametrize(
@@ -370,14 +343,15 @@ def commands(run, out):
         (True, 'device cuda needs gsplat: pip install "tg4mm[cuda]"'),
     ],
 )
-@pytest.mark.parametrize("index", range(3))
+@pytest.mark.parametrize("words", ["train DATA", "render RUN --alpha 5", "evaluate RUN"])
 def test_cuda_without_a_gpu_or_gsplat_is_one_line_and_2(
-    index, has_gpu, said, run, tmp_path, capsys, monkeypatch
+    words, has_gpu, said, run_path, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: has_gpu)
     monkeypatch.setitem(sys.modules, "gsplat", None)
     out = tmp_path / "out"
-    assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
+    words = words.replace("DATA", str(run_path.parent / "data")).replace("RUN", str(run_path)).split()
+    assert main([*words, "--out", str(out), "--device", "cuda"]) == 2
     assert capsys.readouterr().err == f"tg4mm: {said}\n"
     assert not out.exists()
 

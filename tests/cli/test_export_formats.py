@@ -95,37 +95,33 @@ TO_MOVE = "ply-sequence, spz, usd, gltf"
     [
         (
             "a.ply",
-            ["ply", "--alpha", "3"],
+            "ply --alpha 3",
             f"--alpha belongs to --format {TO_MOVE}; a splat file contains the motion",
         ),
-        (
-            "a.html",
-            ["html", "--band", "1", "2"],
-            f"--band belongs to --format {TO_MOVE}; a page contains the motion",
-        ),
+        ("a.html", "html --band 1 2", f"--band belongs to --format {TO_MOVE}; a page contains the motion"),
         (
             "a.glb",
-            ["gltf", "--method", "linear"],
+            "gltf --method linear",
             "--method belongs to --format ply-sequence, spz, usd; a .glb contains",
         ),
-        ("a.glb", ["gltf", "--timesteps", "3"], "--timesteps belongs to --format ply-sequence, spz, usd"),
-        ("a.spz", ["spz", "--alpha", "3"], "a .spz file contains the scene at rest; give a folder"),
-        ("a.usdc", ["usd", "--timesteps", "3-12"], "timestep 12 is outside 0 … 11"),
-        ("a.usdc", ["usd", "--timesteps", "3,x"], "--timesteps '3,x': 'x' is neither a timestep such as 7"),
-        ("a.usdc", ["usd", "--timesteps", "5-3"], "--timesteps '5-3': '5-3' is neither a timestep such as 7"),
+        ("a.glb", "gltf --timesteps 3", "--timesteps belongs to --format ply-sequence, spz, usd"),
+        ("a.spz", "spz --alpha 3", "a .spz file contains the scene at rest; give a folder"),
+        ("a.usdc", "usd --timesteps 3-12", "timestep 12 is outside 0 … 11"),
+        ("a.usdc", "usd --timesteps 3,x", "--timesteps '3,x': 'x' is neither a timestep such as 7"),
+        ("a.usdc", "usd --timesteps 5-3", "--timesteps '5-3': '5-3' is neither a timestep such as 7"),
         (
             "a.usdc",
-            ["usd", "--timesteps", "0-99999999999"],
+            "usd --timesteps 0-99999999999",
             "is neither a timestep such as 7 nor a range such as 0-9",
         ),
-        ("a.gltf", ["gltf"], "expected a name that ends in .glb, such as {}/a.glb"),
-        ("a.abc", ["usd"], "expected a name that ends in .usdc, such as {}/a.usdc"),
-        ("a.usdc", ["usd", "--alpha", "nan"], "must be a finite number"),
-        ("a.glb", ["gltf", "--alpha", "3", "--band", "1", "20"], "half the frame rate"),
+        ("a.gltf", "gltf", "expected a name that ends in .glb, such as {}/a.glb"),
+        ("a.abc", "usd", "expected a name that ends in .usdc, such as {}/a.usdc"),
+        ("a.usdc", "usd --alpha nan", "must be a finite number"),
+        ("a.glb", "gltf --alpha 3 --band 1 20", "half the frame rate"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, options, message):
-    assert export(run, tmp_path / out, *options) == 2
+    assert export(run, tmp_path / out, *options.split()) == 2
     printed = capsys.readouterr().err
     assert message.replace("{}", str(tmp_path)) in printed
     assert printed.count("\n") == 1

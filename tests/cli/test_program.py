@@ -60,9 +60,7 @@ def test_the_log_is_shown_once_where_progress_is():
 def test_help_can_be_printed_where_the_encoding_lacks_a_letter(module, encoding):
     """As in a pipe on Windows: α is not in code page 1252, … not in 437."""
     environment = ENVIRONMENT | {"PYTHONIOENCODING": encoding}
-    done = subprocess.run(
-        [sys.executable, "-m", module, "--help"], capture_output=True, env=environment, check=False
-    )
+    done = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert b"?" in done.stdout
     assert b"Hz" in done.stdout
@@ -140,14 +138,18 @@ def test_unfinished_run_is_refused(empty_run, tmp_path):
     assert "its space stage is not finished" in refused(done)
 
 
-def run_main(body):
-    """main() with the export command's body replaced by `body`, as another command of the program."""
+def probing(body):
+    """The words that run main() with a command of that body."""
     code = (
         "import sys; from tg4mm.cli import program\n"
         f"def probe() -> None:\n    {body}\n"
         "program.app.command(probe)\nsys.exit(program.main(['probe']))\n"
     )
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    return [sys.executable, "-c", code]
+
+
+def run_main(body):
+    return subprocess.run(probing(body), capture_output=True, text=True, env=ENVIRONMENT)
 
 
 def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1():
@@ -191,15 +193,9 @@ def test_all_that_a_command_needs_is_named_at_once(package, words, extras):
 
 
 def test_interrupt_exits_with_130_and_says_how_to_go_on():
-    code = (
-        "import sys, time; from tg4mm.cli import program\n"
-        "def probe() -> None:\n    print('ready', flush=True); time.sleep(60)\n"
-        "program.app.command(probe)\nsys.exit(program.main(['probe']))\n"
-    )
-    command = [sys.executable, "-c", code]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
-    ) as child:
+    command = probing("import time; print('ready', flush=True); time.sleep(60)")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, env=ENVIRONMENT, **pipes) as child:
         assert child.stdout.readline() == "ready\n"
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=20)

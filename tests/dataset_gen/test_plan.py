@@ -47,7 +47,8 @@ def test_an_exposure_shows_the_motion_times_the_sinc_of_it():
 
 def test_every_process_plans_the_same_order():
     """Workers receive positions in the plan: frames 1 and 2 of a hand-held camera show one state, and nothing may
-    decide between them that differs from process to process."""
+    decide between them that differs from process to process.
+    """
     code = (
         "from dataset_gen.options import parser, request_from; from dataset_gen.plan import shots\n"
         "from dataset_gen.prepare import builtin_bodies, motion_of\n"

@@ -152,14 +152,23 @@ def test_with_a_part_missing_it_is_not_complete(tmp_path):
         render_part(TINY, tmp_path, (3, 2), 1, io.StringIO())
 
 
-@pytest.mark.parametrize("kind", ["handheld"])
-def test_every_kind_of_cameras_makes_a_set_that_reads(tmp_path, kind):
+def test_a_hand_held_camera_makes_a_set_that_reads(tmp_path):
     capture = pytest.importorskip("tg4mm.capture")
-    options = ("--cameras", kind, "--timesteps", "3", "--truth", "none", "--points", "100", "--size", "24")
+    options = (
+        "--cameras",
+        "handheld",
+        "--timesteps",
+        "3",
+        "--truth",
+        "none",
+        "--points",
+        "100",
+        "--size",
+        "24",
+    )
     root = generate(tiny(*options), tmp_path, 2, io.StringIO())
     found = capture.load_capture(root, split="train")
-    assert found.n_timesteps == 3
-    assert len(found) == {"rig": 9, "sweep": 6, "handheld": 3}[kind]
+    assert found.n_timesteps == len(found) == 3
 
 
 @pytest.mark.slow

@@ -45,9 +45,8 @@ def test_the_fit_is_a_runs(fit, run):
         assert torch.equal(getattr(fit.gaussians, field.name), getattr(stored.gaussians, field.name))
     for name in ("freqs_hz", "displacement", "rotation"):
         exact = getattr(fit.motion, name)
-        np.testing.assert_allclose(
-            getattr(stored.motion, name), exact, rtol=0, atol=1e-6 * np.abs(exact).max()
-        )
+        bound = 1e-6 * np.abs(exact).max()
+        np.testing.assert_allclose(getattr(stored.motion, name), exact, rtol=0, atol=bound)
     assert fit.uncertainty.keys() == stored.uncertainty.keys()
     assert (fit.notes, fit.config) == (stored.notes, stored.config)
     assert fit.config == MOTION
@@ -128,7 +127,7 @@ def test_bad_input(capture, fit):
         (
             0,
             tg4mm.Magnification.of(5, (1e-6, 2e-6)),
-            r"band \(1e-06, 2e-06\) Hz holds no frequency of the motion; there are: \d",
+            r"\(1e-06, 2e-06\) Hz holds no frequency .*; there are: \d",
         ),
     ):
         with pytest.raises(tg4mm.Tg4mmError, match=said):

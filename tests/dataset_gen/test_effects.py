@@ -1,4 +1,4 @@
-"""How far exposure, white balance, flicker and shake go, and how slowly."""
+"""Exposure, flicker and shake of a recording, and H.264: the same bytes every time, the same colours."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,10 @@ from dataset_gen.effects import record
 from dataset_gen.effects.record import drift_gains, flicker_gains, slow_curve, turned, turns
 from dataset_gen.pictures import over_white, to_display
 from dataset_gen.settings import Quality
+
+av = pytest.importorskip("av")
+
+from dataset_gen.effects.codec import decode, encode  # noqa: E402
 
 
 def rng(seed=0):
@@ -94,3 +98,55 @@ def test_a_warped_rendering_is_what_the_turned_camera_sees():
     assert rms(grey(record.frame(fine, camera, size, margin, vector)) - direct) < 1.3 * noise
     assert rms(grey(record.frame(fine, camera, size, margin, 0 * vector)) - direct) > 8 * noise
     assert rms(grey(record.frame(fine, camera, size, margin, -vector)) - direct) > 12 * noise
+
+
+CODED = 64
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    y, x = np.mgrid[0:CODED, 0:CODED] / CODED
+    noise = np.random.default_rng(0).normal(0, 0.03, (CODED, CODED, 3))
+    found = []
+    for t in range(12):
+        waves = [np.sin(9 * x + 0.3 * t), np.cos(7 * y), np.sin(5 * x + 4 * y)]
+        found.append(np.clip((0.5 + 0.3 * np.stack(waves, -1) + noise) * 255, 0, 255).astype(np.uint8))
+    return found
+
+
+def through(pictures, folder, crf, fps=30.0):
+    path = folder / "a.mp4"
+    path.write_bytes(encode(pictures, CODED, fps, crf))
+    return list(decode(path))
+
+
+def rms(a, b):
+    return float(np.sqrt(np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2)))
+
+
+def test_colours_are_kept(tmp_path):
+    y, x = np.mgrid[0:CODED, 0:CODED] / CODED
+    smooth = np.stack([x, y, 0.5 + 0.3 * np.sin(5 * x + 4 * y)], -1)
+    picture = (255 * (0.1 + 0.8 * smooth)).astype(np.uint8)
+    back = through([picture] * 2, tmp_path, 1)[0].astype(float)
+    assert np.abs((back - picture).mean((0, 1))).max() < 0.5
+    assert rms(back[2:-2, 2:-2], picture[2:-2, 2:-2]) < 1.5
+
+
+def test_the_same_pictures_give_the_same_bytes(pictures):
+    assert encode(pictures, CODED, 30.0, 20) == encode(iter(pictures), CODED, 30.0, 20)
+
+
+@pytest.mark.parametrize(
+    ("fps", "rate"), [(30.0, "30"), (29.97002997, "30000/1001"), (240.0, "240"), (12.5, "25/2")]
+)
+def test_the_container_tells_the_frame_rate_and_the_matrix(pictures, tmp_path, fps, rate):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(encode(pictures, CODED, fps, 20))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        found = str(stream.average_rate).removesuffix("/1")  # av on 3.13 writes 30/1
+        assert (found, stream.frames, stream.codec_context.name) == (rate, 12, "h264")
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        times = [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
+    np.testing.assert_allclose(times, np.arange(12) / fps, atol=1e-4)
