@@ -87,11 +87,11 @@ def test_a_hammer_beside_the_film(tmp_path, capsys):
     ("content", "words", "message"),
     [
         ("a_mm,b_mm\n1,2\n", [], "has no column of times"),
-        ("time_s,a_mm\n0,1\n1,x\n", [], "could not convert"),
+        ("time_s,a_mm\n0,1\n1,x\n", [], "row 3: 'x' is no number"),
         ("time_s,a_mm\n0,1\n1\n", [], "row 3: 1 values, expected 2"),
         ("time_s,a_mm\n" + "".join(f"{k},1\n" for k in range(20)) + "19,1\n", [], "times do not increase at 19 s"),
         ("time_s,a_mm\n" + "".join(f"{k**4},1\n" for k in range(20)), [], "times have gaps"),
-        ("time_s,a_mm\n0,1\n1,nan\n", [], "not a finite number"),
+        ("time_s,a_mm\n0,1\n1,inf\n", [], "not a finite number"),
         ("", [], "holds no rows"),
         (None, ["--channel", "nose"], "is none of"),
         (None, ["--band", "40", "50"], "no part of the band"),

@@ -101,7 +101,7 @@ def test_the_command_writes_and_prints_them(tmp_path, capsys):
         ("time_s,speed_rpm\n1,600\n2,600\n3,600\n4,600\n", [], "covers 1 to 4 s, the film 0 to 11.99 s"),
         ("time_s,speed_rpm\n-1,600\n2,-5\n3,600\n14,600\n", [], "expected above 0"),
         ("a,b\n1,2\n", [], "columns are a, b; expected pulse_s"),
-        ("pulse_s\nx\n", [], "could not convert string to float"),
+        ("pulse_s\nx\n", [], "no rows below a head"),
         ("pulse_s\n", [], "no rows below a head"),
         (None, ["--speed", "fast"], "--speed 'fast', expected revolutions per minute, or auto"),
         (None, ["--speed", "0"], "--speed 0, expected revolutions per minute above 0"),

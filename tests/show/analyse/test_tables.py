@@ -2,6 +2,7 @@
 
 import logging
 import re
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -99,3 +100,117 @@ def test_every_quantity_has_levels(tmp_path, capsys, head, quantity, unit):
     factor = 1e-3 if head.endswith("µm]") else 1
     peak = float(row.split(quantity)[1].split()[0])
     assert peak == pytest.approx(3 * factor, rel=0.01)
+
+
+HEAD = (
+    "LabVIEW Measurement\t\nX_Columns\t{}\nDate\t2020/05/13\nTime\t12:30:05.1234\n***End_of_Header***\t\n\t"
+)
+PARTS = "Channels\t1\t\nSamples\t400\t\nY_Unit_Label\tm/s^2\t\nX0\t0.0E+0\t\nDelta_X\t0.005\t\n***End_of_Header***\t\t"
+NOON = datetime(2024, 5, 3, 23, 59, 59)
+
+
+def of_times(form, part=","):
+    return [f"{form(t)}{part}{v:.5f}" for t, v in zip(TIMES, VALUES, strict=True)]
+
+
+def at(form):
+    return lambda t: (NOON + timedelta(seconds=float(t))).strftime(form)
+
+
+def thousands(t):
+    return f"{1000 * t + 1000:,.1f}".replace(",", "X").replace(".", ",").replace("X", ".")
+
+
+LOGGERS = {
+    "LabVIEW": [HEAD.format("One"), PARTS, "X_Value\tacc\tComment", *of_times("{:.6f}".format, "\t")],
+    "LabVIEW without times": [HEAD.format("No"), PARTS, "X_Value\tacc\tComment", *of_times(lambda t: "", "\t")],
+    "ISO 8601": ["timestamp,acc [m/s²]", *of_times(at("%Y-%m-%dT%H:%M:%S.%fZ"))],
+    "a date in America": ["Date/Time,acc (m/s^2)", *of_times(at("%m/%d/%Y %I:%M:%S.%f %p"))],
+    "a date in Germany": ["Zeit;acc [m/s²]", *[s.replace(".", ",") for s in of_times(at("%H:%M:%S,%f"), ";")]],
+    "date and time": ["Date,Time,acc [m/s²]", *of_times(at("%d.%m.%Y,%H:%M:%S.%f"))],
+    "minutes and seconds": ["Time (mm:ss.0),acc [m/s²]", *of_times(at("%M:%S.%f"))],
+    "milliseconds": ["Time [msec],acc [m/s/s]", *of_times(lambda t: f"{1000 * t:.0f}")],
+    "nanoseconds since 1970": [
+        "time,acc [m s-2]", *of_times(lambda t: 1714737600 * 10**9 + round(t * 1000) * 10**6),
+    ],
+    "another clock beside it": [
+        "time,seconds_elapsed,acc [m·s⁻²]", *of_times(lambda t: f"{round(1714737600000 + 1000 * t)},{t:.6f}"),
+    ],
+    "thousands": [
+        "Zeit [ms];acc [mm/s²]",
+        *(f"{thousands(t)};{thousands(v - 1)}" for t, v in zip(TIMES, VALUES, strict=True)),
+    ],
+    "quoted commas": [
+        '"Zeit [s]","acc [m/s²]"', *(f'"{s}"'.replace(".", ",") for s in of_times("{:.4f}".format, '"|"'))
+    ],
+    "blanks": ["# time[s]  acc[m/s2]", *of_times("  {:.7e}".format, "   ")],
+    "numbered rows": ["Sample,Time (s),acc (m/s²)", *(f"{k},{s}" for k, s in enumerate(of_times("{:.4f}".format)))],
+    "empty columns": ["time_s,acc [m/s²],,", *(f"{s},," for s in of_times("{:.4f}".format))],
+    "a text, and lines below": [
+        "time_s,acc [m/s²],status", *(f"{s},OK" for s in of_times("{:.4f}".format)), "End of data",
+    ],
+    "a slower channel": [
+        "time_s,acc [m/s²],state",
+        *(f"{s},{'1.5' if k % 50 == 0 else ''}" for k, s in enumerate(of_times("{:.4f}".format))),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", LOGGERS)
+def test_tables_of_data_loggers(tmp_path, form):
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(LOGGERS[form]).replace('"|"', '","'), "utf-8")
+    (channel,) = read_channels(path)
+    assert (channel.name, channel.quantity, channel.unit) == ("acc", ACCELERATION, "mm/s²")
+    np.testing.assert_allclose(channel.values, 1000 * VALUES, atol=60 if form == "thousands" else 1e-3)
+    np.testing.assert_allclose(channel.times_s - channel.times_s[0], TIMES, atol=1e-6)
+
+
+def test_each_channel_has_the_clock_before_it(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{t:.4f},{v:.5f},{t + 0.001:.4f},{2 * v:.5f}" for t, v in zip(TIMES, VALUES, strict=True)]
+    path.write_text("\n".join(["Time 1 (s),a (mm),Time 2 (s),b (mm)", *rows]))
+    a, b = read_channels(path)
+    np.testing.assert_allclose(b.times_s, a.times_s + 0.001, atol=1e-9)
+    np.testing.assert_allclose(b.values, 2 * a.values, atol=2e-5)
+
+
+def test_missing_values_are_interpolated_and_it_is_said(tmp_path, caplog):
+    rows = lines("{:.4f}")
+    rows[50], rows[200] = rows[50].split(",")[0] + ",", rows[200].split(",")[0] + ",NaN"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time_s,acc [m/s²]", *rows]))
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        (channel,) = read_channels(path)
+    assert "2 of 400 values are missing" in caplog.text
+    np.testing.assert_allclose(channel.values, 1000 * VALUES, atol=1)
+
+
+def test_a_table_without_a_head_is_taken_by_its_first_column_and_it_is_said(tmp_path, caplog):
+    path = tmp_path / "a.dat"
+    path.write_text("\n".join(lines(part="  ")))
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        (channel,) = read_channels(path)
+    assert "its first column, which rises evenly, is taken as times" in caplog.text
+    assert (channel.name, channel.rate) == ("column 2", pytest.approx(RATE))
+    path.write_text("\n".join(f"{k} {v}" for k, v in enumerate(VALUES)))
+    with pytest.raises(AnalyseError, match="neither a head nor times"):
+        read_channels(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "message"),
+    [
+        ("time_s;a [mm]", "0,5;0.25", r"row 203: '0\.25', while decimals of its column begin with ','"),
+        ("time_s;a [mm]", "0,5;broken", r"row 203: ('broken' is no number|0,5, broken: is no row of numbers)"),
+        ("time_s;a [mm]", "0,5", r"row 203: 1 values, expected 2"),
+        ("time [fortnight];a [mm]", "1,0050;0,25", r"are in 'fortnight'; expected s, ms"),
+    ],
+)  # fmt: skip
+def test_what_a_table_cannot_mean_is_refused(tmp_path, head, row, message):
+    path = tmp_path / "a.csv"
+    rows = lines(part=";", point=",")
+    for at in (201, 150):
+        path.write_text("\n".join([head, *rows[:at], row, *rows[at:]]))
+        with pytest.raises(AnalyseError, match=message.replace("203", str(at + 2))):
+            read_channels(path)

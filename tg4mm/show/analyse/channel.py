@@ -14,27 +14,31 @@ import numpy as np
 from tg4mm.core.even_clock import LONGEST, is_filled, on_even_clock, unrounded
 from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.untrusted import read_json
-from tg4mm.show.analyse.tables import SUFFIXES, AnalyseError, read_table, waveforms
+from tg4mm.show.analyse.clock import FEWEST, TIME_UNITS, timed
+from tg4mm.show.analyse.tables import AnalyseError, read_table
+from tg4mm.show.analyse.universal import SUFFIXES, waveforms
 
 G = 9806.65  # mm/s²
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (
     "displacement", "velocity", "acceleration", "force", "other",
 )  # fmt: skip
 ORDER = {DISPLACEMENT: 0, VELOCITY: 1, ACCELERATION: 2}  # times differentiated
-# what a column's unit says: quantity, unit of the program, how many of it
-_UNITS = {
-    "m": (DISPLACEMENT, "mm", 1e3), "mm": (DISPLACEMENT, "mm", 1.0), "um": (DISPLACEMENT, "mm", 1e-3),
-    "px": (DISPLACEMENT, "px", 1.0), "m/s": (VELOCITY, "mm", 1e3), "mm/s": (VELOCITY, "mm", 1.0),
-    "m/s2": (ACCELERATION, "mm", 1e3), "mm/s2": (ACCELERATION, "mm", 1.0), "g": (ACCELERATION, "mm", G),
-    "cm": (DISPLACEMENT, "mm", 10.0), "pixel": (DISPLACEMENT, "px", 1.0), "pixels": (DISPLACEMENT, "px", 1.0),
-    "micron": (DISPLACEMENT, "mm", 1e-3), "microns": (DISPLACEMENT, "mm", 1e-3), "in": (DISPLACEMENT, "mm", 25.4),
-    "cm/s": (VELOCITY, "mm", 10.0), "um/s": (VELOCITY, "mm", 1e-3), "in/s": (VELOCITY, "mm", 25.4),
-    "px/s": (VELOCITY, "px", 1.0), "mg": (ACCELERATION, "mm", G / 1000), "n": (FORCE, "N", 1.0), "v": (OTHER, "V", 1.0),
+_LENGTHS = {
+    "m": ("mm", 1e3), "cm": ("mm", 10.0), "mm": ("mm", 1.0), "um": ("mm", 1e-3), "micron": ("mm", 1e-3),
+    "microns": ("mm", 1e-3), "nm": ("mm", 1e-6), "in": ("mm", 25.4), "inch": ("mm", 25.4), "mil": ("mm", 0.0254),
+    "mils": ("mm", 0.0254), "ft": ("mm", 304.8), "px": ("px", 1.0), "pixel": ("px", 1.0), "pixels": ("px", 1.0),
 }  # fmt: skip
-_SECONDS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}  # of a column of times; else it is in seconds
+_OTHERS = {
+    "g": (ACCELERATION, "mm", G), "mg": (ACCELERATION, "mm", G / 1000), "ug": (ACCELERATION, "mm", G / 1e6),
+    "ips": (VELOCITY, "mm", 25.4), "n": (FORCE, "N", 1.0), "kn": (FORCE, "N", 1e3), "v": (OTHER, "V", 1.0),
+}  # fmt: skip
+# what a column's unit says: quantity, unit of the program, how many of it
+_UNITS = _OTHERS | {
+    f"{length}{per}": (quantity, base, factor)
+    for length, (base, factor) in _LENGTHS.items()
+    for per, quantity in (("", DISPLACEMENT), ("/s", VELOCITY), ("/s2", ACCELERATION))
+}
 _LOG = logging.getLogger("tg4mm")
-_TIMES = {"t", "time", "times", "seconds"}
-_FEWEST = 16  # samples
 _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is left out
 
 
@@ -165,30 +169,37 @@ def doubts_of(path: Path) -> list[str]:
 def _of_csv(path: Path) -> list[Channel]:
     names, table = read_table(path)
     head = [_column(text) for text in names]
-    at = [k for k, (name, _) in enumerate(head) if name.lower() in _TIMES]
-    if not at:
-        raise AnalyseError(f"{path} has no column of times (time_s); its columns: {', '.join(names)}")
-    own = table[:, at[0]] * _SECONDS.get(head[at[0]][1], 1.0)
-    times, values = _even(own, table, str(path))
-    if values is not table:
-        rate = (len(times) - 1) / float(np.ptp(times))
-        _LOG.warning(
-            f"{path}: its times are not even, their steps are {np.diff(own).min():.4g} to {np.diff(own).max():.4g} s: "
-            f"resampled at {rate:.6g} Hz by cubic splines, which are good up to {rate / 3:.4g} Hz"
-        )
+    plain = [(name, _plain_unit(unit)) for name, unit in head]
     noise = {
         name.removesuffix(" deviation"): k for k, (name, _) in enumerate(head) if name.endswith(" deviation")
     }
-    out = []
-    for k, (name, unit) in enumerate(head):
-        if k == at[0] or name.endswith(" deviation"):
+    out, said = list[Channel](), set[str]()
+    for k, (own_times, own) in timed(path, plain, table).items():
+        name, unit = head[k]
+        if name.endswith(" deviation"):
             continue
-        quantity, base, factor = _UNITS.get(unit, (OTHER, unit or "1", 1.0))
-        sure = float(np.sqrt((table[:, noise[name]] ** 2).mean()) * factor) if name in noise else float("nan")
-        out.append(Channel(name, quantity, base, times, values[:, k] * factor, sure))
+        times, values = _even(own_times, own, str(path))
+        if values is not own and (why := _resampling(own_times, times, len(table))) not in said:
+            _LOG.warning(f"{path}: {why}")
+            said.add(why)
+        quantity, base, factor = _UNITS.get(plain[k][1], (OTHER, unit or "1", 1.0))
+        sure = (
+            float(np.sqrt(np.nanmean(table[:, noise[name]] ** 2)) * factor) if name in noise else float("nan")
+        )
+        out.append(Channel(name or f"column {k + 1}", quantity, base, times, values * factor, sure))
     if not out:
         raise AnalyseError(f"{path} has a column of times and no other")
     return out
+
+
+def _resampling(own: np.ndarray, even: np.ndarray, rows: int) -> str:
+    """Return what is said of a column whose times are not even, or whose values lack in some of the rows."""
+    rate = (len(even) - 1) / float(np.ptp(even))
+    lacks = f"{rows - len(own)} of {rows} values are missing" if len(own) < rows else "its times are not even"
+    return (
+        f"{lacks}; steps are {np.diff(own).min():.4g} to {np.diff(own).max():.4g} s: resampled at {rate:.6g} Hz "
+        f"by cubic splines, which are good up to {rate / 3:.4g} Hz"
+    )
 
 
 _KINDS = {8: DISPLACEMENT, 9: FORCE, 11: VELOCITY, 12: ACCELERATION}  # specific data types of dataset 58
@@ -217,9 +228,16 @@ def _of_uff(path: Path) -> list[Channel]:
     return out
 
 
+_PLAIN = {"²": "2", "⁻": "-", "¹": "1", "^": "", "*": "", "µ": "u", "μ": "u", "·": " ", "sec": "s"}
+
+
 def _plain_unit(text: str) -> str:
-    text = text.strip().lower().replace("²", "2").replace("^", "")
-    return text.replace("µ", "u").replace("μ", "u")
+    """Return a unit in small letters, m/s2 for m/s^2, m/s/s, m·s⁻² and m s-2."""
+    text = text.strip().lower()
+    for form, plain in _PLAIN.items():
+        text = text.replace(form, plain)
+    text = re.sub(r"/s/s$|[ .]?s-2$", "/s2", text)
+    return re.sub(r"(?<=[a-z])[ .]?s-1$", "/s", text)
 
 
 def _column(text: str) -> tuple[str, str]:
@@ -232,17 +250,17 @@ def _column(text: str) -> tuple[str, str]:
             found.group(1) + (found.group(3) or "").replace("_", " "),
             found.group(2).replace("_per_", "/"),
         )
-        if unit.lower() not in {*_UNITS, "s", "ms"}:
+        if unit.lower() not in {*_UNITS, *TIME_UNITS}:
             name, unit = text, ""
     else:
         name, unit = text, ""
-    return name, _plain_unit(unit)
+    return name, unit.strip()
 
 
 def _even(times: np.ndarray, values: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
     """Times and values [T, ...] with even steps; what lacks is interpolated."""
-    if len(times) < _FEWEST:
-        raise AnalyseError(f"{what}: {len(times)} samples, expected {_FEWEST} or more")
+    if len(times) < FEWEST:
+        raise AnalyseError(f"{what}: {len(times)} samples, expected {FEWEST} or more")
     if (even := unrounded(times)) is not None:
         return even, values
     steps = np.diff(times)

@@ -82,6 +82,9 @@ def _of_tacho(path: Path, times: np.ndarray) -> Speed:
         raise AnalyseError(
             f"{path}: columns are {', '.join(head)}; expected pulse_s, a time for each turn, or time_s and speed_rpm"
         )
+    if not np.isfinite(table).all():
+        row = int(np.argwhere(~np.isfinite(table))[0, 0])
+        raise AnalyseError(f"{path}, value {row + 1} of {len(table)}: is missing; leave its row out")
     own, covers = table[:, 0], f"the film {times[0]:.4g} to {times[-1]:.4g} s"
     if len(own) < _PULSES or not (np.diff(own) > 0).all():
         raise AnalyseError(f"{path}: expected {_PULSES} or more times that increase")

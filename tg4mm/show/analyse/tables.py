@@ -1,31 +1,36 @@
-"""Waveforms in files of other programs: tables of numbers, and universal files (datasets 58 and 58b, units of 164)."""
+"""Tables of numbers in text files of other programs: separators, heads, decimal marks, clock times, missing values."""
 
 import csv
+import logging
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
 
-_MOST_BYTES = 1 << 30
+MOST_BYTES = 1 << 30
+_LOG = logging.getLogger("tg4mm")
 _COMMENTS = ("#", "%", "//")
 _ENCODINGS = ("utf-8-sig", "cp1252")
-SUFFIXES = (".uff", ".unv")
-_MARK = re.compile(rb"(?m)^ {4}-1[ \t]*\r?$\n?")
-_END = re.compile(rb"\r?\n? {4}-1[ \t]*\r?\n?")  # after binary numbers
-_HEAD = 11  # lines of dataset 58 before its numbers
-_TIME = 17  # the abscissa's specific data type
-_SINGLE, _DOUBLE = 2, 4  # data types
-_WIDTHS = {
-    (_SINGLE, True): (13,),
-    (_SINGLE, False): (13, 13),
-    (_DOUBLE, True): (20,),
-    (_DOUBLE, False): (13, 20),
-}
-_DEVIATION = "standard deviation"  # what tg4mm writes of a waveform beside it
+_MARKS = (";", "\t", ",", None)  # None: blanks
+_LOOKED_AT = 20  # rows from a file's middle on, which tell its separator and what its columns hold
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+_GROUPS = "'’ \u00a0\u202f"  # marks of thousands that are never decimal marks
+_NUMBER = re.compile(
+    rf"[-+]?(?=[.,]?\d)(?:\d{{1,3}}([.,{_GROUPS}])\d{{3}}(?:\1\d{{3}})*|\d*)(?:[.,]\d*)?(?:[eEdD][-+]?\d+)?"
+)
+_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}(\{mark}\d{{3}})+") for mark in ".,"}
+_CLOCK = re.compile(
+    r"(?:.*[T\s])?(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?\s*(?:Z|[-+]\d\d:?\d\d)?",
+    re.I,
+)
+_Item = TypeVar("_Item")
+# of a LabVIEW measurement file: its column of times, which may be empty, and their step, start and the others' unit
+_TIMES, _STEP, _START, _UNIT = "X_Value", "Delta_X", "X0", "Y_Unit_Label"
 
 
 class AnalyseError(Tg4mmError):
@@ -33,61 +38,263 @@ class AnalyseError(Tg4mmError):
 
 
 def read_table(path: Path) -> tuple[list[str], np.ndarray]:
-    """Head and numbers [rows, columns] of a CSV file; values between commas, semicolons or tabs.
+    """Read the head and the numbers [rows, columns] of a text file; a missing value is NaN.
 
-    Lines before the head, comments, a row of units below the head, and decimal commas are understood. Raises
-    AnalyseError for anything else.
+    Values lie between commas, semicolons, tabs or blanks. Lines before the head, comments, a row of units below the
+    head, decimal commas, marks of thousands, and lines after the numbers are understood. Times of day become seconds;
+    columns of other texts are left out, with a warning. Names of a file without a head are empty. Raises AnalyseError
+    for anything else.
     """
     if not path.is_file():
         raise AnalyseError(f"{path} does not exist")
-    if path.stat().st_size > _MOST_BYTES:
-        raise AnalyseError(f"{path} is larger than {_MOST_BYTES >> 30} GiB")
+    if path.stat().st_size > MOST_BYTES:
+        raise AnalyseError(f"{path} is larger than {MOST_BYTES >> 30} GiB")
     rows = _rows(path)
-    first = next((k for k in range(1, len(rows)) if _is_of_numbers(rows[k][1])), 1)
-    if len(rows) < 2:
+    looked_at = [row for _, row in _middle(rows)]
+    width = Counter(map(len, looked_at)).most_common(1)[0][0] if looked_at else 0
+    kinds = [_kind_of([row[c] for row in looked_at if len(row) == width]) for c in range(width)]
+    first = _first_of(path, rows, kinds)
+    body = rows[first:]
+    while body and not _holds_any(body[-1][1], kinds):
+        body.pop()
+    if not body:
         raise AnalyseError(f"{path} holds no rows below a head")
-    number, head = rows[first - 1]
-    width = len(head)
-    if first > 1 and len(rows[first - 2][1]) == width > 1 and _is_of_units(head):
-        head = [
-            f"{name} [{unit.strip().strip('[]()')}]"
-            for name, unit in zip(rows[first - 2][1], head, strict=True)
-        ]
-    for number, row in rows[first:]:
-        if len(row) != width:
+    if left := len(rows) - first - len(body):
+        _LOG.warning(f"{path}: its last lines hold no numbers: {left} left out, from row {rows[-left][0]} on")
+    for number, row in body:
+        if len(row) < width or any(cell.strip() for cell in row[width:]):
             raise AnalyseError(f"{path}, row {number}: {len(row)} values, expected {width}")
-    try:
-        table = np.array([row for _, row in rows[first:]], float)
-    except ValueError as error:
-        raise AnalyseError(f"{path}: {error}") from None
-    if not np.isfinite(table).all():
-        number = rows[first + int(np.argwhere(~np.isfinite(table))[0, 0])][0]
+    return _columns(path, _head(rows[:first], width), body, dict(_preamble(rows[:first])))
+
+
+def _first_of(path: Path, rows: list[tuple[int, list[str]]], kinds: list[str]) -> int:
+    """Return where the table begins: after the last row of its first half that holds other things than its middle."""
+    holds = [_holds_values(row, kinds) for _, row in rows[: len(rows) // 2 + 1]]
+    first = next((k + 1 for k in reversed(range(len(holds))) if not holds[k]), 0)
+    first = (
+        first
+        if first < len(holds)
+        else next((k for k in range(first, len(rows)) if _holds_values(rows[k][1], kinds)), first)
+    )
+    if sum(holds[:first]) > first / 2:
+        number, row = rows[first - 1]
+        if len(row) != len(kinds):
+            raise AnalyseError(f"{path}, row {number}: {len(row)} values, expected {len(kinds)}")
+        raise AnalyseError(f"{path}, row {number}: {', '.join(row)}: is no row of numbers")
+    return first
+
+
+def _columns(
+    path: Path, head: list[str], body: list[tuple[int, list[str]]], preamble: dict[str, str]
+) -> tuple[list[str], np.ndarray]:
+    """Return the names and numbers of the columns that hold numbers."""
+    names, columns, texts = list[str](), list[np.ndarray](), list[str]()
+    cells = [[row[c].strip() for _, row in body] for c in range(len(head))]
+    marks = [_decimal_mark(column) for column in cells]
+    usual = next((mark for mark in ",." if mark in marks), None)
+    for name, column, mark in zip(head, cells, marks, strict=True):
+        kind = _kind_of(_middle(column))
+        kind = kind if kind != "empty" else _kind_of(column)
+        if kind == "empty" and name == _TIMES and _STEP in preamble:
+            step, start = (float(preamble.get(key, "0").replace(",", ".")) for key in (_STEP, _START))
+            values = start + step * np.arange(len(column))
+        elif kind == "number":
+            values = _numbers(path, body, column, mark or usual)
+        elif kind == "clock":
+            values, name = _seconds_of_day(path, body, column), re.sub(r"\s*[\[(].*", "", name) + " [s]"
+        else:
+            texts += [name] if name and kind == "text" else []
+            continue
+        names.append(name)
+        columns.append(values)
+    if not columns:
+        raise AnalyseError(f"{path} holds no rows below a head")
+    if texts:
+        _LOG.warning(f"{path}: columns without numbers are left out: {', '.join(texts)}")
+    table = np.stack(columns, 1)
+    if np.isinf(table).any():
+        number = body[int(np.argwhere(np.isinf(table))[0, 0])][0]
         raise AnalyseError(f"{path}, row {number}: not a finite number")
-    return head, table
+    return names, table
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line numbers and values; of comments the last one before the numbers, where it is their head."""
     lines = [(k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
     own = [(k, line) for k, line in lines if not line.lstrip().startswith(_COMMENTS)]
-    last = own[-1][1] if own else ""
-    mark = next((mark for mark in (";", "\t") if mark in last), ",")
-    if own and _is_of_numbers(_decimals(own[0][1].split(mark), mark)):
+    middle = _middle(own)
+
+    def fit(mark: str | None) -> tuple[int, ...]:
+        parts = [_split(line, mark) for _, line in middle]
+        whole = sum(len(row) > 1 and all(_is_value(c) or _is_missing(c) for c in row) for row in parts)
+        occurs = mark is None or any(mark in line for _, line in middle)
+        return whole, sum(_is_value(cell) for row in parts for cell in row), occurs
+
+    mark = max(_MARKS, key=fit)
+    width = max((len(_split(line, mark)) for _, line in middle), default=0)
+    if own and all(map(_is_value, _split(own[0][1], mark))):
         own = [(k, line.lstrip().lstrip("#%/ ")) for k, line in lines if k < own[0][0]][-1:] + own
     try:
+        if mark is None:
+            return [(k, _split(line, None, width)) for k, line in own]
         values = csv.reader((line for _, line in own), delimiter=mark, skipinitialspace=True)
-        return [(k, _decimals(row, mark)) for (k, _), row in zip(own, values, strict=True)]
+        return [(k, row) for (k, _), row in zip(own, values, strict=True)]
     except (csv.Error, ValueError) as error:
         raise AnalyseError(f"{path} is no CSV file: {error}") from None
 
 
-def _decimals(row: list[str], mark: str) -> list[str]:
-    """Values with decimal points, where commas do not part them; a mark at the end of a line parts nothing."""
-    row = row[:-1] if len(row) > 1 and not row[-1].strip() else row
-    points = [value.replace(",", ".") for value in row]
-    return (
-        row if mark == "," else [p if _is_number(p) else value for p, value in zip(points, row, strict=True)]
+def _middle(rows: Sequence[_Item]) -> Sequence[_Item]:
+    return rows[max(len(rows) - 1, 0) // 2 :][:_LOOKED_AT]
+
+
+def _split(line: str, mark: str | None, width: int = 0) -> list[str]:
+    """Return a line's cells; of a head between blanks, whose names and units may hold blanks, `width` if possible."""
+    if mark is not None:
+        return next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    forms = (
+        line.split(),
+        re.split(r"\s{2,}|\t", line.strip()),
+        re.findall(r"[^\s\[(]+\s*[\[(][^\])]*[\])]|\S+", line),
     )
+    return next((cells for cells in forms if len(cells) == width), forms[0])
+
+
+def _preamble(rows: list[tuple[int, list[str]]]) -> list[tuple[str, str]]:
+    return [(row[0].strip(), row[1].strip()) for _, row in rows if len(row) > 1]
+
+
+def _head(rows: list[tuple[int, list[str]]], width: int) -> list[str]:
+    """Return `width` names, with their units where these are a row of their own; empty ones where there is no head."""
+    names = [cell.strip() for cell in rows[-1][1]] if rows else []
+    above = rows[-2][1] if len(rows) > 1 else []
+    if len(above) == len(names) > 1 and _is_of_units(names):
+        names = [f"{name} [{unit.strip('[]()')}]" for name, unit in zip(above, names, strict=True)]
+    elif len(names) == 1 < width:  # a title
+        names = []
+    unit = dict(_preamble(rows)).get(_UNIT, "")
+    names = [f"{name} [{unit}]" if unit and name != _TIMES else name for name in names]
+    return (names + [""] * width)[:width]
+
+
+def _is_of_units(row: list[str]) -> bool:
+    """Whether a row below names says nothing but units: the first, of times, is one of seconds."""
+    return row[0].strip().strip("[]()").lower() in ("s", "ms", "us", "µs", "ns", "sec", "seconds")
+
+
+def _kind_of(cells: Sequence[str]) -> str:
+    """Return what most of a column's cells hold: number, clock (times of day), text, or empty."""
+    own = [cell.strip() for cell in cells if not _is_missing(cell)]
+    if not own:
+        return "empty"
+    kinds = {"number": sum(map(_is_number, own)), "clock": sum(bool(_CLOCK.fullmatch(cell)) for cell in own)}
+    kind = max(kinds, key=lambda kind: kinds[kind])
+    return kind if 2 * kinds[kind] >= len(own) else "text"
+
+
+def _holds_values(row: list[str], kinds: list[str]) -> bool:
+    """Whether a row is one of the table: all columns of numbers or times hold some, or nothing."""
+    own = [cell for cell, kind in zip(row, kinds, strict=False) if kind in ("number", "clock")]
+    return (
+        len(row) >= len(kinds) and _holds_any(row, kinds) and all(_is_value(c) or _is_missing(c) for c in own)
+    )
+
+
+def _holds_any(row: list[str], kinds: list[str]) -> bool:
+    return any(_is_value(c) for c, kind in zip(row, kinds, strict=False) if kind in ("number", "clock"))
+
+
+def _is_missing(cell: str) -> bool:
+    return cell.strip().lower() in _MISSING
+
+
+def _is_value(cell: str) -> bool:
+    return _is_number(cell) or bool(_CLOCK.fullmatch(cell.strip()))
+
+
+def _is_number(cell: str) -> bool:
+    cell = cell.strip()
+    try:
+        return float(cell) == float(cell)  # nan is none
+    except ValueError:
+        return _NUMBER.fullmatch(cell) is not None
+
+
+def _decimal_mark(cells: list[str]) -> str | None:
+    """Return the mark of decimals in a column's cells; None where they do not tell."""
+    for cell in cells:
+        at = {mark: cell.rfind(mark) for mark in ".,"}
+        if min(at.values()) >= 0:
+            return max(at, key=lambda mark: at[mark])
+        for mark, other in (".,", ",."):
+            if cell.count(mark) > 1:
+                return other
+            if at[mark] >= 0 and _is_number(cell) and not _THOUSANDS[mark].fullmatch(cell):
+                return mark
+    return None
+
+
+def _numbers(path: Path, body: list[tuple[int, list[str]]], cells: list[str], mark: str | None) -> np.ndarray:
+    """Return a column's numbers; mark: of decimals, None where nothing tells it."""
+    mark = mark or ("," if any("," in cell for cell in cells) else ".")
+    other = ".,".replace(mark, "")
+    for k, cell in enumerate(cells):
+        if (
+            other in cell
+            and _is_number(cell)
+            and not _THOUSANDS[other].fullmatch(cell.rpartition(mark)[0] or cell)
+        ):
+            raise AnalyseError(
+                f"{path}, row {body[k][0]}: {cell!r}, while decimals of its column begin with {mark!r}"
+            )
+    others = str.maketrans(dict.fromkeys(other + _GROUPS, ""))
+
+    def plain(cell: str) -> str:
+        return cell.translate(others).replace(mark, ".").upper().replace("D", "E")
+
+    def number(cell: str) -> float:
+        if not (_is_missing(cell) or _is_number(cell)):
+            raise ValueError(cell)
+        return float("nan") if _is_missing(cell) else float(plain(cell))
+
+    try:
+        return np.array(cells if mark == "." else [plain(cell) for cell in cells], float)
+    except ValueError:
+        return _each(path, body, cells, number, "number")
+
+
+def _each(
+    path: Path, body: list[tuple[int, list[str]]], cells: list[str], read: Callable[[str], float], what: str
+) -> np.ndarray:
+    out = np.empty(len(cells))
+    for k, cell in enumerate(cells):
+        try:
+            out[k] = read(cell)
+        except ValueError:
+            raise AnalyseError(f"{path}, row {body[k][0]}: {cell!r} is no {what}") from None
+    return out
+
+
+def _seconds_of_day(path: Path, body: list[tuple[int, list[str]]], cells: list[str]) -> np.ndarray:
+    """Return seconds since the first time of day, whatever the date's order; beyond midnight they go on."""
+    has_hours = False
+
+    def seconds(cell: str) -> float:
+        nonlocal has_hours
+        if _is_missing(cell):
+            return float("nan")
+        found = _CLOCK.fullmatch(cell)
+        if found is None:
+            raise ValueError(cell)
+        hour, minute, second, half = found.groups()
+        has_hours = has_hours or hour is not None
+        hours = int(hour or 0) % 12 + 12 * (half[0].lower() == "p") if half else int(hour or 0)
+        return 3600.0 * hours + 60 * int(minute) + float(re.sub("[,:]", ".", second))
+
+    times = _each(path, body, cells, seconds, "time of day")
+    whole = 86400.0 if has_hours else 3600.0
+    steps = np.diff(times)
+    back = np.where(np.nan_to_num(steps) < -whole / 2, whole, 0)
+    return np.round(times + np.concatenate([[0], np.cumsum(back)]) - times[0], 9)
 
 
 def _text(path: Path) -> str:
@@ -101,112 +308,3 @@ def _text(path: Path) -> str:
         except UnicodeDecodeError as error:
             last = error
     raise AnalyseError(f"{path} is no CSV file: {last}") from None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_of_numbers(row: list[str]) -> bool:
-    return all(map(_is_number, row))
-
-
-def _is_of_units(row: list[str]) -> bool:
-    """Whether a row below names says nothing but units: the first, of times, is one of seconds."""
-    return row[0].strip().strip("[]()").lower() in ("s", "ms", "us", "µs", "sec", "seconds")
-
-
-@dataclass(frozen=True)
-class Waveform:
-    """One function of time."""
-
-    name: str
-    kind: int  # specific data type: 8 displacement, 9 force, 11 velocity, 12 acceleration
-    unit: str  # as it is labelled
-    metres: float  # per unit of length, where the file says so
-    times_s: np.ndarray  # [T]
-    values: np.ndarray  # [T]
-    is_deviation: bool
-
-
-def waveforms(path: Path) -> list[Waveform]:
-    """All functions of time. Raises AnalyseError where there are none, and for a file that is damaged."""
-    if path.stat().st_size > _MOST_BYTES:
-        raise AnalyseError(f"{path} is larger than {_MOST_BYTES >> 30} GiB")
-    found, metres = list[Waveform](), 1.0
-    try:
-        for number, lines, content in _sets(path.read_bytes()):
-            if number == "164":
-                metres = 1 / float(lines[1][:25].replace("D", "E"))
-            elif number.startswith("58") and (one := _waveform(number, lines, content, metres)) is not None:
-                found.append(one)
-    except (IndexError, OverflowError, ValueError, ZeroDivisionError) as error:
-        raise AnalyseError(f"{path} is no universal file that can be read: {error}") from None
-    if not found:
-        raise AnalyseError(f"{path} holds no waveform: no real function of time in a dataset 58")
-    return found
-
-
-def _sets(data: bytes) -> Iterator[tuple[str, list[str], bytes]]:
-    """Number, head lines and what follows them, of all datasets."""
-    at = 0
-    while (mark := _MARK.search(data, at)) is not None:
-        first, _, rest = data[mark.end() : mark.end() + (1 << 12)].partition(b"\n")
-        begin, words = mark.end() + len(first) + 1, first.decode("latin-1").split()
-        number = words[0] if words else ""
-        ends = [m.end() for m in re.finditer(rb"\n", rest)][:_HEAD]
-        start = begin + (ends[-1] if len(ends) == _HEAD and number.startswith("58") else 0)
-        if number == "58b":
-            if words[1:3] != ["1", "2"]:
-                raise ValueError(f"its numbers are of the kind {words[1:3]}; expected little-endian IEEE 754")
-            stop = start + int(words[4])
-            end = _END.match(data, stop)
-        elif number == "-1":  # an end without a beginning, as some writers leave
-            at = mark.end()
-            continue
-        else:
-            end = _MARK.search(data, begin)
-            stop = end.start() if end else len(data)
-        if end is None or stop > len(data):
-            raise ValueError("it is cut off")
-        head = data[begin : start if number.startswith("58") else stop].decode("latin-1").splitlines()
-        yield number, head, data[start:stop]
-        at = end.end()
-
-
-def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> Waveform | None:
-    data_type, count, spacing = (int(lines[6][k : k + 10]) for k in (0, 10, 20))
-    start, step = (float(lines[6][k : k + 13]) for k in (30, 43))
-    if int(lines[7][:10]) != _TIME or data_type not in (_SINGLE, _DOUBLE):
-        return None
-    is_even = spacing == 1
-    if number == "58b":
-        if not is_even and data_type == _DOUBLE:
-            raise ValueError("uneven binary functions of double precision are not read")
-        numbers = np.frombuffer(content, "<f4" if data_type == _SINGLE else "<f8").astype(float)
-    else:
-        numbers = np.array(list(_numbers(content.decode("latin-1"), _WIDTHS[data_type, is_even])))
-    if len(numbers) != count * (1 if is_even else 2) or not np.isfinite(numbers).all():
-        raise ValueError(f"a function has {len(numbers)} numbers that are finite; expected {count} samples")
-    times = start + step * np.arange(count) if is_even else numbers[0::2]
-    values = numbers if is_even else numbers[1::2]
-    node, direction = lines[5][41:51].strip(), int(lines[5][51:55] or 0)
-    axis = {1: "x", 2: "y", 3: "z"}.get(abs(direction), str(direction))
-    named = lines[0].split(",")[0].strip()
-    name = f"{named if named not in ('', 'NONE') else node}/{'-' * (direction < 0)}{axis}"
-    kind, unit = int(lines[8][:10]), lines[8][47:67].strip()
-    return Waveform(name, kind, unit, metres, times, values, _DEVIATION in lines[1])
-
-
-def _numbers(text: str, widths: tuple[int, ...]) -> Iterator[float]:
-    """Those of lines in columns of these widths by turns."""
-    for line in text.splitlines():
-        at, k = 0, 0
-        while line[at:].strip():
-            width = widths[k % len(widths)]
-            yield float(line[at : at + width].replace("D", "E"))
-            at, k = at + width, k + 1
