@@ -52,77 +52,67 @@ def test_bad_json(folder, text, part):
     refused(folder, "transforms_train.json", part)
 
 
-BAD_POSES = {
-    "nan": (lambda p: p[0].__setitem__(3, math.nan), "holds nan"),
-    "text": (lambda p: p[1].__setitem__(3, "1.0"), "holds '1.0'"),
-    "huge": (lambda p: p[1].__setitem__(3, 10**400), "holds a whole number of 401 digits"),
-    "far away": (lambda p: p[2].__setitem__(3, -1e300), "lies 1e+300 units from the origin"),
-    "three rows": (lambda p: p.pop(), "has shape 3×4"),
-    "ragged": (lambda p: p[0].pop(), "4 rows of unequal length"),
-    "scaled": (lambda p: p[0].__setitem__(slice(0, 3), [2 * x for x in p[0][:3]]), "is not rigid"),
-    "mirrored": (lambda p: [row.__setitem__(0, -row[0]) for row in p[:3]], "determinant -1"),
-    "projective": (lambda p: p[3].__setitem__(0, 0.1), "last row is [0.1, 0.0, 0.0, 1.0]"),
+def pose(change):
+    """A change of the pose of frame 1."""
+    return lambda file: change(file["frames"][1]["transform_matrix"])
+
+
+def first(**values):
+    """Values of frame 0."""
+    return lambda file: file["frames"][0].update(values)
+
+
+BAD = {
+    "nan": (pose(lambda p: p[0].__setitem__(3, math.nan)), "frame 1", "holds nan"),
+    "text": (pose(lambda p: p[1].__setitem__(3, "1.0")), "frame 1", "holds '1.0'"),
+    "huge": (pose(lambda p: p[1].__setitem__(3, 10**400)), "holds a whole number of 401 digits"),
+    "far away": (pose(lambda p: p[2].__setitem__(3, -1e300)), "frame 1", "lies 1e+300 units from the origin"),
+    "three rows": (pose(lambda p: p.pop()), "frame 1", "has shape 3×4"),
+    "ragged": (pose(lambda p: p[0].pop()), "frame 1", "4 rows of unequal length"),
+    "scaled": (
+        pose(lambda p: p[0].__setitem__(slice(0, 3), [2 * x for x in p[0][:3]])),
+        "frame 1",
+        "is not rigid",
+    ),
+    "mirrored": (pose(lambda p: [row.__setitem__(0, -row[0]) for row in p[:3]]), "frame 1", "determinant -1"),
+    "projective": (pose(lambda p: p[3].__setitem__(0, 0.1)), "frame 1", "last row is [0.1, 0.0, 0.0, 1.0]"),
+    "text for a pose": (first(transform_matrix="eye"), "frame 0", "has shape none (str)"),
+    "angle": (
+        lambda v: v.update(camera_angle_x=0),
+        "camera_angle_x is 0; expected a finite number above 1e-06 and",
+    ),
+    "angle as text": (lambda v: v.update(camera_angle_x="0.7"), "camera_angle_x is '0.7'"),
+    "focal length": (lambda v: v.update(fl_x=20, fl_y=0), "fl_y is 0"),
+    "width": (lambda v: v.update(w=13), "w is 13; expected 12, as the image is 12×8"),
+    "lens": (lambda v: v.update(k1=0.1), "k1 is 0.1; expected 0: undistort"),
+    "time nan": (first(time=math.nan), "frame 0", "time is nan"),
+    "time inf": (first(time=math.inf), "frame 0", "time is inf"),
+    "time as text": (first(time="now"), "frame 0", "time is 'now'"),
+    "twice": (first(file_path="train/r_001.png"), "frame ", "r_001.png is already that of another frame"),
+    "outside": (first(file_path="../outside"), "frame 0", "leads outside"),
+    "outside by a detour": (first(file_path="train/../../outside.png"), "frame 0", "leads outside"),
+    "absolute": (first(file_path="/etc/passwd"), "frame 0", "'/etc/passwd' is absolute"),
+    "drive": (first(file_path="C:\\x.png"), "frame 0", "is absolute"),
+    "absent": (
+        first(file_path="train/r_777"),
+        "frame 0",
+        "r_777 does not exist (tried .png, .jpg, .jpeg, .exr, .w",
+    ),
+    "absent with suffix": (first(file_path="train/r_777.png"), "frame 0", "r_777.png does not exist"),
+    "null": (first(file_path="train/nul\0.png"), "frame 0", "not a usable path"),
+    "empty path": (first(file_path=""), "frame 0", "file_path is ''"),
+    "number for a path": (first(file_path=5), "frame 0", "file_path is 5"),
+    "no path": (first(file_path=None), "frame 0", "file_path is None"),
 }
 
 
 @pytest.mark.filterwarnings("error")  # a warning would be a second line on the terminal
-@pytest.mark.parametrize("name", BAD_POSES)
-def test_bad_pose(folder, name):
-    change, part = BAD_POSES[name]
-    edit(folder / "transforms_train.json", lambda v: change(v["frames"][1]["transform_matrix"]))
-    refused(folder, "transforms_train.json: " + ("" if name == "huge" else "frame 1"), part)
-
-
-@pytest.mark.parametrize(
-    ("values", "part"),
-    [
-        (
-            {"camera_angle_x": 0},
-            "camera_angle_x is 0; expected a finite number above 1e-06 and below 3.14159",
-        ),
-        ({"camera_angle_x": "0.7"}, "camera_angle_x is '0.7'"),
-        ({"fl_x": 20, "fl_y": 0}, "fl_y is 0"),
-        ({"w": 13}, "w is 13; expected 12, as the image is 12×8"),
-        ({"k1": 0.1}, "k1 is 0.1; expected 0: undistort"),
-    ],
-)
-def test_bad_intrinsics(folder, values, part):
-    edit(folder / "transforms_train.json", lambda v: v.update(values))
-    refused(folder, "transforms_train.json", part)
-
-
-@pytest.mark.parametrize(
-    ("values", "part"),
-    [
-        *(({"time": value}, f"time is {value!r}") for value in (math.nan, math.inf, "now")),
-        ({"transform_matrix": "eye"}, "has shape none (str)"),
-        ({"file_path": "train/r_001.png"}, "r_001.png is already that of another frame"),
-    ],
-)
-def test_bad_frame(folder, values, part):
-    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(values))
-    refused(folder, "transforms_train.json: frame ", part)
-
-
-@pytest.mark.parametrize(
-    ("file_path", "part"),
-    [
-        ("../outside", "leads outside"),
-        ("train/../../outside.png", "leads outside"),
-        ("/etc/passwd", "'/etc/passwd' is absolute"),
-        ("C:\\x.png", "is absolute"),
-        ("train/r_777", "r_777 does not exist (tried .png, .jpg, .jpeg, .exr, .webp, .tif, .tiff)"),
-        ("train/r_777.png", "r_777.png does not exist"),
-        ("train/nul\0.png", "not a usable path"),
-        ("", "file_path is ''"),
-        (5, "file_path is 5"),
-        (None, "file_path is None"),
-    ],
-)
-def test_bad_image_path(folder, file_path, part):
+@pytest.mark.parametrize("name", BAD)
+def test_bad_values(folder, name):
     shutil.copy(folder / "train/r_000.png", folder.parent / "outside.png")
-    edit(folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=file_path))
-    refused(folder, "transforms_train.json: frame 0", part)
+    change, *parts = BAD[name]
+    edit(folder / "transforms_train.json", change)
+    refused(folder, "transforms_train.json", *parts)
 
 
 def test_a_link_that_leaves_the_folder(folder):

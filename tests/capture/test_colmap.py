@@ -48,25 +48,17 @@ def check(root):
     assert (points.xyz.dtype, points.rgb.dtype) == (np.float64, np.uint8)
 
 
-def test_a_text_model(text):
+def test_models_in_text_by_hand_and_in_either_form_as_pycolmap_writes_them(text):
     check(text)
-
-
-def test_a_binary_model_as_pycolmap_writes_it(text):
     pycolmap = pytest.importorskip("pycolmap")
     sparse = text / "sparse" / "0"
     model = pycolmap.Reconstruction(sparse)
+    model.write_text(sparse)
+    check(text)
     for path in sparse.iterdir():
         path.unlink()
     model.write_binary(sparse)
     assert {p.name for p in sparse.iterdir()} >= {"cameras.bin", "images.bin", "points3D.bin"}
-    check(text)
-
-
-def test_a_text_model_as_pycolmap_writes_it(text):
-    pycolmap = pytest.importorskip("pycolmap")
-    sparse = text / "sparse" / "0"
-    pycolmap.Reconstruction(sparse).write_text(sparse)
     check(text)
 
 
@@ -91,42 +83,23 @@ def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text):
     ("file", "old", "new", "parts"),
     [
         ("cameras", "PINHOLE 12 8 20 21", "OPENCV_FISHEYE 12 8 20 21", ("OPENCV_FISHEYE", "8")),
-        (
-            "cameras",
-            "1 PINHOLE 12 8 20 21 6 4.5",
-            "1 OTHER 12 8 20 21 6 4.5",
-            ("camera 1 is OTHER, of which pycolmap makes no pinhole", "tg4mm sfm"),
-        ),
-        (
-            "cameras",
-            "1 PINHOLE 12 8 20 21 6 4.5",
-            "1 EQUIRECTANGULAR 12 8 12 8",
-            ("EQUIRECTANGULAR, of which",),
-        ),
+        ("cameras", "1 PINHOLE", "1 OTHER", ("1 is OTHER, of which pycolmap makes no pinhole", "tg4mm sfm")),
+        ("cameras", "PINHOLE 12 8 20 21 6 4.5", "EQUIRECTANGULAR 12 8 12 8", ("EQUIRECTANGULAR, of which",)),
         ("cameras", "1 PINHOLE", "5 PINHOLE", ("is of camera 1, which is not among the cameras",)),
         ("cameras", "12 8 20", "13 8 20", ("w is 13; expected 12",)),
-        (
-            "cameras",
-            "20 21 6 4.5",
-            "20 21 6",
-            ("cameras.txt: is truncated or damaged", "3 parameters, not 4"),
-        ),
+        ("cameras", "21 6 4.5", "21 6", ("cameras.txt: is truncated or damaged", "3 parameters, not 4")),
         ("cameras", "20 21 6 4.5", "-20 21 6 4.5", ("fl_x is -20.0",)),
         ("images", "0.5 0.5 0.5 0.5 1", "0.5 0.5 0.5 2 1", ("image 1: has the pose [0.5, 0.5, 0.5, 2.0",)),
         ("images", "1 2 3 1 a", "1 nan 3 1 a", ("image 1: has the pose",)),
         ("images", "a/r_2.png", "../../x.png", ("leads outside the dataset's folder",)),
         ("images", "1 2 3 1 a", "1 x 3 1 a", ("images.txt: is truncated or damaged",)),
+        ("images", IMAGES, "# none\n", ("holds no registered image",)),
         ("points3D", "1.5 2.5", "inf 2.5", ("points3D.txt: holds a point that is not finite",)),
     ],
 )
 def test_bad_models_are_refused(text, file, old, new, parts):
     edit(text / "sparse" / "0" / f"{file}.txt", old, new)
     refused(text, *parts)
-
-
-def test_no_registered_image(text):
-    (text / "sparse/0/images.txt").write_text("# none\n")
-    refused(text, "holds no registered image")
 
 
 def test_of_several_models_the_largest_is_taken_and_said(text, caplog):

@@ -64,10 +64,10 @@ def test_a_killed_conversion_goes_on_and_another_one_is_refused(dataset, tmp_pat
     assert {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
     capsys.readouterr()
     for words, message in (
-        (["colmap"], 'layout = "nerfstudio"'),
-        (["nerfstudio", "--timesteps", "1"], "other pictures"),
+        ("colmap", 'layout = "nerfstudio"'),
+        ("nerfstudio --timesteps 1", "other pictures"),
     ):
-        assert convert(dataset, out, *words) == 2
+        assert convert(dataset, out, *words.split()) == 2
         assert message in capsys.readouterr().err
 
 

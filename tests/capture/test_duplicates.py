@@ -95,9 +95,8 @@ def vibrating(noise=1.0, hz=4.37, shown=None, n=150):
     taken = []
     for k in range(shown[-1] + 1):
         picture = base.copy()
-        moved = shift(
-            base[26:94, 36:124], (0, 0.8 * np.sin(2 * np.pi * hz * k / 30)), order=3, mode="nearest"
-        )
+        moved_px = (0, 0.8 * np.sin(2 * np.pi * hz * k / 30))
+        moved = shift(base[26:94, 36:124], moved_px, order=3, mode="nearest")
         picture[30:90, 40:120] = moved[4:-4, 4:-4]
         picture += rng.normal(0, noise, picture.shape)
         taken.append(np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[..., None], 3, 2))
@@ -135,9 +134,7 @@ def test_a_video_keeps_new_pictures_and_their_times(tmp_path, share):
     assert len(survey) == int(149 * share) + 1
     assert survey.clock()[1] == pytest.approx(np.arange(len(survey)) / float(30 * share))
     assert not stretches_of(survey, True).faults
-    said = (
-        f"{share.numerator} of {share.denominator} frames are new pictures.* --keep-duplicates keeps them all"
-    )
+    said = f"{share.numerator} of {share.denominator} frames are new pictures.* --keep-duplicates keeps them"
     with pytest.warns(UserWarning, match=said):
         warn_clocks([survey], None)
 
@@ -160,13 +157,8 @@ def test_the_option_keeps_duplicates_everywhere(tmp_path, capsys):
 def test_irregular_duplicates_of_a_video_are_left_out_and_said(tmp_path):
     again = np.random.default_rng(3).random(160) < 0.25
     again[0] = False
-    path = encoded(
-        tmp_path / "a.mp4",
-        vibrating(6.0, shown=np.cumsum(~again) - 1),
-        "libx264",
-        crf="8",
-        preset="veryfast",
-    )
+    film = vibrating(6.0, shown=np.cumsum(~again) - 1)
+    path = encoded(tmp_path / "a.mp4", film, "libx264", crf="8", preset="veryfast")
     survey = looked(path)
     left_out = set(survey.repeats)
     assert left_out <= set(np.flatnonzero(again).tolist())

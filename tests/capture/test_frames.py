@@ -1,6 +1,5 @@
 """Pictures that are frames of a video in the dataset, decoded on demand."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.capture.conftest import edit
 from tests.capture.sfm.videos import still, write_video
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.convert import write_nerfstudio
@@ -76,13 +76,6 @@ def test_conversion_writes_them_out(dataset, truth, tmp_path):
     np.testing.assert_array_equal(load_images(capture).data[..., :3], np.stack(truth))
 
 
-def _point_at(dataset, file_path):
-    file = dataset / "004" / "transforms_train.json"
-    values = json.loads(file.read_text())
-    values["frames"][0]["file_path"] = file_path
-    file.write_text(json.dumps(values))
-
-
 @pytest.mark.parametrize(
     ("file_path", "said"),
     [
@@ -96,7 +89,9 @@ def _point_at(dataset, file_path):
 )
 def test_bad_addresses_are_refused(dataset, tmp_path, file_path, said):
     shutil.copytree(dataset, tmp_path / "d")
-    _point_at(tmp_path / "d", file_path)
+    edit(
+        tmp_path / "d" / "004" / "transforms_train.json", lambda v: v["frames"][0].update(file_path=file_path)
+    )
     with pytest.raises(CaptureError, match=said):
         load_capture(tmp_path / "d")
 

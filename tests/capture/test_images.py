@@ -170,17 +170,14 @@ def test_a_tiff_gives_its_values(tmp_path, options, given, expected):
     pixels = decode(tmp_path / "a.tif")
     assert pixels.dtype == given.dtype
     assert image_header(tmp_path / "a.tif").bits == 8 * given.itemsize
-    np.testing.assert_array_equal(
-        pixels[..., :3], expected if expected.ndim == 3 else np.dstack([expected] * 3)
-    )
+    np.testing.assert_array_equal(pixels[..., :3], np.broadcast_to(np.atleast_3d(expected), (20, 30, 3)))
     assert (pixels[..., 3] == np.iinfo(pixels.dtype).max).all()
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.tif"])
 def test_eight_bits_by_pillow_come_back(tmp_path, name):
-    Image.fromarray(EIGHT).save(
-        tmp_path / name, **({"lossless": True} if name == "a.webp" else {"compression": "tiff_lzw"})
-    )
+    how = {"lossless": True} if name == "a.webp" else {"compression": "tiff_lzw"}
+    Image.fromarray(EIGHT).save(tmp_path / name, **how)
     np.testing.assert_array_equal(decode(tmp_path / name)[..., :3], EIGHT)
 
 

@@ -39,11 +39,8 @@ def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, t
 
 
 def test_splits_are_the_files_own_lists(studio):
-    lists = {
-        "train_filenames": ["images/r_002.png", "images/r_000.png"],
-        "test_filenames": ["images/r_001.png"],
-    }
-    edit(studio / "transforms.json", lambda v: v.update(lists))
+    train, test = ["images/r_002.png", "images/r_000.png"], ["images/r_001.png"]
+    edit(studio / "transforms.json", lambda v: v.update(train_filenames=train, test_filenames=test))
     assert [p.name for p in load_capture(studio).paths] == ["r_000.png", "r_002.png"]
     assert [p.name for p in load_capture(studio, "test").paths] == ["r_001.png"]
     refused(studio, "has no val_filenames", "no 'val' split", split="val")
@@ -98,10 +95,7 @@ def test_missing_pictures_are_left_out_and_counted_unless_they_are_half(studio, 
         (lambda v: v.update(frames=[]), ("frames is []; expected a list of frames",)),
         (lambda v: v["frames"].__setitem__(1, 7), ("frame 1 is 7; expected an object",)),
         (lambda v: v["frames"][0].update(file_path="../../x.png"), ("leads outside",)),
-        (
-            lambda v: v.update(train_filenames=["images/gone.png"]),
-            ("train_filenames names 'images/gone.png'",),
-        ),
+        (lambda v: v.update(train_filenames=["images/x.png"]), ("train_filenames names 'images/x.png'",)),
         (lambda v: v.update(train_filenames=[]), ("train_filenames is empty",)),
         (lambda v: v.update(train_filenames="all"), ("train_filenames is 'all'; expected a list",)),
         (lambda v: v.update(w=99), ("w is 99; expected 12",)),
@@ -151,7 +145,7 @@ def test_a_lens_that_bends_is_straightened(studio, model, bends):
     size, focal, middle = (64, 48), (60.0, 61.0), (31.0, 24.0)
     values = {"fl_x": focal[0], "fl_y": focal[1], "cx": middle[0], "cy": middle[1], "w": 64, "h": 48}
     edit(studio / "transforms.json", lambda v: v.update(values, camera_model=model, **bends))
-    straight = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 700), np.linspace(-0.7, 0.7, 600)), -1)
+    straight = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 140), np.linspace(-0.7, 0.7, 120)), -1)
     pixels = bent(straight, model, bends) * focal + middle
     rays = LinearNDInterpolator(pixels.reshape(-1, 2), straight.reshape(-1, 2))
     at = np.stack(np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5), -1)
@@ -186,12 +180,7 @@ def test_two_fields_of_view_are_two_focal_lengths(studio):
     width, height = SIZE
     angles = {"camera_angle_x": 2 * np.arctan(width / 40), "camera_angle_y": 2 * np.arctan(height / 42)}
 
-    def change(values):
-        for key in ("fl_x", "fl_y"):
-            del values[key]
-        values.update(angles)
-
-    edit(studio / "transforms.json", change)
+    edit(studio / "transforms.json", lambda v: (v.pop("fl_x"), v.pop("fl_y"), v.update(angles)))
     np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [20, 21, 1])
     edit(studio / "transforms.json", lambda v: v.pop("camera_angle_x"))
     np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [21, 21, 1])
@@ -232,8 +221,6 @@ class TestTimes:
 
     def test_without_a_rate_they_are_refused(self, studio):
         self.timed(studio, [0.0, 0.5, 1.0])
-        refused(
-            studio, "its frames have 3 different times, but no rate is known", '"fps": <frames per second>'
-        )
+        refused(studio, "its frames have 3 different times, but no rate is known", '"fps": <frames per se')
         (studio / "scene.json").write_text('{"fps": 12}')
         assert load_capture(studio).fps == 12

@@ -59,10 +59,8 @@ def test_a_tripods_frames_have_the_pose_of_the_last_picture(tripod):
     np.testing.assert_array_equal(capture.viewmats[frames, 0, 3], 4)
     np.testing.assert_allclose(np.sort(capture.times_s[frames]), np.arange(15) / 15)
     assert sorted(capture.viewmats[~frames, 0, 3]) == [0, 1, 2, 3]
-    shown = load_images(capture).data[frames, 0, 0, 0]
-    np.testing.assert_allclose(
-        shown[np.argsort(capture.timesteps[frames])], 255 * 0.05 * np.arange(15), atol=1
-    )
+    shown = load_images(capture).data[frames, 0, 0, 0][np.argsort(capture.timesteps[frames])]
+    np.testing.assert_allclose(shown, 255 * 0.05 * np.arange(15), atol=1)
 
 
 def test_a_handheld_captures_timesteps_begin_at_its_start(handheld):
@@ -124,16 +122,13 @@ def test_the_published_ground_truth_is_read(tmp_path):
         for split in ("train", "test"):
             frames = [{"file_path": f"./{split}/r_{i}", "transform_matrix": eye} for i in range(2)]
             (root / f"{t:03d}" / split).mkdir(parents=True)
-            (root / f"{t:03d}" / f"transforms_{split}.json").write_text(
-                json.dumps({"camera_angle_x": 0.7, "frames": frames})
-            )
+            file = root / f"{t:03d}" / f"transforms_{split}.json"
+            file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
             for i in range(2):
                 save(root / f"{t:03d}" / split / f"r_{i}.png", np.full((8, 8, 3), 0.0))
         for i in range(2):
-            save(
-                tmp_path / "mag_50x_test" / "mic" / f"{t:03d}" / f"{i}.png",
-                np.full((8, 8, 3), (10 * t + i) / 255),
-            )
+            picture = np.full((8, 8, 3), (10 * t + i) / 255)
+            save(tmp_path / "mag_50x_test" / "mic" / f"{t:03d}" / f"{i}.png", picture)
     (root / "scene.json").write_text('{"fps": 30}')
     assert magnified_alphas(root) == [50]
     truth = load_capture(root, magnification=50)
