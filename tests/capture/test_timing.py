@@ -87,10 +87,8 @@ class TestTimes:
 
     def test_an_edited_frame_rate_is_refused_with_both_numbers(self, tree):
         (tree / "scene.json").write_text('{"fps": 60}')
-        with pytest.raises(
-            CaptureError,
-            match=r"scene\.json: fps is 60, but the times of camera r_000 step by 0\.0333333 s \(30 Hz\)",
-        ):
+        said = r"scene\.json: fps is 60, but the times of camera r_000 step by 0\.0333333 s \(30 Hz\)"
+        with pytest.raises(CaptureError, match=said):
             load_capture(tree)
 
     def test_numbered_pictures_show_it_too(self, tree):
@@ -106,9 +104,8 @@ class TestTimes:
         retime(tree, {0: 0.0, 1: 1 / 30, 2: 2 / 30})
         assert load_capture(tree).fps == 30
         (tree / "scene.json").write_text('{"fps": 300}')
-        with pytest.raises(
-            CaptureError, match=r"fps is 300, but the times of the pictures step by .* \(30 Hz\)"
-        ):
+        said = r"fps is 300, but the times of the pictures step by .* \(30 Hz\)"
+        with pytest.raises(CaptureError, match=said):
             load_capture(tree)
 
     def test_times_that_stand_still_are_refused(self, tree):
@@ -185,9 +182,8 @@ def test_whole_datasets_and_other_folders_are_not(tree, folder, tmp_path):
 
 def test_training_pictures_alone_is_refused(tree, folder):
     for part, root in ((tree / "000" / "train", tree), (folder / "train", folder)):
-        with pytest.raises(
-            CaptureError, match=rf"train: is no dataset, but .*: tg4mm train {root.resolve()} --out RUN"
-        ):
+        said = rf"train: is no dataset, but .*: tg4mm train {root.resolve()} --out RUN"
+        with pytest.raises(CaptureError, match=said):
             _capture(part)
 
 

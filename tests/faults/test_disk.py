@@ -80,9 +80,8 @@ def frames():
 def test_no_video_is_left_that_does_not_play(disk, kib):
     """The encoder tells a full disk by its exit status alone."""
     folder = disk(kib)
-    with pytest.raises(
-        RunError, match=r"\A[^\n]*no video could be written, ffmpeg ended with [^\n]*No space left[^\n]*\Z"
-    ):
+    said = r"\A[^\n]*no video could be written, ffmpeg ended with [^\n]*No space left[^\n]*\Z"
+    with pytest.raises(RunError, match=said):
         write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
     assert os.listdir(folder) == []
 

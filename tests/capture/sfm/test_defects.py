@@ -15,10 +15,7 @@ ENCODERS = {
     "crf 18": ("libx264", {"gop": 12, "crf": "18"}),
     "crf 26": ("libx264", {"gop": 12, "crf": "26"}),
     "one key frame": ("libx264", {"gop": 250, "crf": "30"}),
-    "constant rate": (
-        "libx264",
-        {"b": "1000000", "maxrate": "1000000", "minrate": "1000000", "bufsize": "1000000"},
-    ),
+    "constant rate": ("libx264", dict.fromkeys(("b", "maxrate", "minrate", "bufsize"), "1000000")),
     "all intra": ("libx264", {"gop": 1, "crf": "23"}),
     "MPEG-4": ("mpeg4", {"gop": 12, "b": "1000000"}),
     "VP9": ("libvpx-vp9", {"crf": "31", "cpu_used": "5"}),
@@ -41,9 +38,8 @@ class TestFrozen:
         if codec not in av.codecs_available:
             pytest.skip(f"no {codec}")
         path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
-        with pytest.warns(
-            UserWarning, match=r"a\.mkv: hardly anything changes .*: the recording is a single picture, or"
-        ):
+        said = r"a\.mkv: hardly anything changes .*: the recording is a single picture, or"
+        with pytest.warns(UserWarning, match=said):
             assert looked(path).repeats == ()
 
     @pytest.mark.parametrize("crf", [18, 23])
@@ -108,9 +104,8 @@ class TestPartly:
         shifts = [0] * 30 + [6] * 3 + [0] * 27
         survey = looked(write_video(tmp_path / "a.mp4", still(60, shifts=shifts)))
         check_usable([survey], True)
-        with pytest.warns(
-            UserWarning, match=r"a\.mp4: the camera was bumped .* at 1\.000 s \(by 6\.\d pixels\)"
-        ):
+        said = r"a\.mp4: the camera was bumped .* at 1\.000 s \(by 6\.\d pixels\)"
+        with pytest.warns(UserWarning, match=said):
             warn_bumps([survey])
 
     def test_trembling_vibration_knocks_and_drift_are_no_bumps(self):
@@ -135,9 +130,8 @@ class TestPartly:
 
     def test_another_rate_than_the_files_is_said(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))
-        with pytest.warns(
-            UserWarning, match=r"a\.mp4: the file says 30 frames per second, --fps 300: .* divided by 10"
-        ):
+        said = r"a\.mp4: the file says 30 frames per second, --fps 300: .* divided by 10"
+        with pytest.warns(UserWarning, match=said):
             warn_clocks([survey], 300.0)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.capture.conftest import refused
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, surface_distance, umeyama
 from tests.capture.sfm.videos import still
 from tg4mm.capture import load_capture, load_images
@@ -15,7 +16,7 @@ from tg4mm.capture.sfm.clip import find_sources
 from tg4mm.capture.sfm.config import open_request
 from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 from tg4mm.cli import main
-from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.core.errors import RunError, Tg4mmError
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
@@ -52,12 +53,8 @@ def aligned(capture, cameras):
     ours, _ = optical_axes(capture.viewmats)
     true, _ = optical_axes(cameras)
     scale, rotation, shift = umeyama(ours, true)
-    return (
-        scale,
-        rotation,
-        shift,
-        float(np.linalg.norm(scale * ours @ rotation.T + shift - true, axis=1).max()),
-    )
+    error = np.linalg.norm(scale * ours @ rotation.T + shift - true, axis=1).max()
+    return scale, rotation, shift, float(error)
 
 
 def test_cameras_come_back_up_to_a_similarity(dataset, cameras):
@@ -113,14 +110,12 @@ def test_a_stopped_one_goes_on_to_the_same_dataset(dataset, photographs, tmp_pat
 
 
 def test_another_request_in_the_same_folder_is_refused(dataset, photographs, tmp_path):
-    with pytest.raises(CaptureError, match='was made with camera_model = "SIMPLE_RADIAL", asked is "OPENCV"'):
-        reconstruct(photographs, dataset, SfmConfig(camera_model="OPENCV"))
-    other = tmp_path / "other"
+    opencv, other = SfmConfig(camera_model="OPENCV"), tmp_path / "other"
+    said = 'was made with camera_model = "SIMPLE_RADIAL", asked is "OPENCV"'
+    refused(lambda: reconstruct(photographs, dataset, opencv), said)
     shutil.copytree(photographs, other)
-    with pytest.raises(CaptureError, match="was made of other pictures, or they have changed"):
-        reconstruct(other, dataset)
-    with pytest.raises(CaptureError, match=r"holds p_0\.png; expected a new or empty folder"):
-        reconstruct(photographs, other)
+    refused(lambda: reconstruct(other, dataset), "was made of other pictures, or they have changed")
+    refused(lambda: reconstruct(photographs, other), "holds p_0.png; expected a new or empty folder")
 
 
 def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
@@ -145,10 +140,7 @@ def test_a_baseline_gives_the_scale_later(dataset, photographs, tmp_path):
         (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected a finite number above 2"),
         (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
         (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
-        (
-            SfmConfig(synchronous=True),
-            "--synchronous is for the cameras of a rig, but .* holds 12 photographs",
-        ),
+        (SfmConfig(synchronous=True), "--synchronous is for the cameras of a rig, but .* holds 12 photogr"),
         (SfmConfig(test_every=1), "--test-every is 1, expected 0, or a whole number of at least 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),
     ],
@@ -162,10 +154,8 @@ def test_bad_settings_are_refused_before_anything_is_made(photographs, tmp_path,
 def test_pictures_without_texture_are_refused(tmp_path, cameras):
     for i in range(4):
         save(tmp_path / "in" / f"{i}.png", np.full((60, 80, 4), 90, np.uint8))
-    with pytest.raises(
-        CaptureError, match="too little texture: 4 of 4 pictures have fewer than 20 features, "
-    ):
-        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
+    said = "too little texture: 4 of 4 pictures have fewer than 20 features, "
+    refused(lambda: reconstruct(tmp_path / "in", tmp_path / "out", threads=1), said)
 
 
 def test_a_picture_of_something_else_is_left_out_and_named(tmp_path, photographs, cameras):
@@ -176,9 +166,8 @@ def test_a_picture_of_something_else_is_left_out_and_named(tmp_path, photographs
     rng = np.random.default_rng(0)
     noise = Image.fromarray(rng.integers(0, 256, (18, 24, 3), np.uint8))
     noise.resize(SIZE, Image.Resampling.BICUBIC).save(folder / "an odd ä.png")
-    with pytest.warns(
-        UserWarning, match=r"1 pictures could not be placed and are left out: photographs/an odd ä.png"
-    ):
+    said = r"1 pictures could not be placed and are left out: photographs/an odd ä.png"
+    with pytest.warns(UserWarning, match=said):
         report = reconstruct(folder, tmp_path / "out", threads=1)
     assert (report["pictures"], report["placed"]) == (7, 6)
     assert [p.name for p in load_capture(tmp_path / "out").paths] == [f"p {i}.png" for i in range(6)]
@@ -224,20 +213,14 @@ def test_fixed_cameras_become_a_tree_with_one_pose_each(fixed, tmp_path, cameras
     assert ratio[0] == pytest.approx(ratio[1], rel=0.01)
 
 
-def other_things(folder, camera):
-    """Let a camera of six frames see something else."""
-    for t, pixels in enumerate(still(6, size=SIZE)):
-        Image.fromarray(pixels).save(folder / camera / f"{t:04d}.png")
-
-
 def test_too_few_fixed_cameras_that_can_be_placed_are_an_error(fixed, tmp_path):
     folder = tmp_path / "in"
     shutil.copytree(fixed, folder)
     shutil.rmtree(folder / "cam_0")
-    other_things(folder, "cam_1")
-    match = r"1 of 2 pictures could not be placed: cameras/cam_1\.png; a sweep/"
-    with pytest.raises(CaptureError, match=match):
-        reconstruct(folder, tmp_path / "out", SfmConfig(fps=30.0), threads=1)
+    for t, pixels in enumerate(still(6, size=SIZE)):  # of something else
+        Image.fromarray(pixels).save(folder / "cam_1" / f"{t:04d}.png")
+    said = "1 of 2 pictures could not be placed: cameras/cam_1.png; a sweep/"
+    refused(lambda: reconstruct(folder, tmp_path / "out", SfmConfig(fps=30.0), threads=1), said)
 
 
 def test_a_test_split_is_held_out(dataset, photographs, tmp_path):

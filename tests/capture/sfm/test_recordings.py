@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.capture.conftest import refused
 from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, umeyama
 from tests.capture.sfm.videos import write_video
 from tg4mm.capture import load_capture
@@ -14,7 +15,6 @@ from tg4mm.capture.cameras import optical_axes
 from tg4mm.capture.sfm.config import SfmConfig
 from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main
-from tg4mm.core.errors import CaptureError
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL = (240, 180), 250.0
@@ -22,24 +22,17 @@ NTSC = Fraction(30000, 1001)
 CAMERAS = orbit(12, turn=2.4)
 
 
-def filmed(viewmats, seed=0, size=SIZE):
+def filmed(viewmats, seed=0):
     """What a camera at each pose sees, with a sensor's noise, over grey."""
     rng = np.random.default_rng(seed)
-    K = intrinsics(*size, FOCAL * size[0] / SIZE[0])
     frames, cached = [], {}
     for viewmat in viewmats:
         key = viewmat.tobytes()
         if key not in cached:
-            rgba = picture(viewmat, K, size) / 255.0
+            rgba = picture(viewmat, intrinsics(*SIZE, FOCAL), SIZE) / 255.0
             cached[key] = 255 * (rgba[..., :3] * rgba[..., 3:] + 0.5 * (1 - rgba[..., 3:]))
         frames.append(np.clip(cached[key] + rng.normal(0, 2, cached[key].shape), 0, 255).astype(np.uint8))
     return frames
-
-
-def shoot_sweep(folder, size=SIZE):
-    for i, viewmat in enumerate(CAMERAS):
-        K = intrinsics(*size, FOCAL * max(size) / max(SIZE))
-        save(folder / f"{i:03d}.png", picture(viewmat, K, size))
 
 
 def place_error(capture, rows, true):
@@ -58,7 +51,8 @@ def rows_of(capture, timestep):
 @pytest.fixture(scope="module")
 def tripod(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tripod")
-    shoot_sweep(folder / "sweep")
+    for i, viewmat in enumerate(CAMERAS):
+        save(folder / "sweep" / f"{i:03d}.png", picture(viewmat, intrinsics(*SIZE, FOCAL), SIZE))
     fixed = np.repeat(CAMERAS[5][None] + 1e-3, 9, axis=0)
     write_video(folder / "film.mp4", filmed(fixed), NTSC, crf=8)
     return folder
@@ -116,12 +110,8 @@ def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path):
     for k, viewmat in enumerate(places[:4]):
         frames = filmed(np.repeat(viewmat[None], 8 + k, axis=0), seed=k)
         write_video(tmp_path / "in" / f"cam_{k:02d}.mp4", frames, 30, crf=8)
-    assert (
-        main(
-            ["sfm", str(tmp_path / "in"), "--kind", "clips", "--out", str(tmp_path / "out"), "--threads", "1"]
-        )
-        == 0
-    )
+    words = ["sfm", str(tmp_path / "in"), "--kind", "clips", "--out", str(tmp_path / "out"), "--threads", "1"]
+    assert main(words) == 0
     capture = load_capture(tmp_path / "out")
     assert (capture.kind, capture.n_timesteps, capture.fps) == ("clips", 11, 30.0)
     assert [len(rows_of(capture, t)) for t in range(11)] == [*[4] * 8, 3, 2, 1]
@@ -133,10 +123,8 @@ def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path):
 def test_cameras_of_two_frame_rates_are_refused(tmp_path):
     for name, rate in (("a", 30), ("b", 60)):
         write_video(tmp_path / "in" / f"{name}.mp4", filmed(np.repeat(CAMERAS[:1], 8, axis=0)), rate)
-    with pytest.raises(
-        CaptureError, match="camera b has 60 frames per second, a has 30: a dataset has one frame rate"
-    ):
-        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
+    said = "camera b has 60 frames per second, a has 30: a dataset has one frame rate"
+    refused(lambda: reconstruct(tmp_path / "in", tmp_path / "out", threads=1), said)
 
 
 @pytest.fixture(scope="module")
@@ -169,9 +157,8 @@ def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(wal
         coarse = Image.fromarray(rng.integers(0, 256, (18, 24, 3), np.uint8))
         frames[t] = np.asarray(coarse.resize(SIZE, Image.Resampling.BICUBIC))
     path = write_video(tmp_path / "walk.mp4", frames, 30, crf=8)
-    with pytest.warns(
-        UserWarning, match="2 pictures could not be placed and are left out: frames/00007.png, frames/0"
-    ):
+    said = "2 pictures could not be placed and are left out: frames/00007.png, frames/0"
+    with pytest.warns(UserWarning, match=said):
         reconstruct(path, tmp_path / "out", SfmConfig(frames=12), threads=1)
     capture = load_capture(tmp_path / "out")
     kept = [t for t in range(24) if t not in (7, 8)]
@@ -184,8 +171,10 @@ def test_two_cameras_that_stay_put_are_named_as_such(tmp_path):
     """Two views are no start for poses; said with what to add, and what works as it is."""
     for i in (0, 1):
         write_video(tmp_path / "two" / f"cam_{i:02d}.mp4", filmed(np.stack([CAMERAS[i]] * 8), seed=i))
-    with pytest.raises(
-        CaptureError,
-        match=r"two: holds 2 recordings of fixed cameras, and nothing else: .* Add sweep/ .* tg4mm sfm .*cam",
-    ):
-        reconstruct(tmp_path / "two", tmp_path / "out")
+    said = (
+        "two: holds 2 recordings of fixed cameras, and nothing else: ",
+        " Add sweep/ ",
+        " tg4mm sfm ",
+        "cam",
+    )
+    refused(lambda: reconstruct(tmp_path / "two", tmp_path / "out"), *said)

@@ -29,9 +29,8 @@ class Scene:
     def __init__(self, noise=0.0, points=600, spread=1.0):
         rng = np.random.default_rng(0)
         self.model = pycolmap.Reconstruction()
-        camera = pycolmap.Camera(
-            model="SIMPLE_RADIAL", width=SIZE[0], height=SIZE[1], params=[FOCAL, 320, 240, BEND], camera_id=1
-        )
+        lens = {"model": "SIMPLE_RADIAL", "params": [FOCAL, 320, 240, BEND]}
+        camera = pycolmap.Camera(width=SIZE[0], height=SIZE[1], camera_id=1, **lens)
         self.model.add_camera_with_trivial_rig(camera)
         xyz = np.concatenate([rng.uniform(-spread, spread, (points, 2)), np.zeros((points, 1))], axis=1)
         ids = [self.model.add_point3D(p + [0, 0, noise * rng.normal()], pycolmap.Track()) for p in xyz]
@@ -107,9 +106,8 @@ def test_the_uncertainty_is_that_of_clicks_a_pixel_off(scene):
         ends = []
         for end in ENDS:
             pixels = [scene.at(name, end) for name in ("001", "003", "005")]
-            ends.append(
-                tuple((n, x + rng.normal(0, CLICK_PX), y + rng.normal(0, CLICK_PX)) for n, x, y in pixels)
-            )
+            off = lambda: rng.normal(0, CLICK_PX)  # noqa: E731
+            ends.append(tuple((name, x + off(), y + off()) for name, x, y in pixels))
         return scene.measure(*ends)
 
     found = [clicked() for _ in range(60)]
@@ -143,7 +141,7 @@ def test_places_are_those_of_the_picture_set_upright(scene):
         (lambda s: (("001", 700.0, 20.0),), "001 is 640×480 pixels, 700, 20 lies outside"),
         (
             lambda s: (s.at("001", ENDS[0]), s.at("004", ENDS[0] + [0, 0, 0.4])),
-            "001, 004 do not show the same point there: they miss it by",
+            "001, 004 do not show the same",
         ),
         (lambda s: (s.at("001", ENDS[0]),) * 2, r"001, 001 see the point from directions 0\.00° apart"),
         (lambda s: (s.at("001", ENDS[1]), s.at("004", ENDS[1])), "both ends are the same point"),

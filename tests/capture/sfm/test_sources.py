@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.capture.conftest import refused
 from tests.capture.sfm.scenes import save
 from tg4mm.capture.sfm.clip import find_sources, suggested_command
 from tg4mm.capture.sfm.kind import possible_kinds
 from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name
 from tg4mm.cli import main
-from tg4mm.core.errors import CaptureError
 
 PIXELS = np.full((6, 8, 4), 200, np.uint8)
 
@@ -71,56 +71,46 @@ def test_pictures_with_a_rate_are_a_recording(tmp_path):
 
 
 def test_what_is_refused(tmp_path):
-    with pytest.raises(CaptureError, match="nowhere: does not exist"):
-        find_sources(tmp_path / "nowhere")
+    def check(name, *parts):
+        refused(lambda: find_sources(tmp_path / name), *parts)
+
+    check("nowhere", "nowhere: does not exist")
     (tmp_path / "a.txt").write_text("x")
-    with pytest.raises(CaptureError, match=r"a\.txt: is neither a folder nor a video"):
-        find_sources(tmp_path / "a.txt")
-    with pytest.raises(CaptureError, match="holds no pictures; expected photographs, one video"):
-        find_sources(tmp_path)
+    check("a.txt", "a.txt: is neither a folder nor a video")
+    check("", "holds no pictures; expected photographs, one video")
     fill(tmp_path / "two", 2)
-    with pytest.raises(CaptureError, match="two: holds 2 pictures, at least 3 are needed"):
-        find_sources(tmp_path / "two")
+    check("two", "two: holds 2 pictures, at least 3 are needed")
     videos(tmp_path / "lone", "sweep.mp4")
-    with pytest.raises(CaptureError, match="lone: holds nothing but sweep; expected"):
-        find_sources(tmp_path / "lone")
+    check("lone", "lone: holds nothing but sweep; expected")
     fill(tmp_path / "mixed", 4)
     fill(tmp_path / "mixed" / "cam", 4)
-    with pytest.raises(
-        CaptureError, match=r"mixed: holds pictures and cam beside them; .* belong into sweep/"
-    ):
-        find_sources(tmp_path / "mixed")
+    check("mixed", "mixed: holds pictures and cam beside them;", " belong into sweep/")
     videos(tmp_path / "phone", "cam.mp4")
     (tmp_path / "phone" / "sweep").mkdir()
-    with pytest.raises(CaptureError, match=r"sweep: holds no pictures; expected \.png"):
-        find_sources(tmp_path / "phone")
+    check("phone", "sweep: holds no pictures; expected .png")
     (tmp_path / "phone" / "sweep" / "IMG_1.HEIC").write_bytes(b"x")
-    with pytest.raises(CaptureError, match=r"IMG_1\.HEIC: \.HEIC is not read; convert it to \.jpg"):
-        find_sources(tmp_path / "phone")
+    check("phone", "IMG_1.HEIC: .HEIC is not read; convert it to .jpg")
     videos(tmp_path / "twice", "cam.mp4", "cam.mov")
-    with pytest.raises(CaptureError, match="twice: camera cam appears twice"):
-        find_sources(tmp_path / "twice")
+    check("twice", "twice: camera cam appears twice")
 
 
-@pytest.mark.parametrize(
-    "file",
-    [
-        "scene.json",
-        "transforms_train.json",
-        "transforms.json",
-        "000/transforms_train.json",
-        "sparse/0/images.bin",
-    ],
+DATASETS = (
+    "scene.json",
+    "transforms_train.json",
+    "transforms.json",
+    "000/transforms_train.json",
+    "sparse/0/images.bin",
 )
+
+
+@pytest.mark.parametrize("file", DATASETS)
 def test_a_dataset_is_said_to_be_one(tmp_path, capsys, file):
     path = tmp_path / "in it" / file
     path.parent.mkdir(parents=True)
     path.write_text("{}")
     assert main(["sfm", str(tmp_path / "in it"), "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert (
-        error == f"tg4mm: {tmp_path}/in it: is a dataset already: tg4mm train '{tmp_path}/in it' --out RUN\n"
-    )
+    said = f"tg4mm: {tmp_path}/in it: is a dataset already: tg4mm train '{tmp_path}/in it' --out RUN\n"
+    assert capsys.readouterr().err == said
 
 
 def test_training_on_them_says_the_command_in_one_line(tmp_path, capsys):
@@ -140,8 +130,8 @@ def test_sizes_may_differ_only_where_intrinsics_do(tmp_path):
     (tmp_path / "other" / "f_0.png").rename(tmp_path / "g.png")
     photographs = find_sources_of(tmp_path)
     check_sizes(photograph_shots(photographs, each=True))
-    with pytest.raises(CaptureError, match=r"g\.png: is 12×16 pixels, but .* is 16×12; .*--intrinsics each"):
-        check_sizes(photograph_shots(photographs, each=False))
+    shots = photograph_shots(photographs, each=False)
+    refused(lambda: check_sizes(shots), "g.png: is 12×16 pixels, but ", " is 16×12; ", "--intrinsics each")
 
 
 def find_sources_of(folder):

@@ -42,7 +42,7 @@ class TestFaults:
     def test_a_camera_that_moves_is_not_fixed(self, tmp_path):
         survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))
         with pytest.raises(
-            CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by (1|2)\d pixels"
+            CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by [12]\d pixels"
         ):
             check_usable([survey], True)
 
@@ -126,9 +126,9 @@ def video(path, starts, jitter=0.0):
     return write_video(path, frames)
 
 
-def found(path, config=DEFAULTS):
+def found(path, config=DEFAULTS, surveys=None):
     clip = Clip("cam", path, repeats=frozenset({1}))
-    return divided(Sources(path, clips=(clip,)), [looked(path)], config)
+    return divided(Sources(path, clips=(clip,)), surveys or [looked(path)], config)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +165,9 @@ def test_one_without_the_other_is_left_as_it_is(tmp_path, starts, jitter):
     assert found(video(tmp_path / "one.mp4", starts, jitter)) is None
 
 
-@pytest.mark.parametrize(
-    "own", [SfmConfig(kind="handheld"), SfmConfig(start_s=0.5), SfmConfig(stop_s=3.0)], ids=str
-)
-def test_what_the_user_says_overrules(tmp_path, own):
+def test_what_the_user_says_overrules(tmp_path):
     path = video(tmp_path / "one.mp4", walked(WALK) + STAND * [4 * WALK])
-    assert found(path) is not None
-    assert found(path, own) is None
+    surveys = [looked(path)]
+    assert found(path, DEFAULTS, surveys) is not None
+    for own in (SfmConfig(kind="handheld"), SfmConfig(start_s=0.5), SfmConfig(stop_s=3.0)):
+        assert found(path, own, surveys) is None

@@ -74,9 +74,8 @@ class TestStart:
     def test_without_texture_the_hull_takes_over_with_a_warning(self):
         pytest.importorskip("pycolmap")
         plain = views(5, plain=True, floor=False)
-        with pytest.warns(
-            UserWarning, match=r"structure from motion found \d+ points, fewer than 100: texture"
-        ):
+        said = r"structure from motion found \d+ points, fewer than 100: texture"
+        with pytest.warns(UserWarning, match=said):
             first = initial_points(plain, None, "sfm", 300, np.random.default_rng(0))
         assert first.source.startswith("hull (sfm found ")
         assert len(first.xyz) == initial.FEWEST
@@ -105,9 +104,8 @@ def test_of_many_photographs_the_likely_pairs_place_all(photographs, tmp_path, m
         return engine.match(database, some, *rest)
 
     monkeypatch.setattr(mapping, "match", counting)
-    with pytest.warns(
-        UserWarning, match=r"1 pictures could not be placed and are left out: photographs/z\.png"
-    ):
+    said = r"1 pictures could not be placed and are left out: photographs/z\.png"
+    with pytest.warns(UserWarning, match=said):
         reconstruct.reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)
     assert len(load_capture(tmp_path / "out").paths) == 12
     tried = [frozenset(pair) for some in asked for pair in some]

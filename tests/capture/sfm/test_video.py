@@ -228,9 +228,8 @@ def test_a_rate_that_varies_keeps_its_stamps():
 
 
 def test_stamps_that_do_not_rise_are_refused():
-    with pytest.raises(
-        CaptureError, match=r"a: its time stamps do not increase, so the frame rate is unknown"
-    ):
+    said = r"a: its time stamps do not increase, so the frame rate is unknown"
+    with pytest.raises(CaptureError, match=said):
         frame_rate(Path("a"), [Fraction(0)] * 5, ())
 
 
@@ -258,9 +257,8 @@ class TestDamage:
     @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
     def test_a_cut_off_one_names_the_second(self, tmp_path, suffix):
         path = cut_off(write_video(tmp_path / f"a{suffix}", still(60)), 0.5)
-        with pytest.raises(
-            CaptureError, match=r"is damaged or cut off: decoding stops at [01]\.\d\d s of 2\.00 s"
-        ):
+        said = r"is damaged or cut off: decoding stops at [01]\.\d\d s of 2\.00 s"
+        with pytest.raises(CaptureError, match=said):
             list(video_frames(path))
 
     def test_what_comes_before_can_be_taken_as_it_says(self, tmp_path):

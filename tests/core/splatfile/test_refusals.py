@@ -180,9 +180,8 @@ def test_deviations_of_some_modes_only_are_refused(tmp_path):
     path = tmp_path / "a.ply"
     write_splat(path, random_splat(m=2, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"mode_1_sd", b"mode_9_sd"))
-    with pytest.raises(
-        SplatFileError, match=r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"
-    ):
+    said = r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"
+    with pytest.raises(SplatFileError, match=said):
         read_splat(path)
     write_splat(path, random_splat(m=1, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"float mode_0_sd", b"int32 mode_0_sd"))

@@ -130,9 +130,8 @@ class TestRefusals:
     def test_planes_of_another_timestep_or_run_are_refused(self, copy, trained):
         model = load_model(copy)
         shutil.copy(copy.part_file(planes_name(1)), copy.part_file(planes_name(2)))
-        with pytest.raises(
-            RunError, match=r"planes_0002\.safetensors belongs to a run with other settings, or"
-        ):
+        said = r"planes_0002\.safetensors belongs to a run with other settings, or"
+        with pytest.raises(RunError, match=said):
             load_planes(copy, 2, model)
         with pytest.raises(RunError, match=r"has no planes_0009\.safetensors: its training is not finished"):
             load_planes(copy, 9, model)
@@ -154,9 +153,8 @@ class TestRefusals:
             {"box": torch.zeros(6).double()},
         ):
             copy.save_part("triplane", tensors | wrong, residual=True)
-            with pytest.raises(
-                RunError, match=r"points and box have shapes .*, expected \(N, 3\) and \(2, 3\)"
-            ):
+            said = r"points and box have shapes .*, expected \(N, 3\) and \(2, 3\)"
+            with pytest.raises(RunError, match=said):
                 load_model(copy)
         del tensors["base.sh"]
         copy.save_part("triplane", tensors, residual=True)

@@ -140,9 +140,8 @@ def test_what_is_out_of_range_is_the_nearest_there_is(splat, tmp_path):
 
 def test_positions_that_do_not_fit_are_refused(splat, tmp_path):
     far = replace(splat, means=splat.means * np.float32(1e8))
-    with pytest.raises(
-        SplatFileError, match=r"a\.spz: a position is .* scene units off the origin; spz holds up to"
-    ):
+    said = r"a\.spz: a position is .* scene units off the origin; spz holds up to"
+    with pytest.raises(SplatFileError, match=said):
         write_spz(tmp_path / "a.spz", far)
     assert list(tmp_path.iterdir()) == []
 
