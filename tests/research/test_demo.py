@@ -26,7 +26,7 @@ def made(tmp_path_factory):
     """The demo's folder and words, of a dataset made without Blender and its exact model in place of a trained one."""
     made = {}
 
-    def generate(places, size):
+    def generate(places, size, full):
         options = {"n_views": 3, "n_timesteps": 6, "size": size, "freqs": (5.0,), "alphas": (20,)}
         made["model"] = make_synthetic_dataset(places.data / "sway_5Hz_0_02", **options)
 
@@ -40,7 +40,7 @@ def made(tmp_path_factory):
         patch.setattr(demo, "_generate", generate)
         patch.setattr(demo, "_train", train)
         patch.setattr(demo, "ORBIT_FRAMES", 4)
-        report = demo.run_demo(out, 32, said := Said())
+        report = demo.run_demo(out, 32, say=(said := Said()))
     assert report == out / "report.html"
     return out, said
 
@@ -59,7 +59,7 @@ def test_the_demo_makes_everything_and_a_second_call_makes_nothing(made, monkeyp
     assert said.count("already done") == 0
     assert said.count(str(report)) == 1
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
-    demo.run_demo(out, 32, said := Said())
+    demo.run_demo(out, 32, say=(said := Said()))
     assert said.count("already done") == 7
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
 
@@ -67,15 +67,15 @@ def test_the_demo_makes_everything_and_a_second_call_makes_nothing(made, monkeyp
 def test_another_size_or_a_foreign_folder_is_refused(made, tmp_path):
     out = made[0]
     with pytest.raises(Tg4mmError, match=r"was made with size = 32, asked is 48"):
-        demo.run_demo(out, 48, Said())
+        demo.run_demo(out, 48, say=Said())
     with pytest.raises(Tg4mmError, match="is a file"):
-        demo.run_demo(out / "splat.ply", 32, Said())
+        demo.run_demo(out / "splat.ply", 32, say=Said())
     (tmp_path / "mine" / "data").mkdir(parents=True)
     with pytest.raises(Tg4mmError, match=r"is not empty and holds no demo\.json"):
-        demo.run_demo(tmp_path / "mine", 32, Said())
+        demo.run_demo(tmp_path / "mine", 32, say=Said())
     for size in (4, 100_000):
         with pytest.raises(Tg4mmError, match=f"--size {size}: expected 16 … 4096 pixels"):
-            demo.run_demo(tmp_path / "c", size, Said())
+            demo.run_demo(tmp_path / "c", size, say=Said())
     assert not (tmp_path / "c").exists()
 
 
@@ -84,5 +84,5 @@ def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
 
     monkeypatch.setattr(generator, "run_generator", lambda arguments: 2)
     with pytest.raises(Tg4mmError, match="status 2"):
-        demo.run_demo(tmp_path, 32, Said())
+        demo.run_demo(tmp_path, 32, say=Said())
     assert json.loads((tmp_path / "demo.json").read_text())["done"] == {"generate": {"asked": {}}}

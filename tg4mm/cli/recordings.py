@@ -26,7 +26,7 @@ def demo(options: DemoOptions) -> None:
 
     from tg4mm.research.demo import run_demo
 
-    run_demo(options.out, options.size, print)
+    run_demo(options.out, options.size, options.full)
 
 
 def generate() -> None:

@@ -166,12 +166,13 @@ def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, co
     v_means, v_quats = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     v_scales, v_opacities, v_pose = np.zeros((n, 3), np.float32), np.zeros(n, np.float32), v_means[:0]
     v_sh, half = np.zeros(sh.shape, np.float32), float32(0.5)
+    no = n < 0  # not a literal: for each combination of these `backward_rows` would be compiled anew
     for c in range(len(columns)):
         v_splats[:, columns[c]] = float32(1.0)
         v_means[:], v_quats[:] = float32(0.0), float32(0.0)
         backward_rows(
-            means, quats, scales, sh, degree, False, camera, width, height, splats, v_splats, False,
-            v_means, v_quats, v_scales, v_opacities, v_sh, v_pose, False,
+            means, quats, scales, sh, degree, no, camera, width, height, splats, v_splats, no,
+            v_means, v_quats, v_scales, v_opacities, v_sh, v_pose, no,
         )  # fmt: skip
         v_splats[:, columns[c]] = float32(0.0)
         for i in range(n):
