@@ -3,12 +3,12 @@
 from . import jobs, preferences
 from .io import export_splat, import_splat
 from .panels import colour_range, crop, look, overlay, panel, pictures
+from .probe import mark, picking
 from .probe import operators as probe_operators
-from .probe import picking
 
 _MODULES = (
     *(preferences, overlay, colour_range, pictures, import_splat, export_splat, look),
-    *(probe_operators, panel, picking, crop, jobs),
+    *(probe_operators, panel, picking, mark, crop, jobs),
 )
 
 

@@ -36,6 +36,7 @@ FRAMES = "tg4mm_frames"  # of a sequence, the name of the collection that holds 
 # what the file says its scales hold of the training's low-pass; absent if nothing
 LOW_PASS = "tg4mm_low_pass_px2"
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
+NOTES = "tg4mm_notes"  # what the import has to say about the object, lines
 AXES = "tg4mm_axes"  # what the import took for up, as in io/splats.py; absent: as in the file
 TIME_ORIGIN = "tg4mm_time_origin_s"  # of timestep 0 on the recording's clock, s; absent: 0
 MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
@@ -49,6 +50,7 @@ PROBE_LABEL, PROBE_PHASORS, PROBE_DEVIATIONS = (
     "tg4mm_probe_phasors",
     "tg4mm_probe_deviations",
 )
+PROBE_PLACE = "tg4mm_probe_place"  # where that was at rest, in the file's axes
 PROBE_OF = "tg4mm_probe_of"  # on a sphere empty: the splat object that it was made for
 CROP_OF = "tg4mm_crop_of"  # on a box empty: likewise
 

@@ -20,12 +20,14 @@ from tg4mm.core.splatfile.read import ENDINGS
 
 from .. import compat, names, preferences
 from ..declare import reports
-from ..nodes import blending, clock, drawing, points, scene
+from ..nodes import blending, changes, clock, drawing, points, scene
+from ..nodes.axes import LABELS, stand_up
 from ..nodes.blending import true_colours
 from ..nodes.shapes import DRAW_MODES, available
 from ..panels import framing
 from . import splats
 
+SEE = "the sidebar (N), TG4MM, lists what changed"
 STILL = 1e-6  # of the largest motion: float32 holds no less beside it
 
 
@@ -207,8 +209,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     timeline: BoolProperty(  # type: ignore[valid-type]
         name="Set Timeline",
-        description="Set frame rate (Hz) and frame range from a file with motion, and show a frame with large motion, "
-        "unless the scene is animated already",
+        description="Set frame rate (Hz), frame range and slow motion from a file with motion, and show a frame with "
+        "large motion, unless the scene is animated already",
         default=True,
     )
     colours: BoolProperty(  # type: ignore[valid-type]
@@ -285,19 +287,17 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         _select(context, loaded.objects)
         if self.show:
             told += framing.show(context, loaded.objects)
-        message = "; ".join([loaded.message, *told, *self._set_up(context, loaded)])
-        if into != context.collection:
-            message += f"; in {into.name}, as {context.collection.name} is hidden or linked"
-        self.report({"INFO"}, message)
-        return {"FINISHED"}
-
-    def _set_up(self, context: Any, loaded: Loaded) -> list[str]:
-        told = []
         if self.timeline:
-            told.append(scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps))
+            told += scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps)
         if self.colours:
-            told.append(true_colours(context.scene))
-        return [words for words in told if words]
+            true_colours(context.scene)
+        if into != context.collection:
+            told.append(f"In {into.name}, as {context.collection.name} is hidden or linked")
+        for obj in loaded.objects:
+            obj[names.NOTES] = "\n".join(told)
+        changed = len(changes.listed(context.scene)) + len(told)
+        self.report({"INFO"}, f"{loaded.message}{f'; {SEE}' if changed else ''}")
+        return {"FINISHED"}
 
     def _stand_up(self, loaded: Loaded) -> list[str]:
         """Rotate the objects so that the file's up axis is Z; return a message."""
@@ -309,9 +309,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         if axes == splats.FILE:
             return []
         for obj in loaded.objects:
-            obj.rotation_euler.x = splats.TURNS[axes]
-            obj[names.AXES] = axes
-        return [f"rotated, because {said} shows {splats.LABELS[axes]}"] if said else []
+            stand_up(obj, axes)
+        return [f"Rotated, because {said} shows {LABELS[axes]} up"] if said else []
 
     def _paths(self) -> list[Path]:
         folder = Path(bpy.path.abspath(self.directory))

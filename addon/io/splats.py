@@ -16,11 +16,9 @@ from tg4mm.core.untrusted import read_json
 
 from .. import compat, names
 from ..nodes import clock, motion, points, scene
+from ..nodes.axes import FILE, MINUS_Y, PLUS_Y, TURNS
 
-FILE, MINUS_Y, PLUS_Y, CAMERAS = "FILE", "MINUS_Y", "PLUS_Y", "CAMERAS"
-# About x, radians: what turns this up into Blender's.
-TURNS = {FILE: 0.0, MINUS_Y: -math.pi / 2, PLUS_Y: math.pi / 2}
-LABELS = {FILE: "Z up", MINUS_Y: "−Y up", PLUS_Y: "Y up"}
+CAMERAS = "CAMERAS"
 _UPS = {FILE: (0.0, 0.0, 1.0), MINUS_Y: (0.0, -1.0, 0.0), PLUS_Y: (0.0, 1.0, 0.0)}
 _NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 _SURE = math.cos(math.radians(45))  # nearer than this only one axis is

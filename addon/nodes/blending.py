@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from .. import compat, names
-from . import Materials, scene
+from . import Materials, changes, scene
 from .graph import Graph, Made
 from .shapes import DRAW_MODES
 
@@ -88,27 +88,14 @@ def _finish(graph: Graph, surface: Any) -> None:
     graph.arrange()
 
 
-BEFORE = "tg4mm_before"  # custom property of a scene: what it had, by path
 SAMPLES = 64  # of Blender's own splats: with 4 Cycles is 6 dB farther off
-_LABELS = {
-    "view_settings.view_transform": "view transform",
-    "view_settings.look": "look",
-    "view_settings.exposure": "exposure",
-    "view_settings.gamma": "gamma",
-    "cycles.transparent_max_bounces": "Cycles' transparent bounces",
-    "cycles.min_transparent_bounces": "",
-    "cycles.samples": "Cycles' samples",
-    "eevee.taa_render_samples": "EEVEE's samples",
-    "display.render_aa": "Workbench's samples",
-    "display.shading.light": "Workbench's light",
-}
 
 
-def true_colours(to: Any, as_trained: bool | None = None) -> str:
+def true_colours(to: Any, as_trained: bool | None = None) -> int:
     """Set a scene up for its splats, and how they blend.
 
     `as_trained`: colours blend as the screen shows them (view transform Raw), else in linear light (Standard); None: as
-    the scene's splats do. Returns what to tell about it, "" where nothing had to be set. `restore` takes it back.
+    the scene's splats do. Returns how many settings changed. `restore` takes it back.
     """
     if as_trained is None:
         as_trained = blends_as_trained(to)
@@ -119,18 +106,14 @@ def true_colours(to: Any, as_trained: bool | None = None) -> str:
         # Blended so, Blender's own splats have one colour for all directions: the one that the camera sees.
         if as_trained and DRAW_MODES[drawn].native and compat.has_input(modifier, names.VIEW_COLOUR):
             compat.set_input(modifier, names.VIEW_COLOUR, True)
-    return _set(to, _needed(to))
+    return changes.put(to, _needed(to))
 
 
-def restore(to: Any) -> str:
-    """Restore the scene's settings from before `true_colours`; splats then blend in linear light."""
+def restore(to: Any) -> int:
+    """Restore what the extension changed in the scene; return how many settings. Splats then blend in linear light."""
     for obj in _splats(to):
         compat.set_input(scene.splat_modifier(obj), names.BLEND, False)
-    before = dict(to.get(BEFORE, {}))
-    told = _set(to, before)
-    if before:
-        del to[BEFORE]
-    return told
+    return changes.restore(to)
 
 
 def is_set_up(of: Any) -> bool:
@@ -157,38 +140,10 @@ def _needed(of: Any) -> dict[str, Any]:
     if any(DRAW_MODES[name].native for name in drawn):
         least |= dict.fromkeys(("cycles.samples", "eevee.taa_render_samples"), SAMPLES)
         exact |= {"display.render_aa": "32", "display.shading.light": "FLAT"}
-    now = {path: _get(of, path) for path in _LABELS}
+    now = {path: changes.get(of, path) for path in (*exact, *least)}
     wrong = {path: value for path, value in exact.items() if now[path] not in (None, value)}
     few = {path: n for path, n in least.items() if now[path] is not None and now[path] < n}
     return wrong | few
-
-
-def _set(to: Any, wanted: dict[str, Any]) -> str:
-    before, told = dict(to.get(BEFORE, {})), []
-    for path, value in wanted.items():
-        was, (*way, last) = _get(to, path), path.split(".")
-        if was is None or was == value:
-            continue
-        holder = to
-        for name in way:
-            holder = getattr(holder, name)
-        setattr(holder, last, value)
-        before.setdefault(path, was)
-        if label := _LABELS[path]:
-            told.append(f"{label} set from {_text(was)} to {_text(value)}")
-    if before:
-        to[BEFORE] = before
-    return ", ".join(told)
-
-
-def _get(of: Any, path: str) -> Any:
-    for name in path.split("."):
-        of = getattr(of, name, None)
-    return of
-
-
-def _text(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _splats(of: Any) -> list[Any]:

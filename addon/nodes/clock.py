@@ -1,5 +1,6 @@
 """Time and frequency of a splat object: position in its recording; strengths, peaks and bands of its modes."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,11 +9,17 @@ import numpy as np
 from .. import compat, names
 
 FEWEST_FRAMES = 4.0  # of a period: with fewer, a vibration does not look like one
+GOOD_FRAMES = 12  # of a period: with as many, it looks smooth
 
 
 def rate(scene: Any) -> float:
     """Return the scene's frames per second."""
     return float(scene.render.fps / scene.render.fps_base)
+
+
+def slow_motion(scene: Any, frequency_hz: float) -> int:
+    """Return by how many times motion has to be slower so that a period has GOOD_FRAMES frames; 1: it needs not."""
+    return max(1, math.ceil(GOOD_FRAMES * frequency_hz / rate(scene) - 1e-6))
 
 
 def timestep(scene: Any, obj: Any, modifier: Any) -> float:
@@ -28,7 +35,9 @@ def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
     if not fps:
         return []
     now, speed = timestep(scene, obj, modifier) / fps, compat.get_number(modifier, names.SPEED)
-    said = [f"{now:.3f} s of {steps / fps:.3f} s, {pace(speed)}"]
+    said = [f"{min(max(now, 0.0), steps / fps):.3f} s of {steps / fps:.3f} s, {pace(speed)}"]
+    if not 0 <= now <= steps / fps:
+        said.append(f"{'Before' if now < 0 else 'After'} the recording: motion continues")
     low, high = (compat.get_number(modifier, name) for name in (names.LOW, names.HIGH))
     inside = [float(f) for f in obj[names.FREQUENCIES] if low <= f <= high]
     fastest = max(inside, default=0.0)

@@ -138,9 +138,14 @@ def _affine(rest: np.ndarray, now: np.ndarray) -> np.ndarray | None:
     return after @ np.linalg.inv(before)
 
 
+def applied(mesh: Any) -> np.ndarray | None:
+    """Return what Apply Transform did to a mesh, [4, 4] from its file's axes to its own; None: references lost."""
+    return _affine(*_last_four(mesh))
+
+
 def growth(mesh: Any) -> float:
     """Return the mean length factor of Apply Transform: the cube root of its volume factor."""
-    affine = _affine(*_last_four(mesh))
+    affine = applied(mesh)
     return 1.0 if affine is None else float(abs(np.linalg.det(affine[:3, :3])) ** (1 / 3))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from tg4mm.core.splatfile import SplatFile
 
-from .. import names
-from . import Content, build_player, clock
+from .. import compat, names
+from . import Content, build_player, changes, clock
 from .blending import make_materials
 from .clock import rms_amplitude
 from .graph import Made
@@ -116,40 +116,51 @@ def moves(obj: Any) -> bool:
     return splat_modifier(obj) is not None and len(obj[names.FREQUENCIES]) > 0
 
 
-def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> str:
-    """Set the timeline to frames 1 … T and the recorded frame rate, if something moves, and show the largest motion.
+def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> list[str]:
+    """Set the recorded frame rate, slow motion, and the frames of the whole recording; show the largest motion.
 
-    A scene in which something but the `new` objects moves keeps its timeline: another frame rate would retime its keys.
-    Returns a message, or "".
+    A scene in which something but the `new` objects moves keeps its timeline, as another frame rate would retime its
+    keys, and the new objects take the speed of the others. Returns messages.
     """
     if not fps and n_timesteps <= 1:
-        return ""
-    others = [obj for obj in scene.objects if obj not in new]
-    if any(moves(obj) for obj in others) or any(map(_has_keys, bpy.data.actions)):
-        return (
-            f"timeline left at {clock.rate(scene):g} frames per second, because the scene is already animated"
-        )
-    last = min(max(1, n_timesteps), int(scene.bl_rna.properties["frame_end"].hard_max))
-    scene.frame_start, scene.frame_end = 1, last
-    cut = f"timeline ends at frame {last:,}, the last that Blender has" if last < n_timesteps else ""
-    if not fps:
-        return cut
-    most = int(scene.render.bl_rna.properties["fps"].hard_max)
-    scene.render.fps = min(max(1, math.ceil(fps)), most)
-    scene.render.fps_base = scene.render.fps / fps
-    frame = most_displaced(next(obj for obj in new if moves(obj)), last)
-    scene.frame_set(frame)
-    shown = f"frame {frame} shows the largest motion" if frame > 1 else ""
-    return ", ".join(filter(None, (f"timeline set to {fps:g} frames a second", cut, shown)))
+        return []
+    others, moving = [obj for obj in scene.objects if obj not in new], [obj for obj in new if moves(obj)]
+    if (before := next(filter(moves, others), None)) or any(map(_has_keys, bpy.data.actions)):
+        slower = before and compat.get_number(splat_modifier(before), names.SPEED)
+        for obj in moving:
+            compat.set_input(
+                splat_modifier(obj), names.SPEED, slower or 1 / clock.slow_motion(scene, strongest(obj))
+            )
+        return [f"Frame rate kept at {clock.rate(scene):g}: the scene is already animated"]
+    if fps:
+        most = int(scene.render.bl_rna.properties["fps"].hard_max)
+        whole = min(max(1, math.ceil(fps)), most)
+        changes.put(scene, {"render.fps": whole, "render.fps_base": whole / fps})
+    times = max((clock.slow_motion(scene, strongest(obj)) for obj in moving), default=1)
+    for obj in moving:
+        compat.set_input(splat_modifier(obj), names.SPEED, 1 / times)
+    wanted = max(1, times * n_timesteps)
+    last = min(wanted, int(scene.bl_rna.properties["frame_end"].hard_max))
+    changes.put(scene, {"frame_start": 1, "frame_end": last})
+    told = [f"Last frame {last:,}, as Blender has no later one"] if last < wanted else []
+    if moving and (frame := most_displaced(moving[0], last, 1 / times)) > 1:
+        scene.frame_set(frame)
+        told.append(f"Frame {frame} shows the largest motion")
+    return [*told, f"Slow motion: Speed 1/{times}"] if times > 1 else told
 
 
-def most_displaced(obj: Any, last: int) -> int:
+def strongest(obj: Any) -> float:
+    """Return the frequency, Hz, of the mode with the largest rms amplitude."""
+    return float(obj[names.FREQUENCIES][int(np.argmax(obj[names.MODE_RMS]))])
+
+
+def most_displaced(obj: Any, last: int, speed: float = 1.0) -> int:
     """Return the frame, 1 … `last`, in which the strongest mode is displaced most, rms over the Gaussians.
 
     A sine is at rest in frame 1, where no magnification would show. Of frames alike, the first.
     """
     k = int(np.argmax(obj[names.MODE_RMS]))
-    turns_per_frame = float(obj[names.FREQUENCIES][k]) / float(obj[names.FPS])
+    turns_per_frame = speed * float(obj[names.FREQUENCIES][k]) / float(obj[names.FPS])
     if turns_per_frame <= 0:
         return 1
     part = names.phasor(k)

@@ -8,7 +8,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from .. import names
-from ..nodes import drawing, scene
+from ..nodes import changes, drawing, scene
 from . import panel, pictures
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "META", "FONT")  # what may hide something
@@ -20,13 +20,13 @@ def show(context: Any, objects: Sequence[Any]) -> list[str]:
     """Frame the objects in every 3D view of the window, unless it looks through a camera; draw the spectrum.
 
     The startup scene's camera, where it still stands as it did, frames them, too, and its cube is hidden where it is in
-    the way. Returns messages about both.
+    the way. Returns messages.
     """
     context.view_layer.update()  # where the objects are
     low, high = box(objects)
     told = _uncover(context, objects, low, high)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
-    told += _aim(context.scene, middle, radius)
+    _aim(context.scene, middle, radius)
     window = context.window
     for area in () if window is None else window.screen.areas:
         if area.type == "VIEW_3D":
@@ -49,7 +49,7 @@ def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     return np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
 
 
-def _aim(scene: Any, middle: np.ndarray, radius: float) -> list[str]:
+def _aim(scene: Any, middle: np.ndarray, radius: float) -> None:
     """Move the untouched startup camera, in its direction, so that the sphere fills its picture."""
     camera = scene.camera
     if (
@@ -59,16 +59,18 @@ def _aim(scene: Any, middle: np.ndarray, radius: float) -> list[str]:
         or camera.parent
         or camera.constraints
     ):
-        return []
+        return
     if max(abs(a - b) for a, b in zip(camera.location, _STARTUP_CAMERA, strict=True)) > 1e-3:
-        return []
+        return
     corners = np.array([tuple(corner) for corner in camera.data.view_frame(scene=scene)])
     half = math.atan(np.abs(corners[:, :2]).max(axis=0).min() / -corners[0, 2])
     distance = ROOM * radius / math.sin(half)
-    camera.location = (middle + distance * np.array(camera.matrix_world.col[2][:3])).tolist()
-    camera.data.clip_start = min(camera.data.clip_start, distance / 100)
-    camera.data.clip_end = max(camera.data.clip_end, 10 * distance)
-    return [f"{camera.name} frames the splats"]
+    wanted = {
+        "location": (middle + distance * np.array(camera.matrix_world.col[2][:3])).tolist(),
+        "data.clip_start": min(camera.data.clip_start, distance / 100),
+        "data.clip_end": max(camera.data.clip_end, 10 * distance),
+    }
+    changes.put(camera, wanted)
 
 
 def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.ndarray) -> list[str]:
@@ -79,11 +81,9 @@ def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.nda
         corners = np.array([other.matrix_world @ Vector(corner) for corner in other.bound_box])
         least, largest = corners.min(axis=0), corners.max(axis=0)
         if _is_startup_cube(other) and (least < high).all() and (largest > low).all():
-            other.hide_set(True)
-            other.hide_render = True
-            told.append(f"the untouched {other.name} was in the way and is hidden, in renders too")
+            changes.hide(other)
         elif other.display_type not in ("WIRE", "BOUNDS") and (least < low).all() and (largest > high).all():
-            told.append(f"the splats are inside {other.name}")
+            told.append(f"The splats are inside {other.name}")
     return told
 
 

@@ -4,13 +4,13 @@ from functools import lru_cache
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
 from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
 from ..declare import Declared, on_motion, on_splats
-from ..nodes import blending, clock, drawing, scene, shapes
+from ..nodes import axes, blending, clock, drawing, scene, shapes
 from . import analysis
 
 _EXACT = {names.DRAW: shapes.AS_TRAINED, names.VIEW_COLOUR: True, names.BLEND: True}
@@ -26,13 +26,19 @@ _ON = {"on": BoolProperty(name="On", default=True, options={"SKIP_SAVE"})}
 def true_colours(operator: Any, context: Any) -> str:
     """Show the colours of the file: the view transform that they are made for, and the samples and transparent bounces
     that splats need"""
-    return blending.true_colours(context.scene) or "Already set up"
+    changed = blending.true_colours(context.scene)
+    return _settings(changed) if changed else "Already set up"
 
 
-@_ui.operator("Restore Render Settings", on_splats)
+@_ui.operator("Restore Settings")
 def restore_picture(operator: Any, context: Any) -> str:
-    """Restore the view transform, samples and bounces that the scene had before its first splats"""
-    return blending.restore(context.scene) or "Nothing to restore"
+    """Restore the frame rate, frame range, view transform, samples, camera and cube as they were before the first
+    splats"""
+    return _settings(blending.restore(context.scene))
+
+
+def _settings(count: int) -> str:
+    return f"{count} setting{'' if count == 1 else 's'} changed"
 
 
 @_ui.operator("Exact Look", on_splats, **_ON)
@@ -47,8 +53,8 @@ def exact_look(operator: Any, context: Any) -> str:
     wanted = _EXACT if operator.on else dict(obj.pop(_BEFORE_EXACT, {names.DRAW: drawing.best(*_size(obj))}))
     for name in shown:
         compat.set_input(modifier, name, wanted.get(name, False))
-    changed = blending.true_colours(context.scene, bool(wanted.get(names.BLEND, False)))
-    return f"Draw As {wanted[names.DRAW]}; {changed}"
+    blending.true_colours(context.scene, bool(wanted.get(names.BLEND, False)))
+    return f"Draw As {wanted[names.DRAW]}"
 
 
 def is_exact(obj: Any) -> bool:
@@ -94,6 +100,14 @@ def solid_colours(operator: Any, context: Any) -> None:
 def one_mesh(operator: Any, context: Any) -> None:
     """Draw one mesh in place of instances, so that Array and other modifiers after this one see it; for small sets"""
     compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
+
+
+@_ui.operator(
+    "Up", on_splats, axes=EnumProperty(name="Up", items=[(*item, "") for item in axes.LABELS.items()])
+)
+def up(operator: Any, context: Any) -> None:
+    """Turn the object so that this axis of its file points up here"""
+    axes.stand_up(scene.splat_object(context), operator.axes)
 
 
 @_ui.operator("Match Scene Scale to File", on_splats)

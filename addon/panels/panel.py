@@ -7,7 +7,7 @@ import bpy
 
 from .. import compat, names, preferences
 from ..declare import TAB, Declared, on_motion, on_splats
-from ..nodes import blending, clock, drawing, scene
+from ..nodes import axes, blending, changes, clock, drawing, scene
 from ..nodes.shapes import DRAW_MODES
 from . import analysis, colour_range, look, overlay, pictures, plots
 
@@ -104,8 +104,6 @@ def draw_look(layout: Any, context: Any) -> None:
         layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
     if not blending.is_set_up(context.scene):
         layout.operator("tg4mm.true_colours", icon="COLOR")
-    if context.scene.get(blending.BEFORE):
-        layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
     if drawn.native:
         _draw_far_out(layout, obj)
 
@@ -124,6 +122,23 @@ def draw_details(layout: Any, context: Any) -> None:
     painted = not drawn.native or compat.get_input(modifier, names.BLEND)
     if painted and compat.has_input(modifier, names.VIEW_COLOUR):
         compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
+
+
+@_ui.panel("VIEW3D_PT_tg4mm_import", "Changed by Import", on_splats, TAB)
+def draw_import(layout: Any, context: Any) -> None:
+    """What the import set in this scene, and how it turned the file"""
+    obj = scene.splat_object(context)
+    lines = [*str(obj.get(names.NOTES, "")).splitlines(), *(changed := changes.listed(context.scene))]
+    column = layout.column(align=True)
+    for line in lines:
+        for part in textwrap.wrap(line, 38):
+            column.label(text=part)
+    if changed:
+        layout.operator("tg4mm.restore_picture", icon="LOOP_BACK")
+    row = layout.row(align=True)
+    row.label(text="Up in the file")
+    for up, label in axes.LABELS.items():
+        row.operator("tg4mm.up", text=label, depress=obj.get(names.AXES, axes.FILE) == up).axes = up
 
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:

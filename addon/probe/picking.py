@@ -13,12 +13,14 @@ from tg4mm.core.errors import Tg4mmError
 
 from .. import compat, names, preferences
 from ..declare import TAB, Declared, on_motion
-from ..nodes import clock, drawing, scene
-from ..nodes.points import gaussians, values, world
-from ..panels import pictures, plots
+from ..nodes import clock, drawing, points, scene
+from ..nodes.points import gaussians, shown_size, values, world
+from ..panels import framing, pictures, plots
 from ..units import Unit
 from . import probe
 from .probe import Probe, mean_deviation, mean_phasor
+
+SIGMAS, NEAR = 3.0, 0.05
 
 
 class PickError(Tg4mmError):
@@ -39,7 +41,10 @@ def probe_selection(obj: Any) -> Probe:
 
 
 def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
-    """Probe the Gaussian whose rest position is nearest to a place in the world, of those that are drawn."""
+    """Probe the Gaussian whose rest position is nearest to a place in the world, of those that are drawn.
+
+    PickError where the place is outside of that Gaussian and farther from it than NEAR times the object's size.
+    """
     modifier = scene.splat_modifier(obj)
     faintest = drawing.least_opacity(compat.get_input(modifier, names.DRAW))
     with _readable(obj) as mesh:
@@ -48,8 +53,13 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
             raise PickError(
                 f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}"
             )
-        away = world(obj, mesh)[shown] - np.asarray(cursor, float)
-        return _read(obj, mesh, shown[[np.argmin((away**2).sum(axis=1))]])
+        away = np.linalg.norm(world(obj, mesh)[shown] - np.asarray(cursor, float), axis=1)
+        nearest = shown[np.argmin(away)]
+        reach = SIGMAS * values(mesh, names.SCALE)[nearest].max() * shown_size(obj)
+        low, high = framing.box([obj])
+        if away.min() > max(reach, NEAR * float((high - low).max())):
+            raise PickError(f"No Gaussian at the 3D cursor: the nearest is {away.min():.3g} units away")
+        return _read(obj, mesh, np.array([nearest]))
 
 
 def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
@@ -95,13 +105,14 @@ def store(obj: Any, probe: Probe) -> None:
     pairs = np.stack([probe.phasors.real, probe.phasors.imag], axis=-1)
     forget(obj)
     obj[names.PROBE_PHASORS], obj[names.PROBE_LABEL] = pairs.ravel().tolist(), probe.label
+    obj[names.PROBE_PLACE] = probe.place
     if probe.deviations is not None:
         obj[names.PROBE_DEVIATIONS] = probe.deviations.tolist()
 
 
 def forget(obj: Any) -> None:
     """Remove a reading."""
-    for name in (names.PROBE_PHASORS, names.PROBE_LABEL, names.PROBE_DEVIATIONS):
+    for name in (names.PROBE_PHASORS, names.PROBE_LABEL, names.PROBE_DEVIATIONS, names.PROBE_PLACE):
         if name in obj:
             del obj[name]
 
@@ -115,13 +126,19 @@ def stored(obj: Any) -> Probe | None:
     pairs = numbers.reshape(-1, 3, 2)
     deviations = np.array(obj.get(names.PROBE_DEVIATIONS, ()), np.float64)
     phasors = pairs[..., 0] + 1j * pairs[..., 1]
-    return _probe(obj, obj[names.PROBE_LABEL], phasors, deviations if len(deviations) == len(freqs) else None)
+    place = tuple(obj.get(names.PROBE_PLACE, ()))
+    return _probe(
+        obj, obj[names.PROBE_LABEL], phasors, deviations if len(deviations) == len(freqs) else None, place
+    )
 
 
-def _probe(obj: Any, label: str, phasors: np.ndarray, deviations: np.ndarray | None) -> Probe:
+def _probe(
+    obj: Any, label: str, phasors: np.ndarray, deviations: np.ndarray | None, place: tuple[float, ...]
+) -> Probe:
     freqs = np.array(obj[names.FREQUENCIES], np.float64)
     axes = np.array(obj[names.MODE_AXES], np.float64).reshape(-1, 3)
-    return Probe(label, freqs, phasors, axes, float(obj[names.FPS]), int(obj[names.TIMESTEPS]), deviations)
+    fps, steps = float(obj[names.FPS]), int(obj[names.TIMESTEPS])
+    return Probe(label, freqs, phasors, axes, fps, steps, deviations, place)
 
 
 def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
@@ -133,9 +150,12 @@ def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
         phasors.append(values(mesh, part["re"])[indices] + 1j * values(mesh, part["im"])[indices])
     opacities = values(mesh, names.OPACITY)[indices]
     label = f"Point {indices[0]}" if len(indices) == 1 else f"{len(indices):,} points"
-    return _probe(
-        obj, label, mean_phasor(np.array(phasors), opacities), _deviations(mesh, indices, opacities)
-    )
+    place = values(mesh, "position")[indices].mean(axis=0, dtype=float)
+    if (applied := points.applied(mesh)) is not None:
+        place = np.linalg.solve(applied[:3, :3], place - applied[:3, 3])
+    deviations = _deviations(mesh, indices, opacities)
+    mean = mean_phasor(np.array(phasors), opacities)
+    return _probe(obj, label, mean, deviations, tuple(place.tolist()))
 
 
 def _deviations(mesh: Any, indices: np.ndarray, opacities: np.ndarray) -> np.ndarray | None:

@@ -42,6 +42,7 @@ class Probe:
     n_timesteps: int
     # [M] standard deviation of each amplitude, scene units; None: not known
     deviations: np.ndarray | None = None
+    place: tuple[float, ...] = ()  # x, y, z at rest in the file's axes, of a region the mean; (): not known
 
     @property
     def duration_s(self) -> float:

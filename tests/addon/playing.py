@@ -34,9 +34,11 @@ def setter(extension, obj):
 
 
 def drawn_whole(extension, obj):
-    """The object's modifier, set to draw every Gaussian at 1 σ."""
+    """The object's modifier, set to draw every Gaussian at 1 σ, in real time."""
     put = setter(extension, obj)
     names = extension.names
+    if extension.nodes.scene.moves(obj):
+        put(names.SPEED, 1.0)
     least = ((names.MIN_OPACITY, 0.0), (names.MIN_SPLAT_OPACITY, 0.0))
     for name, value in (*least, (names.SIZE, 1.0), (names.RADIUS, 1.0)):
         put(name, value)

@@ -200,7 +200,7 @@ def test_axes_of_the_import_are_those_of_the_export(extension, splat_path, tmp_p
 def test_this_frame_and_rest_hold_no_motion(extension, splat_path, tmp_path):
     obj, splat, names = import_splat(splat_path), read_splat(splat_path), extension.names
     put = setter(extension, obj)
-    for name, value in ((names.ALPHA, 10.0), (names.LOW, 4.0), (names.HIGH, 6.0)):
+    for name, value in ((names.ALPHA, 10.0), (names.LOW, 4.0), (names.HIGH, 6.0), (names.SPEED, 1.0)):
         put(name, value)
     bpy.context.scene.frame_set(9)
     shown = exported(tmp_path / "now.ply", content="NOW")
@@ -221,7 +221,7 @@ def test_a_sequence_has_a_file_for_each_frame_and_comes_back(extension, splat_pa
     scene, folder = bpy.context.scene, tmp_path / "many"
     folder.mkdir()
     scene.frame_start, scene.frame_end = 3, 6
-    modifier = extension.nodes.scene.splat_modifier(obj)
+    modifier = drawn_whole(extension, obj)
     for frame, alpha in ((3, 0.0), (6, 30.0)):  # a key in magnification is followed
         extension.compat.set_input(modifier, extension.names.ALPHA, alpha)
         extension.compat.key_input(modifier, extension.names.ALPHA, frame)

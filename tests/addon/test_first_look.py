@@ -79,7 +79,18 @@ def test_the_panel_says_real_seconds(extension, splat_path, speed, words):
     scene = bpy.context.scene
     scene.frame_set(13)
     said = extension.nodes.clock.lines(scene, obj, extension.nodes.scene.splat_modifier(obj))
-    assert said[0] == f"{0.5 * speed:.3f} s of 2.000 s, {words}"
+    assert said[0] == f"{max(0.0, 0.5 * speed):.3f} s of 2.000 s, {words}"
+    assert any("Before the recording" in line for line in said) == (speed < 0)
+
+
+def test_the_time_never_passes_the_recordings_length(extension, splat_path):
+    obj, scene = import_splat(splat_path), bpy.context.scene
+    setter(extension, obj)(extension.names.SPEED, 1.0)
+    for frame, time, outside in ((49, "2.000", False), (500, "2.000", True), (-3, "0.000", True)):
+        scene.frame_set(frame)
+        said = extension.nodes.clock.lines(scene, obj, extension.nodes.scene.splat_modifier(obj))
+        assert said[0].startswith(f"{time} s of 2.000 s")
+        assert any("the recording: motion continues" in line for line in said) == outside
 
 
 NATIVE = hasattr(bpy.types, "GeometryNodePointsSetType")
@@ -137,20 +148,47 @@ def test_what_the_scene_needs_is_set_said_and_undone(automatic, splat_path):
     scene.eevee.taa_render_samples = 16
     import_splat(splat_path, colours=False)
     assert not blending.is_set_up(scene)
-    told = blending.true_colours(scene)
+    assert blending.true_colours(scene) > 3
     assert blending.is_set_up(scene)
-    assert "view transform set from AgX to Standard, exposure set from 1.5 to 0" in told
-    assert "Cycles' transparent bounces set from 8 to 1024" in told
-    assert ("Cycles' samples set from 4 to 64" in told) == NATIVE
+    told = automatic.nodes.changes.listed(scene)
+    assert {"View transform: AgX → Standard", "Exposure: 1.5 → 0", "Cycles bounces: 8 → 1024"} <= set(told)
+    assert ("Cycles samples: 4 → 64" in told) == NATIVE
     assert (scene.cycles.samples, scene.eevee.taa_render_samples) == ((64, 64) if NATIVE else (4, 16))
-    assert blending.true_colours(scene) == ""
+    assert blending.true_colours(scene) == 0
     bpy.ops.tg4mm.exact_look()
     assert bpy.ops.tg4mm.restore_picture() == {"FINISHED"}
     assert (scene.view_settings.view_transform, scene.view_settings.exposure) == ("AgX", 1.5)
     assert (scene.cycles.transparent_max_bounces, scene.cycles.samples) == (8, 4)
     assert scene.eevee.taa_render_samples == 16
     assert not blending.blends_as_trained(scene)
-    assert blending.BEFORE not in scene
+    assert automatic.nodes.changes.BEFORE not in scene
+
+
+def test_all_that_an_import_sets_is_listed_and_restored(extension, splat_path):
+    """Frame rate and range, engine settings, camera and cube of the startup scene; the message is short."""
+    bpy.ops.wm.read_factory_settings()
+    scene, changes, names = bpy.context.scene, extension.nodes.changes, extension.names
+    camera, cube = bpy.data.objects["Camera"], bpy.data.objects["Cube"]
+    scene.render.fps, scene.render.fps_base = 30, 1.001
+
+    def state():
+        paths = [path for path in changes._LABELS if changes.get(scene, path) is not None]
+        clips = camera.data.clip_start, camera.data.clip_end
+        here = tuple(camera.location), clips, cube.hide_get(), cube.hide_render
+        return {path: changes.get(scene, path) for path in paths}, here
+
+    before = state()
+    obj = import_splat(splat_path)
+    lines = changes.listed(scene)
+    assert {"Frame rate: 29.97 → 24", "Last frame: 250 → 144", "Moved: Camera", "Hidden: Cube"} <= set(lines)
+    assert {"View transform: AgX → Standard", "Cycles bounces: 8 → 1024"} <= set(lines)
+    assert not {line for line in lines if "First frame" in line}
+    assert "Slow motion: Speed 1/3" in obj[names.NOTES]
+    assert len(extension.io.import_splat.SEE) < 60
+    assert state() != before
+    assert bpy.ops.tg4mm.restore_picture() == {"FINISHED"}
+    assert state() == before
+    assert changes.listed(scene) == []
 
 
 @needs_native

@@ -77,7 +77,7 @@ def test_a_second_import_changes_neither_the_clock_nor_the_first(extension, spla
     second = import_splat(tmp_path / "slower.ply")
     drawn_whole(extension, second)
     scene = bpy.context.scene
-    assert (scene.render.fps / scene.render.fps_base, scene.frame_end) == (24.0, 48)
+    assert (scene.render.fps / scene.render.fps_base, scene.frame_end) == (24.0, 3 * 48)
     np.testing.assert_allclose(places(first, 13), positions_at(read_splat(splat_path), 12), atol=1e-4)
     np.testing.assert_allclose(places(second, 13), positions_at(slower, 0.5 * 10.0), atol=1e-4)
 
@@ -151,7 +151,19 @@ def test_timeline_is_taken_from_the_file_unless_declined(extension, splat_path):
     bpy.data.objects.remove(bpy.context.object)
     import_splat(splat_path)
     assert scene.render.fps / scene.render.fps_base == pytest.approx(24.0)
-    assert (scene.frame_start, scene.frame_end) == (1, 48)
+    assert (scene.frame_start, scene.frame_end) == (1, 3 * 48)
+
+
+def test_the_strongest_mode_has_at_least_twelve_frames_a_period(extension, splat_path):
+    obj, names = import_splat(splat_path), extension.names
+    rate, speed = 24.0, extension.compat.get_input(extension.nodes.scene.splat_modifier(obj), names.SPEED)
+    assert speed == pytest.approx(1 / 3)  # strongest: 5 Hz, 5 frames a period in real time
+    assert rate / (speed * extension.nodes.scene.strongest(obj)) >= 12
+    second = import_splat(splat_path, timeline=True)
+    assert extension.compat.get_input(extension.nodes.scene.splat_modifier(second), names.SPEED) == speed
+    slow = extension.nodes.clock.slow_motion
+    bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 30, 1.0
+    assert [slow(bpy.context.scene, f) for f in (0.0, 1.0, 2.5, 2.6, 5.0, 14.0)] == [1, 1, 1, 2, 2, 6]
 
 
 def test_import_is_undone_and_redone(extension, splat_path):

@@ -198,8 +198,8 @@ def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(zip
     assert Path(installed["carried"][-1]).is_file()
     assert installed["states"] == [True, False, True]
     splat = read_splat(splat_path)
-    np.testing.assert_allclose(np.array(installed["places"][0]), positions_at(splat, 4, 3.0), atol=1e-3)
-    np.testing.assert_allclose(np.array(installed["places"][1]), positions_at(splat, 6.5, 8.0), atol=1e-3)
+    np.testing.assert_allclose(np.array(installed["places"][0]), positions_at(splat, 4 / 3, 3.0), atol=1e-3)
+    np.testing.assert_allclose(np.array(installed["places"][1]), positions_at(splat, 6.5 / 3, 8.0), atol=1e-3)
 
     without = in_blender(REOPEN, tmp_path / "other", blend)
     assert without["present"] is False

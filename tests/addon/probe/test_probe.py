@@ -76,13 +76,39 @@ def test_the_nearest_drawn_gaussian_to_the_cursor(extension, moving, splat_path)
     world = splat.means @ matrix[:3, :3].T + matrix[:3, 3]
     faint = splat.opacities < 0.1
     assert faint.any()
-    for i in range(len(splat)):
-        bpy.context.scene.cursor.location = world[i]
+    for i in np.flatnonzero(~faint):
+        bpy.context.scene.cursor.location = world[i] + 0.001
         found = reading(extension, moving, "CURSOR")
-        away = np.linalg.norm(world - world[i], axis=1)
+        away = np.linalg.norm(world - world[i] - 0.001, axis=1)
         away[faint] = np.inf
-        assert found.label == f"Point {away.argmin()}"
-        assert (found.label == f"Point {i}") is not faint[i]
+        assert found.label == f"Point {away.argmin()}" == f"Point {i}"
+        np.testing.assert_allclose(found.place, splat.means[i], atol=1e-6)
+
+
+def test_a_place_far_from_any_gaussian_is_not_answered(extension, moving, splat_path):
+    splat = read_splat(splat_path)
+    bpy.context.scene.cursor.location = splat.means.max(axis=0) + 3.0
+    with pytest.raises(RuntimeError, match="No Gaussian at the 3D cursor: the nearest is"):
+        bpy.ops.tg4mm.probe(source="CURSOR")
+    assert extension.probe.picking.stored(moving) is None
+
+
+def test_the_mark_is_where_the_point_is_drawn(extension, moving, splat_path):
+    names, splat = extension.names, read_splat(splat_path)
+    assert extension.probe.mark.place(bpy.context.scene, moving) is None
+    select(moving, [7])
+    reading(extension, moving, "SELECTION")
+    put = setter(extension, moving)
+    for name, value in ((names.SPEED, 1.0), (names.ALPHA, 20.0), (names.LOW, 4.0), (names.HIGH, 6.0)):
+        put(name, value)
+    moving.location, moving.scale = (1.0, -2.0, 0.5), (2.0, 1.0, 0.5)
+    for _ in range(2):  # before and after Apply Transform
+        bpy.context.view_layer.update()
+        bpy.context.scene.frame_set(10)
+        wanted = positions_at(splat, 9, 20.0, (4.0, 6.0))[7] * (2.0, 1.0, 0.5) + (1.0, -2.0, 0.5)
+        np.testing.assert_allclose(extension.probe.mark.place(bpy.context.scene, moving), wanted, atol=1e-4)
+        moving.select_set(True)
+        bpy.ops.object.transform_apply()
 
 
 def test_all_gaussians_in_a_sphere(extension, moving, splat_path):
