@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,9 +24,10 @@ from ..nodes.axes import LABELS, stand_up
 from ..nodes.blending import true_colours
 from ..nodes.shapes import DRAW_MODES, available
 from ..panels import framing
-from . import splats
+from . import sequence, splats
 
 SEE = "the sidebar (N), TG4MM, lists what changed"
+DEFORMED = "deformation.pth"  # of 4DGaussians: the network that moves its PLY
 STILL = 1e-6  # of the largest motion: float32 holds no less beside it
 
 
@@ -49,20 +49,24 @@ def load(
     most: int,
     step: Callable[[float], None],
     options: Options = Options(),  # noqa: B008, frozen
+    fps: float = 0.0,
 ) -> Loaded:
-    """Import the chosen files into `collection`. `step(part)` is called as the work goes on, 0 to 1.
+    """Import the chosen files, or those of a folder, into `collection`. `step(part)` is called as work goes on, 0 to 1.
 
     With `sequences`, static files numbered alike play one after another, and a single one brings the run that
-    it is part of. Raises SplatFileError for a file that cannot be read or for more than `most` Gaussians in
-    all; then nothing is left behind.
+    it is part of; where they share their Gaussians, their motion at `fps` frames a second is found (0: it is not).
+    Raises SplatFileError for a file that cannot be read or for more than `most` Gaussians in all; then nothing is left
+    behind.
     """
+    if len(paths) == 1 and paths[0].is_dir():
+        paths = sequence.of_folder(paths[0])
     heads = [read_head(path) for path in paths]
     moves = any(head.n_modes or (head.n_lost and options.freqs_hz) for head in heads)
     upright = all(head.y_up for head in heads)
-    frames = as_sequence(paths) if sequences and not moves else None
+    frames = sequence.as_sequence(paths) if sequences and not moves else None
     check_count(frames or paths, most)
     if frames is not None:
-        return _load_sequence(frames, collection, step, options, upright)
+        return _load_sequence(frames, collection, step, options, upright, fps)
     splats = []
     for i, path in enumerate(paths):
         splats.append(moving_modes(_read(path, options)))
@@ -71,9 +75,18 @@ def load(
     count, modes = sum(len(splat) for splat in splats), sum(splat.n_modes for splat in splats)
     longest = max(splats, key=lambda splat: splat.n_timesteps)
     message = f"{count:,} Gaussians, {modes} mode{'' if modes == 1 else 's'}"
+    still = [
+        f"{path.name}: {DEFORMED} beside it, which moves it, is not read: shown still"
+        for path in paths
+        if not modes and path.with_name(DEFORMED).exists()
+    ]
     told = [f"{path.name}: {note}" for path, splat in zip(paths, splats, strict=True) for note in splat.notes]
     return Loaded(
-        objects, "; ".join([message, *told]), longest.fps if modes else 0.0, longest.n_timesteps, upright
+        objects,
+        "; ".join([message, *told, *still]),
+        longest.fps if modes else 0.0,
+        longest.n_timesteps,
+        upright,
     )
 
 
@@ -111,78 +124,37 @@ def check_count(paths: Sequence[Path], most: int) -> None:
 
 
 def _load_sequence(
-    frames: list[Path], collection: Any, step: Callable[[float], None], options: Options, upright: bool
+    frames: list[Path],
+    collection: Any,
+    step: Callable[[float], None],
+    options: Options,
+    upright: bool,
+    fps: float,
 ) -> Loaded:
-    odd: list[Path] = []  # of which there was something to tell
+    """Import files as one object: with modes where `fps` (Hz) is not 0 and they share their Gaussians."""
+    odd: dict[Path, None] = {}  # of which there was something to tell
 
     def read(path: Path) -> SplatFile:
         splat = _read(path, options)
-        odd.extend([path] if splat.notes else [])
+        odd.update({path: None} if splat.notes else {})
         if splat.n_modes:
             raise SplatFileError(f"{path}: has motion and cannot be a frame of a sequence: import it alone")
+        step((1 + frames.index(path)) / (1 + len(frames)))
         return splat
 
-    obj, most = scene.make_sequence(
-        frames, name_of(frames), collection, read, lambda i: step((i + 1) / len(frames))
-    )
-    message = f"{len(frames)} frames of up to {most:,} Gaussians"
-    if missing := missing_beside(frames[0]):
+    same = fps > 0 and len({read_head(path).count for path in frames}) == 1
+    splat = sequence.as_motion(map(read, frames), len(frames), fps) if same else None
+    if splat is not None:
+        obj = scene.make_objects([splat], [sequence.name_of(frames)], collection)[0]
+        message = f"{len(frames)} frames of {len(splat):,} Gaussians, as {splat.n_modes} modes"
+    else:
+        obj, most = scene.make_sequence(frames, sequence.name_of(frames), collection, read)
+        message = f"{len(frames)} frames of up to {most:,} Gaussians"
+    if missing := sequence.missing_beside(frames[0]):
         message += f"; missing file numbers: {', '.join(map(str, missing[:4]))}"
     if odd:
-        message += f"; {len(odd)} changed on reading (see the console), first {odd[0].name}"
-    return Loaded([obj], message, 0.0, len(frames), upright)
-
-
-_NUMBER = re.compile(r"^(.*?)(\d+)$")
-
-
-def stem_and_number(path: Path) -> tuple[str, int] | None:
-    """Split `bell_0007.ply` into ("bell_", 7); return None if the stem does not end in digits."""
-    found = _NUMBER.match(path.stem)
-    return None if found is None else (found[1], int(found[2]))
-
-
-def as_sequence(paths: Sequence[Path]) -> list[Path] | None:
-    """Return the frames in the order of their numbers: several files numbered alike, or the gapless run around one.
-
-    None if the files are no sequence.
-    """
-    own = stem_and_number(paths[0])
-    if own is None:
-        return None
-    known = siblings(paths[0]) if len(paths) == 1 else _by_number(paths[0], paths)
-    if len(paths) > 1:
-        return [known[number] for number in sorted(known)] if len(known) == len(paths) else None
-    first = last = own[1]
-    while first - 1 in known:
-        first -= 1
-    while last + 1 in known:
-        last += 1
-    return [known[number] for number in range(first, last + 1)] if last > first else None
-
-
-def siblings(path: Path) -> dict[int, Path]:
-    """Return the files of the same folder, stem and suffix by number; of `f_1` and `f_01` the one written as `path`."""
-    beside = sorted(path.parent.glob(f"*{path.suffix}"), key=lambda p: (len(p.stem) == len(path.stem), p))
-    return _by_number(path, [*beside, path])
-
-
-def _by_number(like: Path, paths: Sequence[Path]) -> dict[int, Path]:
-    own, parts = stem_and_number(like), [(stem_and_number(path), path) for path in paths]
-    same = [(part[1], path) for part, path in parts if part and own and part[0] == own[0]]
-    return {number: path for number, path in same if path.parent == like.parent}
-
-
-def missing_beside(path: Path) -> list[int]:
-    """Return the first number of every gap in the numbered files that share the stem of `path`."""
-    numbers = sorted(siblings(path))
-    return [n + 1 for n in numbers[:-1] if n + 1 not in numbers]
-
-
-def name_of(paths: Sequence[Path]) -> str:
-    """Return a name for a sequence: its stem without the separator before the number."""
-    part = stem_and_number(paths[0])
-    return (part[0].rstrip("_-. ") if part else "") or paths[0].parent.name or "splats"
+        message += f"; {len(odd)} changed on reading (see the console), first {next(iter(odd)).name}"
+    return Loaded([obj], message, fps if splat is not None else 0.0, len(frames), upright)
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -205,6 +177,12 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         name="As Sequence",
         description="Play numbered files without motion, such as name_0001.ply and name_0002.ply, one after "
         "another; one chosen file brings the whole run",
+        default=True,
+    )
+    motion: BoolProperty(  # type: ignore[valid-type]
+        name="Find Motion",
+        description="Where the files of a sequence hold the same Gaussians in the same order, turn their motion into "
+        "modes, so that it can be magnified",
         default=True,
     )
     timeline: BoolProperty(  # type: ignore[valid-type]
@@ -275,6 +253,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
                 Options(parsed_frequencies(self.frequencies), clock.rate(context.scene), blending.decode),
+                clock.rate(context.scene) if self.motion else 0.0,
             )
         except MemoryError:
             self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")

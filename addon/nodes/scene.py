@@ -54,12 +54,11 @@ def make_sequence(
     name: str,
     collection: Any,
     read: Callable[[Path], SplatFile],
-    step: Callable[[int], None],
 ) -> tuple[Any, int]:
     """Create an object that shows one file per timestep; return it and the largest Gaussian count.
 
-    The frames are objects of a collection that is in no scene; files may differ in the number of Gaussians.
-    `step(i)` is called after each. If anything fails, nothing made here is left.
+    The frames are objects of a collection that is in no scene; files may differ in the number of Gaussians. If anything
+    fails, nothing made here is left.
     """
     with Made() as made:
         base = _free_name(name[:NAME_LENGTH])
@@ -71,7 +70,6 @@ def make_sequence(
             mesh = made.keep(bpy.data.meshes.new(f"{base} {i:06d}"))
             fill_mesh(mesh, splat, references=False)
             frames.objects.link(made.keep(bpy.data.objects.new(mesh.name, mesh)))
-            step(i)
         content = Content(count=most, sh_degree=degree, frames=frames, n_frames=len(paths))
         mesh = made.keep(bpy.data.meshes.new(base))
         fill_references(mesh)

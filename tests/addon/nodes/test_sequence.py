@@ -1,14 +1,24 @@
 """Numbered static files play one after another, whatever their numbers of Gaussians."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
-from tests.addon.playing import drawn_whole, import_files, import_splat, places, setter  # noqa: E402
+from tests.addon.playing import (  # noqa: E402
+    drawn_whole,
+    import_files,
+    import_splat,
+    matrices,
+    places,
+    setter,
+    transforms,
+)
 
 COUNTS = (7, 12, 3, 9)
 
@@ -69,7 +79,7 @@ def test_files_that_move_are_no_frames(extension, tmp_path):
 
 
 def test_an_import_tells_which_numbers_are_missing(extension, frames):
-    missing = extension.io.import_splat.missing_beside
+    missing = extension.io.sequence.missing_beside
     assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
     frames[0].with_name("beat_0013.ply").unlink()
     assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []
@@ -79,3 +89,57 @@ def test_an_import_tells_which_numbers_are_missing(extension, frames):
         [frames[2]], bpy.context.collection, True, 1000, lambda part: None
     )
     assert loaded.message == "2 frames of up to 9 Gaussians; missing file numbers: 9"
+
+
+def walk(tmp_path, count=16, n=23, name="step_{:03d}.ply"):
+    """Frames of the same Gaussians, which move and turn with periods of 8 and 4 frames; their paths."""
+    one = some_splat(n, (3.0, 6.0))
+    moving = replace(one, fps=24.0)
+    paths = []
+    for t in range(count):
+        means, quats = positions_at(moving, t).astype(np.float32), rotations_at(moving, t).astype(np.float32)
+        still = SplatFile.static(means, quats, one.scales, one.opacities, one.sh)
+        paths.append(tmp_path / name.format(t))
+        write_splat(paths[-1], still)
+    return paths, moving
+
+
+@pytest.mark.parametrize("name", ["step_{:03d}.ply", "{}.ply", "time_{:05d}.compressed.ply"])
+def test_files_that_share_their_gaussians_are_motion_that_is_magnified(extension, tmp_path, name):
+    paths, moving = walk(tmp_path, name=name)
+    bpy.context.scene.render.fps = 24
+    obj, names = import_splat(paths[5]), extension.names
+    drawn_whole(extension, obj)
+    assert list(obj[names.FREQUENCIES]) == pytest.approx([3.0, 6.0])
+    for t in (0, 3, 7, 15):
+        np.testing.assert_allclose(places(obj, 1 + t), positions_at(moving, t), atol=1e-4)
+        turned = matrices(rotations_at(moving, t)) * moving.scales[:, None]
+        np.testing.assert_allclose(transforms(obj, 1 + t)[:, :3, :3], turned, atol=4e-3)
+    put = setter(extension, obj)
+    for input_, value in ((names.ALPHA, 5.0), (names.LOW, 5.0), (names.HIGH, 7.0)):
+        put(input_, value)
+    np.testing.assert_allclose(places(obj, 4), positions_at(moving, 3, 5.0, (5.0, 7.0)), atol=1e-3)
+
+
+def test_a_folder_is_its_sequence(extension, tmp_path):
+    walk(tmp_path)
+    obj = import_splat(tmp_path)
+    assert (obj.name, obj[extension.names.TIMESTEPS]) == ("step", 16)
+    write_splat(tmp_path / "other_1.ply", some_splat(4, ()))
+    with pytest.raises(RuntimeError, match="holds 2 numbered sequences: choose a file of one"):
+        import_splat(tmp_path)
+
+
+def test_other_gaussians_or_another_order_are_played_as_frames(extension, tmp_path):
+    paths, _ = walk(tmp_path)
+    mixed = read_splat(paths[3])
+    order = np.roll(np.arange(len(mixed)), 1)
+    parts = (mixed.means, mixed.quats, mixed.scales, mixed.opacities, mixed.sh)
+    write_splat(paths[3], SplatFile.static(*(part[order] for part in parts)))
+    obj = import_splat(paths[0])
+    assert extension.nodes.scene.sequence_frames(obj) is not None
+    drawn_whole(extension, obj)
+    check(obj, paths, {1: 0, 4: 3, 16: 15})
+    paths[3].unlink()
+    paths[4].unlink()
+    assert extension.nodes.scene.sequence_frames(import_splat(paths[0], motion=False)) is not None

@@ -53,6 +53,9 @@ def read_antimatter(file: BinaryIO, size: int) -> SplatFile:
 ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".json")  # of files that can be read
 _OTHERS = {  # known, and not read
     ".ksplat": "KSPLAT, of one viewer alone",
+    ".splatv": "SPLATV, a 4D format of one viewer alone",
+    ".npz": "a NumPy archive, as Dynamic 3D Gaussians write",
+    **dict.fromkeys((".pth", ".pt", ".ckpt"), "a checkpoint of PyTorch, as trainers of 4D Gaussians write"),
     ".lcc": "LCC",
     ".usd": "USD",
     ".usda": "USD",
@@ -134,6 +137,9 @@ def _named(path: Path) -> Iterator[None]:
 def _kind(path: Path) -> str:
     with path.open("rb") as file:
         start = file.read(64)
+    suffix = path.suffix.lower()
+    if suffix in _OTHERS and not start.startswith(b"ply"):
+        raise SplatFileError(f"is {_OTHERS[suffix]}: not read; save it as PLY, SPZ or glTF")
     if start.startswith((spz.GZIP, spz.NGSP)):
         return "spz"
     if start.startswith(gltf.MAGIC):
@@ -141,11 +147,8 @@ def _kind(path: Path) -> str:
     if start.startswith(b"PK\x03\x04"):
         return "sog"
     if start.lstrip().startswith(b"{"):
-        return "gltf" if path.suffix.lower() == ".gltf" else "sog"
-    suffix = path.suffix.lower()
+        return "gltf" if suffix == ".gltf" else "sog"
     if not start.startswith(b"ply"):
-        if suffix in _OTHERS:
-            raise SplatFileError(f"is {_OTHERS[suffix]}: not read; save it as PLY, SPZ or glTF")
         if suffix == ".splat":
             return "splat"
         if suffix in ENDINGS and suffix != ".ply":

@@ -301,6 +301,9 @@ def test_strange_columns(change, part, tmp_path):
     ("name", "data", "part"),
     [
         ("a.ksplat", b"\0\1" + bytes(500), "is KSPLAT, of one viewer alone: not read"),
+        ("a.splatv", bytes(500), "is SPLATV, a 4D format"),
+        ("params.npz", b"PK\3\4" + bytes(500), "is a NumPy archive, as Dynamic 3D Gaussians"),
+        ("a.pth", b"PK\3\4" + bytes(500), "is a checkpoint of PyTorch"),
         ("a.usdc", b"PXR-USDC" + bytes(90), "is USD: not read"),
         ("a.spz", b"hello" * 30, "does not begin as .spz files do"),
         ("a.splat", b"hello", "is 5 bytes long; a .splat has 32 a Gaussian"),
