@@ -57,6 +57,21 @@ def train_steps(
     return [Step("starting to train", train), Step("writing the splats", export)]
 
 
+def video_steps(
+    python: str, video: Path, out: Path, splat: Path, device: str, quick: bool, settings: Sequence[str] = ()
+) -> list[Step]:
+    """Return the steps that look at a video, train on it in the folder `out` and write the splat file."""
+    sets = [text for pair in settings for text in ("--set", pair)]
+    core = (python, "-m", "tg4mm")
+    how = ("--device", device, *(("--quick",) if quick else ()), *sets)
+    look = (*core, "look", str(video), "--out", str(out.with_name(f"{video.stem}-look")))
+    process = (*core, "process", str(video), "--out", str(out), *how)
+    export = (*core, "export", str(out / "run"), "--out", str(splat), "--format", "ply")
+    # Of a camera that moves, look may find nothing to say.
+    first = Step("looking at the video", look, optional=True)
+    return [first, Step("starting to train", process), Step("writing the splats", export)]
+
+
 def environment() -> dict[str, str]:
     """Return an environment for a child Python: unbuffered UTF-8 output, progress as events
     (tg4mm/core/events.py), no imports from the current folder."""

@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +74,10 @@ def can_go_on(settings: Any) -> bool:
         return False
 
 
-def generate(context: Any, go_on: bool) -> Job:
+def generate(context: Any, go_on: bool, then: Callable[[Any], Any]) -> Job:
     """Start the generator on a copy of the open scene, or with `go_on` on the copy that a stopped run left.
 
-    Raises GenerateError or OSError, one line.
+    With Then Train, `then(context)` is called at the end. Raises GenerateError or OSError, one line.
     """
     settings = context.scene.tg4mm_generate
     chosen = objects.moving(settings)
@@ -96,7 +96,7 @@ def generate(context: Any, go_on: bool) -> Job:
         save_copy(work / _BLEND, context.scene)
     options = _options(settings, context.scene, runs_in)
     steps = commands.generate_steps(runs_in, work / _BLEND, motion, work.parent, options)
-    return commands.start(commands.GENERATE, steps, lambda job: _ended(job, work))
+    return commands.start(commands.GENERATE, steps, lambda job: _ended(job, work, then))
 
 
 def save_copy(path: Path, scene: Any) -> None:
@@ -151,7 +151,7 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
     return options
 
 
-def _ended(job: Job, work: Path) -> None:
+def _ended(job: Job, work: Path, then: Callable[[Any], Any]) -> None:
     """Delete the scene copy of a finished dataset and select the dataset in the Train panel."""
     if job.state is not State.DONE or not job.results:
         return
@@ -160,4 +160,7 @@ def _ended(job: Job, work: Path) -> None:
             (work / name).unlink(missing_ok=True)
         work.rmdir()
     job.message = f"Complete: {job.results[-1]}"
-    bpy.context.scene.tg4mm_train.dataset = job.results[-1]
+    scene = bpy.context.scene
+    scene.tg4mm_train.dataset = job.results[-1]
+    if scene.tg4mm_generate.then_train:
+        then(bpy.context)

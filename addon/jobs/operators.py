@@ -1,17 +1,19 @@
-"""Operators of the panels Generate and Train, from a dataset to imported splats."""
+"""Operators of the panels Generate and Train, from a dataset or a video to imported splats."""
+
+from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
 
 from dataset_gen.errors import GenerateError
 
 from .. import names
-from ..declare import Declared
-from . import commands, generating, objects
-from .runner import Job, State
+from ..declare import Declared, reports
+from . import commands, generating, objects, training
 
 _ui = Declared()
 register, unregister = _ui.register, _ui.unregister
@@ -65,7 +67,7 @@ def _about_generate(context: Any, properties: Any) -> str:
 )  # fmt: skip
 def generate(operator: Any, context: Any) -> None:
     """Render a dataset of the open scene in the background, from a copy, so that you can keep working"""
-    generating.generate(context, operator.go_on)
+    generating.generate(context, operator.go_on, training.start_after)
     if unsaved := objects.unsaved_images():
         text = f"Unsaved painted images, which the dataset will lack: {', '.join(unsaved[:4])}"
         operator.report({"WARNING"}, text)
@@ -74,21 +76,44 @@ def generate(operator: Any, context: Any) -> None:
 @_ui.operator("Train and Import", lambda context: not commands.running(commands.TRAIN), undo=False)
 def train(operator: Any, context: Any) -> None:
     """Fit Gaussians and their motion to the dataset in the background, then import them"""
-    settings = context.scene.tg4mm_train
-    python = generating.core_python(context)
-    if not python:
-        raise GenerateError("Training needs the Python of the Core: set it in the preferences")
-    dataset = generating.folder("Dataset", settings.dataset)
-    if not dataset.is_dir():
-        raise GenerateError(f"Dataset: folder {dataset} does not exist")
-    run = dataset.parent / f"{dataset.name}_run"
-    if settings.run.strip():
-        run = generating.folder("Run", settings.run)
-    if run == dataset or dataset in run.parents:
-        raise GenerateError(f"Run {run} is inside the dataset: choose another folder")
-    splat = run.parent / f"{run.name}.ply"
-    steps = commands.train_steps(python, dataset, run, splat, settings.device, settings.settings.split())
-    commands.start(commands.TRAIN, steps, lambda job: _import(job, splat))
+    training.start(context)
+
+
+class IMPORT_SCENE_OT_tg4mm_video(bpy.types.Operator, ImportHelper):
+    """Look at a video, train splats on it in the background, and import them"""
+
+    bl_idname = "import_scene.tg4mm_video"
+    bl_label = "Train Splats from Video"
+
+    filter_glob: StringProperty(  # type: ignore[valid-type]
+        default=";".join(f"*{ending}" for ending in training.VIDEOS), options={"HIDDEN"}
+    )
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        return self.execute(context) if self.filepath else ImportHelper.invoke(self, context, event)
+
+    @reports("read")
+    def execute(self, context: Any) -> set[str]:
+        training.start_video(context, Path(bpy.path.abspath(self.filepath)))
+        self.report(
+            {"INFO"}, "Training in the background: the sidebar (N), TG4MM, Train, shows how far it is"
+        )
+        return {"FINISHED"}
+
+
+class IO_FH_tg4mm_video(bpy.types.FileHandler):
+    bl_idname = "IO_FH_tg4mm_video"
+    bl_label = "TG4MM: Splats from Video"
+    bl_import_operator = IMPORT_SCENE_OT_tg4mm_video.bl_idname
+    bl_file_extensions = ";".join(training.VIDEOS)
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+_ui.classes += [IMPORT_SCENE_OT_tg4mm_video, IO_FH_tg4mm_video]
 
 
 _JOBS = [(kind, kind, "") for kind in (commands.GENERATE, commands.TRAIN)]
@@ -100,19 +125,3 @@ def cancel_job(operator: Any, context: Any) -> None:
     job = commands.get(operator.kind)
     if job is not None:
         job.cancel()
-
-
-def _import(job: Job, splat: Path) -> None:
-    """Import the splats of a job that has succeeded."""
-    if job.state is not State.DONE:
-        return
-    manager = bpy.context.window_manager
-    window = manager.windows[0] if manager.windows else None  # a timer has no window of its own
-    try:
-        with bpy.context.temp_override(window=window):
-            bpy.ops.import_scene.tg4mm_splat("EXEC_DEFAULT", True, filepath=str(splat), sequence=False)
-    except RuntimeError as error:
-        reason = " ".join(str(error).removeprefix("Error: ").split())
-        job.state, job.message = State.FAILED, f"trained, but not imported: {reason}"
-        return
-    job.message = f"Imported: {splat}"

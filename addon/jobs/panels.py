@@ -15,6 +15,8 @@ _NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
 _BESIDE, _LETTER = 82.0, 6.4  # what stands beside a line of text; a letter, on average
 
 
+_MOST_TOLD = 4  # lines of a program
+
 _ui = Declared()
 _GENERATE = "VIEW3D_PT_tg4mm_generate"
 
@@ -28,6 +30,7 @@ def draw_generate(layout: Any, context: Any) -> None:
     layout.prop(settings, "label", placeholder=generating.label(settings))
     if preferences.get(context).core_python:
         layout.column(heading="Render In").prop(settings, "in_blender")
+        layout.prop(settings, "then_train")
     layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
     if _draw_job(layout, commands.GENERATE):
         return
@@ -108,10 +111,11 @@ def draw_train(layout: Any, context: Any) -> None:
         _draw_lines(layout, text, "INFO")
         layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
         return
-    for name in ("dataset", "run", "device", "settings"):
+    for name in ("dataset", "run", "device", "settings", "quick"):
         layout.prop(settings, name)
     if not _draw_job(layout, commands.TRAIN):
         layout.operator("tg4mm.train", icon="OUTLINER_OB_POINTCLOUD")
+        layout.operator("import_scene.tg4mm_video", text="From Video", icon="FILE_MOVIE")
 
 
 def _draw_job(layout: Any, kind: str) -> bool:
@@ -126,6 +130,8 @@ def _draw_job(layout: Any, kind: str) -> bool:
     row = column.row()
     row.enabled = not job.cancelling
     row.operator("tg4mm.cancel_job", icon="CANCEL").kind = kind
+    for line in job.told[:_MOST_TOLD]:
+        _draw_lines(layout, " ".join(line.split()), "NONE")
     return True
 
 

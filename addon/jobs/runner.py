@@ -56,6 +56,11 @@ class Line:
     error: str = ""
     result: str = ""  # a path
 
+    @property
+    def is_plain(self) -> bool:
+        """Return whether it is text for people, and no event."""
+        return bool(self.text) and not (self.progress or self.warning or self.error or self.result)
+
 
 def read_line(line: str) -> Line:
     """Parse a line. Never raises, because programs may print anything."""
@@ -104,7 +109,7 @@ def _seconds(value: Any) -> float | None:
 
 PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one
 _LISTEN_S = 1.0  # after a program's end, for output that is still under way
-_KEPT = 40  # warnings
+_KEPT = 40  # warnings, lines for people
 _MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
 _WINDOWS = sys.platform == "win32"
 # So that a program can be ended together with what it has started.
@@ -128,6 +133,7 @@ class Step:
 
     label: str  # what it does, "train": the job shows it until the program says more
     command: tuple[str, ...]
+    optional: bool = False  # the job goes on where it fails
 
 
 class Job:
@@ -146,9 +152,10 @@ class Job:
         self.progress = Progress(steps[0].label)
         self.results: list[str] = []
         self.warnings: deque[str] = deque(maxlen=_KEPT)
+        self.told: list[str] = []  # the first lines that are for people
         self._asked_at: float | None = None  # when the end was asked for
         self._asked = 0  # how many times
-        self._program = _Program(steps[0], self._environment)
+        self._step, self._program = steps[0], _Program(steps[0], self._environment)
 
     @property
     def running(self) -> bool:
@@ -199,17 +206,19 @@ class Job:
             self.warnings.append(line.warning)
         if line.result:
             self.results.append(line.result)
+        if line.is_plain and len(self.told) < _KEPT:
+            self.told.append(line.text)
 
     def _finish(self) -> None:
         status = self._program.process.poll()
         if self._asked_at is not None:
             self._program.end(2)  # whatever the program itself had started
             self._over(State.CANCELLED, "Stopped")
-        elif status:
+        elif status and not self._step.optional:
             error, last = self._program.error, self._program.last or "no output"
             self._over(State.FAILED, error or f"ended with status {status}: {last}")
         elif self._waiting:
-            step = self._waiting.popleft()
+            self._step = step = self._waiting.popleft()
             self.progress = Progress(step.label)
             try:
                 self._program = _Program(step, self._environment)

@@ -148,6 +148,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
     out: props.StringProperty(  # type: ignore[valid-type]
         name="Output", description="Folder that receives the dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
+    then_train: props.BoolProperty(  # type: ignore[valid-type]
+        name="Then Train", description="Train splats on the dataset when it is complete, and import them")
     in_blender: props.BoolProperty(  # type: ignore[valid-type]
         name="This Blender", description="This Blender renders, not the one that the core's Python has: the same "
         "version as yours, but without truth per pixel and without a report")
@@ -163,6 +165,9 @@ class TG4MM_train(bpy.types.PropertyGroup):
     run: props.StringProperty(  # type: ignore[valid-type]
         name="Run", description="Folder for the run; an unfinished run there is resumed",
         subtype="DIR_PATH", options=_RELATIVE)
+    quick: props.BoolProperty(  # type: ignore[valid-type]
+        name="Quick", default=True,
+        description="From a video, a coarse first answer in minutes: fewer Gaussians and iterations")
     device: props.EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Device on which the core computes",
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])

@@ -8,6 +8,9 @@ import bpy
 from tests.addon.playing import Layout
 
 
+KINDS = ("generate", "train")
+
+
 def wait(extension, kind, until=lambda job: False, limit_s=120.0):
     """Call the timer's function, as Blender would, until a job ends or a condition holds; returns the job."""
     background = extension.jobs.commands
@@ -16,7 +19,7 @@ def wait(extension, kind, until=lambda job: False, limit_s=120.0):
     while job.running and not until(job):
         assert time.monotonic() - begun < limit_s, f"{job.progress} {job.message}"
         again = background.tick()
-        assert again == (background.INTERVAL_S if background.running(kind) else None)
+        assert again == (background.INTERVAL_S if any(map(background.running, KINDS)) else None)
         time.sleep(0.02)
     return job
 

@@ -23,7 +23,9 @@ out = Path(rest[rest.index("--out") + 1])
 if (here / "fails").read_text() == command:
     events.say("error", "no luck with größe")
     sys.exit(2)
-if command == "train":
+if command == "look":
+    print("5.00 ± 0.01 Hz   0.2 px")
+elif command in ("train", "process"):
     for label, total in (("space stage", 4), ("motion stage", 2)):
         for done in range(1, total + 1):
             events.emit("progress", label=label, done=done, total=total, left_s=2.0)
@@ -32,6 +34,7 @@ if command == "train":
         time.sleep(0.05)
     out.mkdir()
 else:
+    out.parent.mkdir(exist_ok=True)
     shutil.copyfile(here / "made.ply", out)
 print(out)
 """
@@ -75,6 +78,58 @@ def test_dataset_becomes_splats_in_the_scene(extension, core, tmp_path):
         f"-m tg4mm train {data} --out {run} --device cpu --set space.iterations=3 --set motion.iterations=2"
     )
     assert export == f"-m tg4mm export {run} --out {splat} --format ply"
+
+
+@pytest.mark.parametrize("fails", ["nothing", "look"])
+def test_a_video_is_looked_at_trained_and_imported(extension, core, tmp_path, fails):
+    """A look that fails, as at a camera that moves, stops nothing."""
+    (core / "fails").write_text(fails)
+    video = tmp_path / "a film.mp4"
+    video.write_bytes(b"film")
+    assert bpy.ops.import_scene.tg4mm_video(filepath=str(video)) == {"FINISHED"}
+    shown = []
+    job = wait(extension, KIND, lambda job: shown.extend(drawn(extension, "Train")) or False, limit_s=30)
+    out = tmp_path / "a film-out"
+    assert (job.state.value, job.message) == ("done", f"Imported: {out / 'a film.ply'}")
+    assert bpy.context.object.name == "a film"
+    assert said(shown, "5.00 ± 0.01 Hz 0.2 px") == (fails == "nothing")
+    assert any(text.startswith("progress motion stage") for text in shown)
+    look, process, export = (core / "asked.txt").read_text().splitlines()
+    assert look == f"-m tg4mm look {video} --out {tmp_path / 'a film-look'}"
+    assert process == f"-m tg4mm process {video} --out {out} --device cpu --quick"
+    assert export == f"-m tg4mm export {out / 'run'} --out {out / 'a film.ply'} --format ply"
+
+
+def test_a_failed_video_is_one_line(extension, core, tmp_path):
+    (core / "fails").write_text("process")
+    (tmp_path / "film.mp4").write_bytes(b"film")
+    bpy.ops.import_scene.tg4mm_video(filepath=str(tmp_path / "film.mp4"))
+    job = wait(extension, KIND, limit_s=30)
+    assert (job.state.value, job.message) == ("failed", "no luck with größe")
+    with pytest.raises(RuntimeError, match="Video: file /no/such does not exist"):
+        bpy.ops.import_scene.tg4mm_video(filepath="/no/such")
+
+
+def test_a_generated_dataset_is_trained_on_request(extension, core, tmp_path):
+    """By a stand-in for the generator, whose end is all that counts."""
+    generating, training, scene = extension.jobs.generating, extension.jobs.training, bpy.context.scene
+    dataset = scene.tg4mm_train.dataset
+    code = f"from tg4mm.core import events; events.emit('complete', path={dataset!r})"
+    step = extension.jobs.runner.Step("render", (sys.executable, "-c", code))
+
+    def generated():
+        end = lambda job: generating._ended(job, tmp_path / "none", training.start_after)  # noqa: E731
+        extension.jobs.commands.start("generate", [step], end)
+        return wait(extension, "generate", limit_s=30)
+
+    scene.tg4mm_train.dataset, scene.tg4mm_generate.then_train = "", True
+    assert generated().message == f"Complete: {dataset}"
+    assert wait(extension, KIND, limit_s=30).state.value == "done"
+    assert bpy.context.object.name == "data set_run"
+    (core / "python").unlink()
+    failed = generated()
+    assert failed.state.value == "failed"
+    assert failed.message.startswith("generated, but not trained: Python of the Core")
 
 
 @pytest.mark.parametrize("command", ["train", "export"])
