@@ -90,7 +90,7 @@ def as_motion(splats: Iterable[SplatFile], count: int, fps: float) -> SplatFile 
     At timestep t it is frame t, but for a hundredth of the motion; after the last comes the first. `count`: of frames;
     `fps`: Hz. None where counts, sizes, colours or opacities differ, where nothing moves, or with too many modes.
     """
-    first, means, quats = None, np.empty(0), np.empty(0)
+    first, means, quats = None, np.empty(0, np.float32), np.empty(0, np.float32)
     for t, splat in enumerate(splats):
         if first is None:
             first = splat
