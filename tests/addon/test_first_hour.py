@@ -193,7 +193,8 @@ def one_line(call, message):
 
 def test_folders_and_disks_that_cannot_be_used_are_one_line(extension, splat_path, cube):
     one_line(
-        lambda: bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path.parent)), "holds no numbered splat files"
+        lambda: bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path.parent)),
+        "holds no numbered splat files",
     )
     bpy.context.scene.tg4mm_generate.out = str(splat_path)
     one_line(bpy.ops.tg4mm.generate, "cannot be used: (Not a directory|File exists)")

@@ -7,7 +7,6 @@ import bpy
 
 from tests.addon.playing import Layout
 
-
 KINDS = ("generate", "train")
 
 
