@@ -36,9 +36,8 @@ def test_a_table_holds_each_row_and_says_what_fails(tmp_path, monkeypatch, capsy
     rows = Row("some", _SMALL | {"motion.iterations": "2"}), Row("bad", {"space.iterations": "-1"})
     monkeypatch.setitem(ABLATIONS, "two", rows)
     monkeypatch.setattr(ablations, "_made", lambda given, options: open_set(root, "sway"))
-    ablations.run(
-        argparse.Namespace(out=tmp_path / "out", names=["two"], scene="sway", alphas="5", options="")
-    )
+    words = {"names": ["two"], "scene": "sway", "alphas": "5", "options": ""}
+    ablations.run(argparse.Namespace(out=tmp_path / "out", **words))
     some, bad = capsys.readouterr().out.strip().splitlines()[-2:]
     cells = [cell.strip() for cell in some.strip("|").split("|")]
     assert cells[0] == "some"

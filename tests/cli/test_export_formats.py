@@ -4,7 +4,7 @@ import gsply
 import numpy as np
 import pytest
 
-from tests.helpers.gltf import parsed
+from tests.helpers.splat_files import parsed
 from tests.helpers.synthetic import moving_run
 from tg4mm.cli import main
 from tg4mm.core.splatfile import positions_at

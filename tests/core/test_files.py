@@ -11,14 +11,7 @@ from filelock import FileLock, Timeout
 
 from dataset_gen.tree import whole
 from tg4mm.core import files
-from tg4mm.core.files import (
-    give_back,
-    is_temporary,
-    remove_leftovers,
-    temporary_name,
-    write_atomic,
-    write_json,
-)
+from tg4mm.core.files import give_back, is_temporary, remove_leftovers, write_atomic, write_json
 from tg4mm.core.splatfile.ply import replacing
 
 KILLED = """
@@ -114,9 +107,9 @@ def test_the_next_writer_of_a_folder_removes_what_a_killed_one_left(writer, tmp_
 
 
 def test_what_another_process_is_writing_stays(tmp_path):
-    living = temporary_name(tmp_path / "a.json").with_name(f".a.json.{files._HOST}-{os.getppid()}.tmp")
+    living = files.temporary_name(tmp_path / "a.json").with_name(f".a.json.{files._HOST}-{os.getppid()}.tmp")
     elsewhere = tmp_path / ".a.json.node7-1.tmp"
-    own, foreign = temporary_name(tmp_path / "a.json"), tmp_path / ".vimrc.tmp"
+    own, foreign = files.temporary_name(tmp_path / "a.json"), tmp_path / ".vimrc.tmp"
     for path in (living, elsewhere, own, foreign):
         path.touch()
     remove_leftovers(tmp_path)

@@ -11,6 +11,8 @@ from tg4mm.core.regions import Region, Regions, Scale, read_regions, write_regio
 
 SIZE = (480, 272)
 A_BOX = {"name": "a", "box": [10, 10, 60, 50]}
+SQUARE = {"corners": [[0, 0], [90, 0], [90, 90], [0, 90]], "metres": [1, 1]}
+LENGTH = {"points": [[0, 0], [90, 0]]}
 
 
 def _far(x, y, tilt):
@@ -26,21 +28,14 @@ def test_a_rectangle_tells_metres_wherever_on_its_tilted_plane(tilt):
     for place in ((0.0, 0.0), (0.15, -0.2), (-0.3, 0.1)):
         step = 1e-5 * np.eye(2)
         moved = [(_far(*(place + s), tilt) - _far(*(place - s), tilt)) / 2e-5 for s in step]
-        np.testing.assert_allclose(
-            scale.metres_at(tuple(_far(*place, tilt))) @ np.stack(moved, 1), np.eye(2), atol=1e-6
-        )
+        metres = scale.metres_at(tuple(_far(*place, tilt))) @ np.stack(moved, 1)
+        np.testing.assert_allclose(metres, np.eye(2), atol=1e-6)
 
 
 def test_a_file_read_back_is_what_was_written(tmp_path):
-    regions = Regions(
-        SIZE,
-        (
-            Region("a", "box", (10, 20, 60, 50)),
-            Region("b", "point", (100, 100, 8), "cam_00"),
-            Region("c", "polygon", (10, 100, 60, 100, 30, 150)),
-        ),
-        Scale((((0, 0), (100, 0), 0.2),)),
-    )
+    box, point = Region("a", "box", (10, 20, 60, 50)), Region("b", "point", (100, 100, 8), "cam_00")
+    polygon = Region("c", "polygon", (10, 100, 60, 100, 30, 150))
+    regions = Regions(SIZE, (box, point, polygon), Scale((((0, 0), (100, 0), 0.2),)))
     write_regions(tmp_path / "r.json", regions)
     assert read_regions(tmp_path / "r.json") == regions
     assert regions["a"].mask(SIZE).sum() == 50 * 30
@@ -63,21 +58,9 @@ def test_a_file_read_back_is_what_was_written(tmp_path):
         ({"regions": [A_BOX, A_BOX | {"name": "A"}]}, "two regions are called"),
         ({"lengths": [{"points": [[5, 5], [5, 5]], "metres": 1}]}, "ends are one point"),
         ({"lengths": [{"points": [[0, 0], [9, 0]], "metres": -1}]}, "expected a finite number above 0"),
-        (
-            {"lengths": [{"points": [[0, 0], [9 * k, 90]], "metres": k} for k in (1, 2)]},
-            "two lengths disagree",
-        ),
-        (
-            {"rectangle": {"corners": [[0, 0], [0, 90], [90, 90], [90, 0]], "metres": [1, 1]}},
-            "upper left, upper right",
-        ),
-        (
-            {
-                "rectangle": {"corners": [[0, 0], [90, 0], [90, 90], [0, 90]], "metres": [1, 1]},
-                "lengths": [{"points": [[0, 0], [90, 0]], "metres": 1.5}],
-            },
-            "times what the rectangle says",
-        ),
+        ({"lengths": [{"points": [[0, 0], [k, 90]], "metres": k} for k in (1, 2)]}, "two lengths disagree"),
+        ({"rectangle": SQUARE | {"corners": [[0, 0], [0, 9], [9, 9], [9, 0]]}}, "upper left, upper right"),
+        ({"rectangle": SQUARE, "lengths": [LENGTH | {"metres": 1.5}]}, "times what the rectangle says"),
     ],
 )
 def test_what_cannot_be_is_one_line_with_the_files_name(tmp_path, changes, said):

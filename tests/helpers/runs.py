@@ -28,6 +28,15 @@ def modal(n: int = 7, k: int = 2) -> ModalMotion:
     return ModalMotion(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
 
 
+def made_run(path: Path, dataset: Path, space: Gaussians, motion: ModalMotion | None, preset="modal") -> Run:
+    """A run whose stages gave this."""
+    run = Run.create(path, dataset, preset, {})
+    run.save_space(space, {})
+    if motion is not None:
+        run.save_motion(motion, {})
+    return run
+
+
 def refused(match: str) -> pytest.RaisesExc:
     """RunError whose message is one line and matches."""
     return pytest.raises(RunError, match=r"\A[^\n]*" + match + r"[^\n]*\Z")

@@ -1,19 +1,25 @@
 """The main table: its numbers are evaluate's, what is finished is not done again, and times are matched by settings."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.research.bench.conftest import MODAL, PAPER
+from tests.show.view.browser import browser
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.research.bench import methods
 from tg4mm.research.bench.jobs import job_folder, rendered
-from tg4mm.research.bench.means import line_means
+from tg4mm.research.bench.means import half_width, less, line_means
 from tg4mm.research.bench.measure import SEEN
+from tg4mm.research.bench.methods.known import External
+from tg4mm.research.bench.pages.tables import differences_tables, pivots
 from tg4mm.research.bench.request import Plan, Training, same_time_training
 from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_trainings
 from tg4mm.research.bench.sets import open_set, truth_at
@@ -192,3 +198,84 @@ def test_a_run_of_another_device_is_refused(done, data):
     opened = open_set(data, data.name)
     with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
         method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
+
+
+@pytest.mark.parametrize(("n_scenes", "between"), [(2, 1.0), (3, 0.3), (8, 1.0)])
+def test_nineteen_of_twenty_intervals_hold_the_mean(n_scenes, between):
+    """Three seeds a scene; a scene differs from the mean by `between`, a seed from its scene by 1, both normal."""
+    rng = np.random.default_rng(7)
+    scenes = [f"scene {i}" for i in range(n_scenes) for _ in range(3)]
+    held = 0
+    for _ in range(800):
+        values = np.repeat(between * rng.normal(size=n_scenes), 3) + rng.normal(size=3 * n_scenes)
+        held += abs(values.mean()) <= half_width(values, scenes)
+    assert held / 800 > 0.935
+
+
+def test_seeds_of_one_scene_are_drawn_by_themselves_and_one_value_tells_nothing():
+    assert half_width([0.9], ["mic"]) is None
+    assert half_width([0.5, 0.5, 0.5], ["mic"] * 3) == 0
+    # t at two degrees of freedom times the standard error
+    values = [1.0, 2.0, 4.0]
+    expected = 4.303 * np.std(values, ddof=1) / np.sqrt(3)
+    assert half_width(values, ["mic"] * 3) == pytest.approx(expected, rel=0.03)
+
+
+def test_tables_have_the_interval_of_a_mean_and_of_the_difference_on_each_set():
+    sets = {"mic_s0": "mic", "mic_s1": "mic", "ship_s0": "ship", "ship_s1": "ship"}
+    scores = {"modal": (0.9, 0.91, 0.8, 0.82), "linear-2d": (0.89, 0.9, 0.79, 0.81)}
+    lines = [
+        {"set": label, "row": row, "alphas": {"20": {"ssim": value}}, "frames_per_s": None}
+        for row, values in scores.items()
+        for label, value in zip(sets, values, strict=True)
+    ]
+    groups = dict.fromkeys(sets, "all")
+    (table,) = pivots(line_means(lines, groups, sets), "all")
+    half = half_width(scores["modal"], list(sets.values()))
+    assert table.rows[0] == ["modal", f"0.8575 ± {half:.4f}"]
+    results = {"differences": line_means(less(lines, "modal"), groups, sets), "against": "modal"}
+    (table,) = differences_tables(results, "all")
+    assert table.rows == [["linear-2d", "-0.0100 ± 0.0000"]]
+
+
+@pytest.fixture(scope="module")
+def made(data, tmp_path_factory):
+    """A benchmark of methods without training."""
+    folder = tmp_path_factory.mktemp("page")
+    shutil.copytree(data, folder / "theirs" / data.name)
+    request = ScenesRequest(("linear-2d", "phase-2d"), external=(External("theirs", folder / "theirs"),))
+    run_scenes([data], folder / "out", request, lambda text: None)
+    return folder / "out"
+
+
+def test_the_page_loads_nothing(made):
+    page = (made / "results.html").read_text(encoding="utf-8")
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*\"", page)
+    assert page.count("<video") == 4  # the ground truth and three methods
+    assert page.count('class="compare"') == 1
+
+
+def test_in_a_browser(made):
+    with browser() as opened:
+        page = opened.new_page()
+        errors: list[Any] = []
+        page.on("pageerror", lambda error: errors.append(error))
+        page.goto((made / "results.html").as_uri())
+        table = "figure.table:has(figcaption:has-text('Every set'))"
+        column = f"{table} tbody td:nth-child(4)"
+        shown = [float(x) for x in page.locator(column).all_inner_texts()]
+        page.click(f"{table} th:nth-child(4)")
+        assert [float(x) for x in page.locator(column).all_inner_texts()] == sorted(shown)
+        page.click(f"{table} th:nth-child(4)")
+        assert [float(x) for x in page.locator(column).all_inner_texts()] == sorted(shown, reverse=True)
+        left = page.locator('.compare img[data-side="left"]')
+        page.locator(".compare [data-edge]").fill("20")
+        assert "80%" in left.evaluate("e => e.style.clipPath")
+        at = (
+            "e => parseFloat(getComputedStyle(e.parentElement, '::after').left) / e.parentElement.clientWidth"
+        )
+        assert left.evaluate(at) == pytest.approx(0.2, abs=0.01)
+        before = left.get_attribute("src")
+        page.locator('.compare select[data-pick="left"]').select_option(label="linear-2d")
+        assert left.get_attribute("src") != before
+        assert not errors

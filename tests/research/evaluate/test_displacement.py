@@ -30,9 +30,8 @@ def true(rng):
 def test_a_phase_error_is_found_with_its_sign(true):
     """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
     phi = np.radians(18)
-    figures = displacement_figures(
-        replace(true, displacement=np.exp(1j * phi) * true.displacement), true, np.ones(N)
-    )
+    late = replace(true, displacement=np.exp(1j * phi) * true.displacement)
+    figures = displacement_figures(late, true, np.ones(N))
     assert figures["relative_error"] == pytest.approx(2 * np.sin(phi / 2), rel=1e-5)
     row = figures["per_frequency"][0]
     assert row["phase_error_deg"] == pytest.approx(18, rel=1e-5)
@@ -46,9 +45,8 @@ def test_a_turned_direction_is_found_and_weighted(rng):
     along[:, 0] = 2e-3
     turned = along.copy()
     turned[2:] = -2e-3 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0])
-    row = frequency_figures(motion({3.0: -1j * turned}), motion({3.0: -1j * along}), np.array([1, 1, 3, 3]))[
-        0
-    ]
+    both = motion({3.0: -1j * turned}), motion({3.0: -1j * along})
+    (row,) = frequency_figures(*both, np.array([1, 1, 3, 3]))
     assert row["direction_error_deg"] == pytest.approx(0.75 * 30, rel=1e-5)
     assert row["amplitude_true"] == pytest.approx(2e-3)
 
@@ -60,10 +58,8 @@ def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng):
     t = np.arange(T)[:, None, None]
 
     def series(m):
-        return sum(
-            (d * np.exp(2j * np.pi * f * t / FPS)).real
-            for f, d in zip(m.freqs_hz, m.displacement, strict=True)
-        )
+        modes = zip(m.freqs_hz, m.displacement, strict=True)
+        return sum((d * np.exp(2j * np.pi * f * t / FPS)).real for f, d in modes)
 
     def rms(x):
         return float(np.sqrt(((x**2).sum(2) * weights).sum() / (T * weights.sum())))
@@ -72,9 +68,8 @@ def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng):
     figures = displacement_figures(estimated, true, weights)
     assert figures["relative_error"] == pytest.approx(expected, rel=1e-6)
     assert figures["rms_true"] == pytest.approx(rms(series(true)), rel=1e-6)
-    assert displacement_figures(estimated, true, 7 * weights)["relative_error"] == pytest.approx(
-        expected, rel=1e-6
-    )
+    heavier = displacement_figures(estimated, true, 7 * weights)
+    assert heavier["relative_error"] == pytest.approx(expected, rel=1e-6)
     assert abs(displacement_figures(estimated, true, np.ones(N))["relative_error"] - expected) > 1e-4
 
 
@@ -152,12 +147,10 @@ def errors():
 def test_errors_are_rms_over_time_and_weighted(errors):
     weights = np.zeros(MANY)
     weights[:2] = 1, 3
-    figures = uncertainty_figures(
-        motion({3.0: errors}), motion({3.0: 0 * errors}), weights, np.full(MANY, 2e-3)
-    )
-    expected = np.sqrt(
-        (errors[0, 0] ** 2 + 3 * errors[1, 0] ** 2) / 4 / 2
-    )  # of a sinusoid: half its peak squared
+    still = motion({3.0: 0 * errors})
+    figures = uncertainty_figures(motion({3.0: errors}), still, weights, np.full(MANY, 2e-3))
+    # Of a sinusoid: half its peak squared.
+    expected = np.sqrt((errors[0, 0] ** 2 + 3 * errors[1, 0] ** 2) / 4 / 2)
     assert figures["error"] == pytest.approx(expected, rel=1e-4)
     assert figures["said"] == pytest.approx(2e-3, rel=1e-6)
 

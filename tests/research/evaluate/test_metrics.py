@@ -35,9 +35,8 @@ def plain_ssim(a, b):
     for x, y in zip(np.moveaxis(a, -1, 0).astype(float), np.moveaxis(b, -1, 0).astype(float), strict=True):
         mx, my = mean(x), mean(y)
         vx, vy, cov = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
-        values.append(
-            ((2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))).mean()
-        )
+        light, contrast = (2 * mx * my + 1e-4) / (mx**2 + my**2 + 1e-4), (2 * cov + 9e-4) / (vx + vy + 9e-4)
+        values.append((light * contrast).mean())
     return float(np.mean(values))
 
 
@@ -75,9 +74,8 @@ def made_up_weights(trunk="features.{}"):
     state = {}
     for k, (i, (out, inputs, size)) in enumerate(LAYERS.items()):
         name = trunk.format(i)
-        state[f"{name}.weight"] = (
-            torch.randn(out, inputs, size, size, generator=g) * (2 / (inputs * size**2)) ** 0.5
-        )
+        spread = (2 / (inputs * size**2)) ** 0.5
+        state[f"{name}.weight"] = spread * torch.randn(out, inputs, size, size, generator=g)
         state[f"{name}.bias"] = torch.randn(out, generator=g) * 0.1
         state[f"lin{k}.model.1.weight"] = torch.rand(1, out, 1, 1, generator=g)
     return state
@@ -100,10 +98,8 @@ def plain_lpips(a, b, state):
         if i in {3, 6}:
             maps = [sliding_window_view(m, (3, 3), axis=(1, 2))[:, ::2, ::2].max((3, 4)) for m in maps]
         stride, padding = {0: (4, 2), 3: (1, 2)}.get(i, (1, 1))
-        maps = [
-            np.maximum(conv(m, w[f"features.{i}.weight"], w[f"features.{i}.bias"], stride, padding), 0)
-            for m in maps
-        ]
+        layer = w[f"features.{i}.weight"], w[f"features.{i}.bias"], stride, padding
+        maps = [np.maximum(conv(m, *layer), 0) for m in maps]
         unit = [m / np.sqrt((m**2).sum(0)) for m in maps]
         total += (w[f"lin{k}.model.1.weight"][0] * (unit[0] - unit[1]) ** 2).sum(0).mean()
     return total
@@ -149,20 +145,18 @@ def test_files_of_every_kind_give_the_same_metric(images, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({f"lin{k}.model.1.weight": None for k in range(5)}, r"lin0\.model\.1\.weight is not in"),
+        ({"features.6.bias": None}, r"features\.6\.bias is not in"),
         (
-            lambda s: {k: v for k, v in s.items() if k.startswith("features")},
-            r"lin0\.model\.1\.weight is not in",
+            {"features.3.weight": torch.zeros(64, 64, 3, 3)},
+            r"weight 3 .* \(64, 64, 3, 3\), expected \(192, 64, 5, 5\)",
         ),
-        (lambda s: {k: v for k, v in s.items() if k != "features.6.bias"}, r"features\.6\.bias is not in"),
-        (
-            lambda s: s | {"features.3.weight": torch.zeros(64, 64, 3, 3)},
-            r"weight 3 .* has shape \(64, 64, 3, 3\), expected \(192, 64, 5, 5\)",
-        ),
-        (lambda s: s | {"features.0.bias": torch.full((64,), np.nan)}, "not finite"),
+        ({"features.0.bias": torch.full((64,), np.nan)}, "not finite"),
     ],
 )
 def test_weights_that_are_none_of_this_network_are_named(tmp_path, change, message):
-    save_file(change(made_up_weights()), tmp_path / "w.safetensors")
+    state = {k: v for k, v in (made_up_weights() | change).items() if v is not None}
+    save_file(state, tmp_path / "w.safetensors")
     with pytest.raises(EvaluationError, match=message):
         load_lpips(tmp_path / "w.safetensors")
 

@@ -58,14 +58,6 @@ def figures(scene, motion, alpha=0.0):
     return change_figures(gaussians, Candidate("ours", motion), Candidate("ceiling", exact), capture, alpha)
 
 
-def scaled(motion, by):
-    return replace(
-        motion,
-        displacement=(by * motion.displacement).astype(np.complex64),
-        rotation=(by * motion.rotation).astype(np.complex64),
-    )
-
-
 def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene):
     found = figures(scene, scene[2], alpha=5.0)
     assert found["change_gain"] == pytest.approx(1)
@@ -73,7 +65,9 @@ def test_the_exact_motion_changes_the_picture_as_the_ceiling_does(scene):
 
 
 def test_a_motion_a_quarter_of_a_period_late_is_beside_it(scene):
-    found = figures(scene, scaled(scene[2], 1j))
+    motion = scene[2]
+    late = replace(motion, displacement=np.complex64(1j) * motion.displacement, rotation=1j * motion.rotation)
+    found = figures(scene, late)
     assert found["change_gain"] == pytest.approx(0, abs=0.15)
     assert found["change_residual"] == pytest.approx(1, abs=0.15)
 

@@ -36,9 +36,8 @@ def test_no_magnification_is_the_run_itself(trained, embeddings, method):
     series = series_of(trained, method, plan(0.0, method))
     np.testing.assert_allclose(series.embeddings.transpose(1, 2, 0), expected, atol=1e-5)
     now = series.at(2.0)
-    torch.testing.assert_close(
-        now.means, model.decode(torch.from_numpy(expected[2])).means, atol=1e-5, rtol=0
-    )
+    own = model.decode(torch.from_numpy(expected[2]))
+    torch.testing.assert_close(now.means, own.means, atol=1e-5, rtol=0)
 
 
 def test_linear_adds_alpha_times_the_band_of_each_embedding(trained, embeddings):
@@ -100,9 +99,8 @@ class TestCommands:
         options = [*bands, "--filter", "ideal", "--allow-empty-band"]  # the record holds one period
         for method, name in ((["--method", "phase"], "phase"), ([], "own")):
             out = tmp_path / name
-            assert (
-                main(["render", str(trained.path), *options, *method, "--no-video", "--out", str(out)]) == 0
-            )
+            words = [*options, *method, "--no-video", "--out", str(out)]
+            assert main(["render", str(trained.path), *words]) == 0
             assert len(list(out.rglob("*.png"))) == 2 * N_TIMESTEPS
         record = json.loads((tmp_path / "phase" / "render.json").read_text())
         assert record["bands"] == [[4, 6, 5], [9, 11, -1]]

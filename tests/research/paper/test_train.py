@@ -42,21 +42,9 @@ class TestSettings:
         ("name", "value", "message"),
         [
             ("paper.resolution", "48", "setting paper.resolution is 48, expected a power of two"),
-            (
-                "paper.iterations",
-                "60",
-                r"setting paper.iterations is 60, expected more than paper.warm_up \(60\)",
-            ),
-            (
-                "paper.learning_rate",
-                "0",
-                "setting paper.learning_rate is 0.0, expected a finite number above 0",
-            ),
-            (
-                "space.iterations",
-                "9",
-                "setting space.iterations is 9; with the preset paper it is paper.warm_up",
-            ),
+            ("paper.iterations", "60", r"paper.iterations is 60, expected more than paper.warm_up \(60\)"),
+            ("paper.learning_rate", "0", "paper.learning_rate is 0.0, expected a finite number above 0"),
+            ("space.iterations", "9", "space.iterations is 9; with the preset paper it is paper.warm_up"),
         ],
     )
     def test_one_out_of_range_leaves_no_run(self, data, tmp_path, name, value, message):
@@ -147,12 +135,12 @@ class TestRefusals:
         copy.save_part("triplane", tensors | {"decoder.means.weight": torch.zeros(3, 5)}, residual=True)
         with pytest.raises(RunError, match="its tensors do not fit together"):
             load_model(copy)
-        for wrong in (
-            {"points": torch.zeros(())},
-            {"points": torch.zeros(4, 2)},
-            {"box": torch.zeros(6).double()},
+        for name, wrong in (
+            ("points", torch.zeros(())),
+            ("points", torch.zeros(4, 2)),
+            ("box", torch.zeros(6)),
         ):
-            copy.save_part("triplane", tensors | wrong, residual=True)
+            copy.save_part("triplane", tensors | {name: wrong.to(tensors[name].dtype)}, residual=True)
             said = r"points and box have shapes .*, expected \(N, 3\) and \(2, 3\)"
             with pytest.raises(RunError, match=said):
                 load_model(copy)
@@ -180,9 +168,8 @@ def test_static_errors_cost_nothing(trained, views):
     model = load_model(trained)
     first = at_rest(model, views)
     # A picture with the model's error, an unmodelled gradient on top, and nothing that moved.
-    wrong = replace(
-        views, rgb=views.rgb * np.linspace(0.5, 1.0, views.rgb.shape[2], dtype=np.float32)[:, None]
-    )
+    gradient = np.linspace(0.5, 1.0, views.rgb.shape[2], dtype=np.float32)[:, None]
+    wrong = replace(views, rgb=views.rgb * gradient)
     compared = replace(wrong, rgb=wrong.rgb + at_rest(model, wrong).missing)
     for v in range(len(views.rgb)):
         assert float(view_loss(model.rest(), cameras_on(wrong, "cpu"), v)) > 0.02

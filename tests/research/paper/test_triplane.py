@@ -6,16 +6,8 @@ import torch
 from torch.nn.functional import grid_sample
 
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.research.paper.triplane import (
-    BASE,
-    PLANES,
-    base_below,
-    cells_of,
-    new_decoder,
-    sample,
-    sample_torch,
-    scene_box,
-)
+from tg4mm.research.paper import triplane
+from tg4mm.research.paper.triplane import BASE, PLANES, base_below, cells_of, new_decoder, sample, scene_box
 
 R, C, N = 16, 8, 60
 
@@ -29,12 +21,10 @@ def dense_sample(planes, points, box):
     """The twin: planes [3, C, R, R] by torch's grid_sample."""
     unit = torch.from_numpy((points - box[0]) / (box[1] - box[0]) * 2 - 1).to(planes)
     parts = [
-        grid_sample(planes[k : k + 1], unit[None, None][..., list(axes)], "bilinear", "border", True)[
-            0, :, 0
-        ].T
+        grid_sample(planes[k : k + 1], unit[None, None][..., list(axes)], "bilinear", "border", True)
         for k, axes in enumerate(PLANES)
     ]
-    return torch.cat(parts, 1)
+    return torch.cat([part[0, :, 0].T for part in parts], 1)
 
 
 def active(planes, dense):
@@ -49,7 +39,7 @@ def test_values_and_gradients_are_those_of_dense_planes(points):
     values = active(planes.detach(), cells.dense).float().requires_grad_()
     expected, got = dense_sample(planes, points, box), sample(values, cells)
     torch.testing.assert_close(got.double(), expected, atol=1e-5, rtol=0)
-    torch.testing.assert_close(sample_torch(values.double(), cells), expected, atol=1e-6, rtol=0)
+    torch.testing.assert_close(triplane.sample_torch(values.double(), cells), expected, atol=1e-6, rtol=0)
     v = torch.randn(N, 3 * C, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     expected.backward(v)
     got.backward(v.float())
@@ -71,10 +61,8 @@ def test_adam_on_active_cells_is_adam_on_dense_planes(points):
     dense_adam = torch.optim.Adam([planes], lr=1e-2)
     compact_adam = torch.optim.Adam([values], lr=1e-2, fused=True)
     for _ in range(50):
-        for optimiser, out in (
-            (dense_adam, dense_sample(planes, points, box)),
-            (compact_adam, sample(values, cells)),
-        ):
+        dense = dense_sample(planes, points, box)
+        for optimiser, out in ((dense_adam, dense), (compact_adam, sample(values, cells))):
             optimiser.zero_grad()
             ((out - target) ** 2).sum().backward()
             optimiser.step()

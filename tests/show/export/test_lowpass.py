@@ -8,7 +8,7 @@ import pytest
 import torch
 from pxr import Usd
 
-from tests.helpers.gltf import parsed
+from tests.helpers.splat_files import parsed
 from tests.helpers.synthetic import moving_run
 from tg4mm.capture import load_capture
 from tg4mm.cli import main

@@ -10,15 +10,8 @@ N_TIMESTEPS = 6
 
 @pytest.fixture(scope="session")
 def exact(tmp_path_factory):
-    settings = {
-        "n_views": 3,
-        "n_timesteps": N_TIMESTEPS,
-        "size": 32,
-        "freqs": (5.0,),
-        "alphas": (20,),
-        "n_test": 2,
-    }
-    return exact_run(tmp_path_factory.mktemp("exact"), **settings)
+    scene = {"n_views": 3, "n_timesteps": N_TIMESTEPS, "size": 32, "freqs": (5.0,)}
+    return exact_run(tmp_path_factory.mktemp("exact"), **scene, alphas=(20,), n_test=2)
 
 
 @pytest.fixture(scope="session")

@@ -91,10 +91,7 @@ def test_written_cameras_are_read_back(capture, tmp_path):
         ({"frames": [{"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}]}, "not rigid: its axes"),
         ({"frames": [{"transform_matrix": np.diag([-1.0, 1, 1, 1]).tolist()}]}, "determinant -1"),
         ({"frames": [{"transform_matrix": (np.eye(4) * math.nan).tolist()}]}, "holds nan"),
-        (
-            {"frames": [{"transform_matrix": (np.eye(4) + 1e300 * np.eye(4, k=3)).tolist()}]},
-            "1e\\+300 units from the origin",
-        ),
+        ({"frames": [{"transform_matrix": (np.eye(4) + 1e300 * np.eye(4, k=3)).tolist()}]}, r"1e\+300 units"),
         ({"frames": [{}]}, "transform_matrix is missing"),
         ({"camera_angle_x": 0.0}, "camera_angle_x is 0.0"),
         ({"camera_angle_x": 7}, "camera_angle_x is 7"),

@@ -6,19 +6,7 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.show.report.page_checks import read_page
 from tg4mm.capture import load_capture
-from tg4mm.core.pages.page import (
-    Commands,
-    Figure,
-    Page,
-    Section,
-    Stat,
-    Table,
-    Text,
-    drawing,
-    missing,
-    picture,
-    render_page,
-)
+from tg4mm.core.pages import page as p
 from tg4mm.core.pages.svg import colour_bar
 from tg4mm.show.maps import blending_weights, image_motion, motion_maps, uncertainty_map
 from tg4mm.show.render.cameras import capture_cameras
@@ -79,13 +67,12 @@ EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
 
 
 def page(text):
-    figure = Figure([picture(np.zeros((2, 2, 3)), text), missing(text, text)], text, controls=True)
-    chart = Figure([drawing(colour_bar(1.0, text, text))], text, width="narrow")
-    table = Table([text, text], [[text, text]], text, ["ours"])
-    blocks = [Text(text), Text(text, "note"), figure, chart, table, Commands([(text, text)])]
-    return render_page(
-        Page(text, text, text, [Stat(text, text, text, text)], [figure], [Section(text, blocks)], text)
-    )
+    figure = p.Figure([p.picture(np.zeros((2, 2, 3)), text), p.missing(text, text)], text, controls=True)
+    chart = p.Figure([p.drawing(colour_bar(1.0, text, text))], text, width="narrow")
+    table = p.Table([text, text], [[text, text]], text, ["ours"])
+    blocks = [p.Text(text), p.Text(text, "note"), figure, chart, table, p.Commands([(text, text)])]
+    stats, sections = [p.Stat(text, text, text, text)], [p.Section(text, blocks)]
+    return p.render_page(p.Page(text, text, text, stats, [figure], sections, text))
 
 
 def test_every_string_is_escaped_wherever_it_stands():

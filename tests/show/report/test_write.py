@@ -2,11 +2,11 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.helpers.runs import made_run
 from tests.helpers.synthetic import exact_run, make_synthetic_dataset, moving_run
 from tests.show.report.page_checks import check, read_page, words
 from tg4mm.capture import load_capture
@@ -35,9 +35,8 @@ def full(run, metrics, tmp_path_factory):
     orbit.mkdir()
     (orbit / "orbit.mp4").write_bytes(b"not really a film")
     write_png(orbit / "r_000.png", np.zeros((4, 4, 3)))
-    first, again = (
-        report(run, folder / name, alpha=20, orbit=orbit, metrics=metrics) for name in ("deep", "again")
-    )
+    options = {"alpha": 20, "orbit": orbit, "metrics": metrics}
+    first, again = (report(run, folder / name, **options) for name in ("deep", "again"))
     assert first == again  # the same run gives the same report
     return first
 
@@ -100,10 +99,7 @@ def test_a_capture_of_one_timestep_has_a_report(tmp_path):
 
 def test_a_run_without_vibrations_has_a_report(bare_run, tmp_path):
     found = bare_run.load_motion()
-    none = replace(
-        found, freqs_hz=found.freqs_hz[:0], displacement=found.displacement[:0], rotation=found.rotation[:0]
-    )
-    bare_run.save_motion(none, {})
+    bare_run.save_motion(found.selected(found.freqs_hz < 0), {})
     text = report(bare_run, tmp_path)
     check(text)
     assert "No vibration stands out of the noise" in words(text)
@@ -117,27 +113,19 @@ def test_a_camera_that_moves_is_shown_from_its_own_poses(tmp_path):
         transforms = json.loads(path.read_text())
         transforms["frames"][0]["transform_matrix"][0][3] += 0.05 * t
         path.write_text(json.dumps(transforms))
-    made = Run.create(tmp_path / "run", tmp_path / "d", "modal", {})
-    made.save_space(gaussians, {})
-    made.save_motion(motion, {})
+    made = made_run(tmp_path / "run", tmp_path / "d", gaussians, motion)
     text = report(made, tmp_path, alpha=10, metrics={})
     check(text)
     said = words(text)
     assert "ours is rendered from the same poses" in said
     assert "both slices are of the model" in said
     assert text.count("<video ") == 2
-    view = gather_view(
-        made,
-        load_capture(tmp_path / "d"),
-        load_model(reading_of(made), load_capture(tmp_path / "d"), AS_CAPTURED),
-        AS_CAPTURED,
-    )
+    capture = load_capture(tmp_path / "d")
+    view = gather_view(made, capture, load_model(reading_of(made), capture, AS_CAPTURED), AS_CAPTURED)
     assert len(view.ours) == len(view.input) == n
-    assert np.abs(view.ours[0].astype(int) - view.ours[-1]).mean() > 1  # the poses differ
-    moved = [np.abs(v[0].astype(int) - v[-1]).mean() for v in view.fixed]
-    assert (
-        max(moved) < np.abs(view.ours[0].astype(int) - view.ours[-1]).mean()
-    )  # from one pose only vibration is left
+    apart, *fixed = (np.abs(v[0].astype(int) - v[-1]).mean() for v in (view.ours, *view.fixed))
+    assert apart > 1  # the poses differ
+    assert max(fixed) < apart  # from one pose only vibration is left
 
 
 def test_hostile_names_stay_text(tmp_path):
@@ -155,14 +143,8 @@ def test_hostile_names_stay_text(tmp_path):
     made = Run.create(tmp_path / "run", tmp_path / "d", "modal", {})
     made.save_space(gaussians, {})
     made.save_motion(motion, {"notes": [evil]})
-    hostile = {
-        "format": "tg4mm-metrics",
-        "alphas": [],
-        "metrics": [],
-        "absent": {evil: evil},
-        "notes": [evil],
-    }
-    text = report(made, tmp_path, metrics=hostile)
+    hostile = {"alphas": [], "metrics": [], "absent": {evil: evil}, "notes": [evil]}
+    text = report(made, tmp_path, metrics={"format": "tg4mm-metrics"} | hostile)
     check(text)
     reader = read_page(text)
     assert not reader.handlers

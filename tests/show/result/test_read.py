@@ -1,6 +1,5 @@
 """A run's result: the numbers are those of its motion, in every unit, and the lines say them."""
 
-import json
 import shlex
 import shutil
 from dataclasses import replace
@@ -9,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from tests.capture.conftest import edit
 from tests.helpers.look import found
+from tests.helpers.runs import made_run
 from tests.helpers.synthetic import exact_run
 from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
@@ -58,14 +59,8 @@ def test_what_a_region_shows_is_named_in_a_scene_with_depth_too(copy, hz, size, 
     region = np.zeros((2, 2), bool)
     region[1, 0] = True
     seen = found(hz=hz)
-    line = replace(
-        seen.lines[0],
-        amplitude_px=size,
-        centre_px=(9.0, 21.0),
-        cells=region,
-        region=region,
-        box=(0, 16, 16, 32),
-    )
+    place = {"centre_px": (9.0, 21.0), "cells": region, "region": region, "box": (0, 16, 16, 32)}
+    line = replace(seen.lines[0], amplitude_px=size, **place)
     seen = replace(seen, lines=(line,), movers=(), moves_by_itself=~region & region, size=(32, 32))
     copy.record("look", to_record(seen))
     told = result_of(copy)
@@ -95,10 +90,8 @@ def test_pixels_are_how_far_a_point_lands_apart(result, run):
     for v in result.vibrations:
         (k,) = np.flatnonzero(motion.freqs_hz == v.hz)
         moved = motion.displacement[k].imag.astype(float)  # sine phase, a line
-        apart = [
-            np.linalg.norm(land(means + moved, i) - land(means - moved, i), axis=1) / 2 for i in range(3)
-        ]
-        top = max(a.max() for a in apart)
+        apart = [land(means + moved, i) - land(means - moved, i) for i in range(3)]
+        top = np.linalg.norm(apart, axis=2).max() / 2
         assert 0.75 * top < v.pixels.value <= 1.001 * top
         assert v.pixels.deviation / v.pixels.value == pytest.approx(v.amplitude.deviation / v.amplitude.value)
 
@@ -174,10 +167,8 @@ def test_what_comes_and_goes_is_a_drift(copy):
     hump = np.fft.rfft(np.exp(-(((t - 0.4) / 0.12) ** 2) / 2))[1:6] / 15
     shape = 30 * motion.displacement[:1]
     freqs = np.arange(1.0, 6.0)
-    wave = [
-        np.asarray(hump[:, None, None] * x).astype(np.complex64) for x in (shape, 0 * motion.rotation[:1])
-    ]
-    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=wave[0], rotation=wave[1]), {})
+    wave = np.asarray(hump[:, None, None] * shape).astype(np.complex64)
+    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=wave, rotation=0 * wave), {})
     assert not result_of(copy).vibrations
 
 
@@ -201,17 +192,10 @@ def test_where_the_fit_says_that_more_moves_amplitudes_are_lower_bounds(copy, sa
 def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(copy):
     motion = copy.load_motion()
     nothing = motion.displacement[:0]
-    told = {
-        "frequencies_hz": [3.4],
-        "frequency_deviation_hz": [0.002],
-        "notes": ["the motion at 3.4 Hz: …"],
-    }
+    told = {"frequencies_hz": [3.4], "frequency_deviation_hz": [0.002], "notes": ["motion at 3.4 Hz: …"]}
     copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
     text = "\n".join(lines_of(result_of(copy)))
-    assert (
-        "something changes at 3.4000 ± 0.0020 Hz, but its amplitude and direction cannot be determined"
-        in text
-    )
+    assert "something changes at 3.4000 ± 0.0020 Hz, but its amplitude and direction cannot be deter" in text
     assert "no vibration was found" not in text
 
 
@@ -248,7 +232,7 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy):
         "across_sight": torch.full((n,), 1e-5),
     }
     for folder in sorted(copy.dataset.glob("[0-9]*")):
-        only_one(folder / "transforms_train.json")
+        edit(folder / "transforms_train.json", lambda values: values.update(frames=values["frames"][:1]))
     copy.save_part(UNCERTAINTY, own)
     found = result_of(copy)
     for v in found.vibrations:
@@ -256,20 +240,12 @@ def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(copy):
     assert "towards the only camera" in "\n".join(found.cannot)
 
 
-def only_one(path):
-    values = json.loads(path.read_text())
-    values["frames"] = values["frames"][:1]
-    path.write_text(json.dumps(values))
-
-
 def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path):
     """With the preset `paper` phasors of rotation are large where nothing turns; with `modal` they are the scene's."""
     motion, alphas = run.load_motion(), {}
     turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))
     for preset in ("paper", "modal"):
-        made = Run.create(tmp_path / preset, run.dataset, preset, {})
-        made.save_space(run.load_space(), {})
-        made.save_motion(turned, {})
+        made = made_run(tmp_path / preset, run.dataset, run.load_space(), turned, preset)
         alphas[preset] = result_of(made).alpha
     assert alphas["modal"] == 1
     assert alphas["paper"] == result_of(run).alpha > 1

@@ -24,9 +24,8 @@ def test_auto_is_the_strongest_and_names_the_others(run):
     band, line = auto_band(run)
     strongest, other = result_of(run).vibrations
     assert band == strongest.band
-    assert line.startswith(
-        f"--band auto: {band[0]:g} {band[1]:g} Hz, around {strongest.hz:g} Hz, the strongest"
-    )
+    said = f"--band auto: {band[0]:g} {band[1]:g} Hz, around {strongest.hz:g} Hz, the strongest"
+    assert line.startswith(said)
     assert f"{other.hz:g} Hz" in line.split("also")[1]
 
 
@@ -45,9 +44,8 @@ def test_render_export_and_evaluate_take_auto(run, tmp_path, capsys):
 
 
 def test_a_band_without_motion_is_refused_with_those_there_are(run):
-    with pytest.raises(
-        Tg4mmError, match=r"--band 4 5: no motion was found there; there is .*3 Hz \(--band 2 4\)"
-    ):
+    said = r"--band 4 5: no motion was found there; there is .*3 Hz \(--band 2 4\)"
+    with pytest.raises(Tg4mmError, match=said):
         refuse_empty(run, plan(4, 5))
     refuse_empty(run, plan(2, 5))
     refuse_empty(run, Magnification(everywhere=10.0))
@@ -55,9 +53,8 @@ def test_a_band_without_motion_is_refused_with_those_there_are(run):
 
 def test_a_band_with_less_than_half_a_period_in_the_record_is_refused(run, capsys):
     """The record lasts a second."""
-    with pytest.raises(
-        Tg4mmError, match=r"--band 0\.1 0\.4: the record of 1 s contains less than half a period of it"
-    ):
+    said = r"--band 0\.1 0\.4: the record of 1 s contains less than half a period of it"
+    with pytest.raises(Tg4mmError, match=said):
         refuse_empty(run, plan(0.1, 0.4))
     refuse_empty(run, plan(0.5, 3.5))
     assert main(["render", str(run.path), "--alpha", "3", "--band", "0.1", "0.4", "--out", "nowhere"]) == 2
@@ -121,9 +118,8 @@ def other_motion(run, tmp_path, amplitude, hz=3.0):
     copy, motion = copied(run, tmp_path / "run"), run.load_motion()
     displacement = np.zeros_like(motion.displacement[:1])
     displacement[..., 0] = amplitude
-    copy.save_motion(
-        replace(motion, freqs_hz=np.array([hz]), displacement=displacement, rotation=0 * displacement), {}
-    )
+    fields = {"displacement": displacement, "rotation": 0 * displacement}
+    copy.save_motion(replace(motion, freqs_hz=np.array([hz]), **fields), {})
     return copy
 
 

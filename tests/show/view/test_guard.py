@@ -21,13 +21,7 @@ from websockets.sync.client import connect
 from tests.show.view.browser import browser
 from tg4mm.core.magnification import Magnification
 from tg4mm.show.view.app import App
-from tg4mm.show.view.local_server import (
-    LARGEST_MESSAGE,
-    address,
-    browsed,
-    start_server,
-    stop_server,
-)
+from tg4mm.show.view.local_server import LARGEST_MESSAGE, address, browsed, start_server, stop_server
 from tg4mm.show.view.session import Clock, Look, Session
 
 CAMERA = {
@@ -168,10 +162,8 @@ def pictured(connection, seconds=30.0):
     while time.monotonic() < end:
         raw = connection.recv(timeout=seconds)
         told = zstandard.ZstdDecompressor().decompress(raw[16 : 16 + int.from_bytes(raw[8:16], "little")])
-        if any(
-            message["type"] == "BackgroundImageMessage"
-            for message in msgspec.msgpack.decode(told)["messages"]
-        ):
+        messages = msgspec.msgpack.decode(told)["messages"]
+        if any(message["type"] == "BackgroundImageMessage" for message in messages):
             return len(raw)
     raise AssertionError("no picture came")
 

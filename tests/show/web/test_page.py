@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.synthetic import make_synthetic_dataset
+from tests.capture.conftest import edit
+from tests.helpers.runs import made_run
+from tests.helpers.synthetic import moving_run as moving_run_of
 from tg4mm.cli import main
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.run import Run
 from tg4mm.show.web.pack import SH_STEP, MotionFields, motion_fields, pack, packed_within, unpack
 from tg4mm.show.web.write import export_html, make_page, render
 
@@ -51,9 +52,8 @@ def test_motion_and_light_come_back(moving_run, packed):
 
 def test_more_fields_than_a_page_holds_are_refused(moving_run):
     gaussians = moving_run.load_space()
-    fields = MotionFields(
-        np.zeros((97, len(gaussians), 6), np.float32), np.ones((97, 2)), np.ones((60, 97), complex)
-    )
+    shapes = np.zeros((97, len(gaussians), 6), np.float32)
+    fields = MotionFields(shapes, np.ones((97, 2)), np.ones((60, 97), complex))
     with pytest.raises(RunError, match="has 97 independent fields; a page holds up to 96"):
         pack(gaussians, fields)
 
@@ -132,23 +132,17 @@ def test_words_of_the_dataset_cannot_become_markup(moving_run):
 
 
 def test_an_offset_of_0_hz_is_not_magnified(moving_run, tmp_path):
-    run = Run.create(tmp_path / "run", moving_run.dataset, "modal", {})
-    motion = moving_run.load_motion()
-    run.save_space(moving_run.load_space(), {})
-    run.save_motion(replace(motion, freqs_hz=np.array([0.0, 6.0])), {})
+    motion = replace(moving_run.load_motion(), freqs_hz=np.array([0.0, 6.0]))
+    run = made_run(tmp_path / "run", moving_run.dataset, moving_run.load_space(), motion)
     assert make_page(run).scene["motion"]["magnified"] == [False, True]
 
 
 def test_the_page_opens_with_a_camera_that_stays_put(tmp_path):
     """A picture of a sweep, from close by, would show more motion, but nothing was recorded from there."""
-    gaussians, motion = make_synthetic_dataset(tmp_path / "data", n_views=3, n_timesteps=6, size=16, n_test=0)
+    run = moving_run_of(tmp_path, n_views=3, n_timesteps=6, size=16)
     for t in range(1, 6):
-        file = tmp_path / "data" / f"{t:03d}" / "transforms_train.json"
-        values = json.loads(file.read_text())
-        file.write_text(json.dumps(values | {"frames": values["frames"][:1]}))
-    run = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
-    run.save_space(gaussians, {})
-    run.save_motion(motion, {})
+        file = run.dataset / f"{t:03d}" / "transforms_train.json"
+        edit(file, lambda values: values.update(frames=values["frames"][:1]))
     assert make_page(run).scene["camera"]["name"] == "r_000"
 
 
@@ -167,19 +161,14 @@ def stale(player):
     """Files that are not those of which the bundle says that it was made, and the bundle if it is another."""
     made = json.loads((player / "dist" / "sources.json").read_text())
     there = {f"src/{path.name}" for path in (player / "src").iterdir()}
-    changed = {
-        name
-        for name, digest in made.items()
-        if hashlib.sha256((player / name).read_bytes()).hexdigest() != digest
-    }
+    digests = {name: hashlib.sha256((player / name).read_bytes()).hexdigest() for name in made}
+    changed = {name for name, digest in made.items() if digests[name] != digest}
     return sorted(changed | (there ^ {name for name in made if name.startswith("src/")}))
 
 
 def test_the_program_is_built_from_its_sources(repo_root):
     found = stale(repo_root / "tg4mm" / "show" / "web" / "player")
-    assert not found, (
-        f"changed since the last build: {found}; cd tg4mm/show/web/player && npm ci && npm run build"
-    )
+    assert not found, "changed since the last build: make player"
 
 
 def test_a_page_within_a_size_loses_what_is_not_seen_then_colours_then_what_counts_least(moving_run):

@@ -8,7 +8,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from tests.core.splatfile.formats.conftest import angles, turned
-from tests.helpers.gltf import parsed
+from tests.helpers.splat_files import parsed
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
 from tg4mm.core.splatfile.formula import y_up
@@ -129,10 +129,8 @@ def test_a_motion_far_below_the_usual_grid_survives(splat, tmp_path, size):
 
 
 def test_what_is_out_of_range_is_the_nearest_there_is(splat, tmp_path):
-    write_spz(
-        tmp_path / "a.spz",
-        replace(splat, scales=np.full_like(splat.scales, 1e-9), sh=np.full_like(splat.sh[:, :1], 9.0)),
-    )
+    tiny, bright = np.full_like(splat.scales, 1e-9), np.full_like(splat.sh[:, :1], 9.0)
+    write_spz(tmp_path / "a.spz", replace(splat, scales=tiny, sh=bright))
     read = gsply.read_spz(str(tmp_path / "a.spz"))
     np.testing.assert_array_equal(read.scales, -10)
     np.testing.assert_allclose(read.sh0, 0.5 / 0.15, rtol=1e-6)

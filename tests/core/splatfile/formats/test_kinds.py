@@ -1,17 +1,22 @@
 """Every kind of splat file that people have is read, and what cannot be read is refused in one line."""
 
 import contextlib
+import gzip
 import json
+import re
 import struct
 import subprocess
+import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
-from tests.core.splatfile.conftest import random_splat
+from tests.core.splatfile.conftest import assert_same, random_splat
 from tests.core.splatfile.formats.conftest import NODE
 from tests.helpers.splat_files import (
     EXACT,
@@ -29,7 +34,7 @@ from tests.helpers.splat_files import (
     write_as,
 )
 from tg4mm.core.errors import SplatFileError
-from tg4mm.core.splatfile import SplatFile, read_head, read_splat
+from tg4mm.core.splatfile import SplatFile, read_head, read_splat, write_splat
 from tg4mm.core.splatfile.formula import transformed
 from tg4mm.core.splatfile.model import Head
 
@@ -53,11 +58,8 @@ def splat_transform(tmp_path_factory):
         pytest.skip("needs node and npm's packages: make readers")
 
     def run(source, target, *options):
-        done = subprocess.run(
-            ["node", program, "-q", "-w", "-g", "cpu", *options, source, target],
-            capture_output=True,
-            text=True,
-        )
+        words = ["node", program, "-q", "-w", "-g", "cpu", *options, source, target]
+        done = subprocess.run(words, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
 
     return run
@@ -100,12 +102,8 @@ def test_what_splat_transform_reads_is_what_we_read(kind, splat_transform, tmp_p
         other = transformed(other, np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
     k = min(read.sh.shape[1], other.sh.shape[1])
     assert k == (1 if kind == ".splat" else 16)
-    assert_alike(
-        replace(read, sh=read.sh[:, :k]), replace(other, sh=other.sh[:, :k]), (1e-5, 0.02, 1e-3, 1e-3, 1e-3)
-    )
-
-
-# Damage.
+    read, other = (replace(one, sh=one.sh[:, :k]) for one in (read, other))
+    assert_alike(read, other, (1e-5, 0.02, 1e-3, 1e-3, 1e-3))
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +150,6 @@ def count_changed(kind, path, count):
     elif kind == "SPZ 4":
         data = data[:8] + struct.pack("<I", count) + data[12:]
     elif kind.startswith("SPZ"):
-        import gzip
-
         content = gzip.decompress(data)
         data = gzip.compress(content[:8] + struct.pack("<I", count) + content[12:])
     elif kind.startswith("SOG"):
@@ -165,9 +161,7 @@ def count_changed(kind, path, count):
         sog_zip(path, meta, pictures)
         return
     else:
-        data = data.replace(b'"count":5', f'"count":{count}'.encode()).replace(
-            b'"count": 5', f'"count": {count}'.encode()
-        )
+        data = re.sub(rb'"count":( ?)5', rf'"count":\g<1>{count}'.encode(), data)
         if kind == "glTF, .glb":  # its JSON may have grown
             size = struct.unpack_from("<I", path.read_bytes(), 12)[0] + len(data) - len(path.read_bytes())
             text = data[20 : 20 + size]
@@ -178,8 +172,6 @@ def count_changed(kind, path, count):
 @pytest.mark.parametrize("count", [6, 300, 70_000, 4_000_000_000])
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != ".splat"])
 def test_a_count_that_is_too_large_is_refused_without_giving_memory_for_it(kind, count, tmp_path):
-    import tracemalloc
-
     path = write_as(kind, tmp_path, still(n=5, k=4))
     count_changed(kind, path, count)
     tracemalloc.start()
@@ -187,9 +179,6 @@ def test_a_count_that_is_too_large_is_refused_without_giving_memory_for_it(kind,
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6
-
-
-# Oddities.
 
 
 @pytest.mark.parametrize("kind", ["PLY", "big-endian PLY", "ASCII PLY"])
@@ -214,18 +203,16 @@ def test_legal_infinities_are_read_and_the_others_left_out_with_their_count(kind
     assert "2 of 12 Gaussians have an infinite logit: read as opacity 0 or 1" in told
     assert "4 of 12 Gaussians are left out, for a position that is no finite number (1), " in told
     for why in (
-        "a scale that is no finite number (1)",
-        "a colour that is no finite number (1)",
-        "a rotation of zero (1)",
+        "a scale that is no finite number",
+        "a colour that is no finite number",
+        "a rotation of zero",
     ):
-        assert why in told
+        assert f"{why} (1)" in told
 
 
 def test_motion_that_is_no_number_takes_its_gaussian_along(tmp_path):
     splat = random_splat(n=6, m=2, deviation=True)
     splat.displacement[1, 4, 2] = np.nan + 1j
-    from tg4mm.core.splatfile.ply import write_splat
-
     with pytest.raises(SplatFileError):  # our own writer writes no such thing
         write_splat(tmp_path / "a.ply", splat)
     good = random_splat(n=6, m=2, deviation=True)
@@ -283,10 +270,7 @@ def test_names_as_cloudcompare_writes_them(tmp_path):
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        (
-            lambda c: {n: v for n, v in c.items() if n in "xyz"},
-            "is a point cloud, without opacity, scale and rotation",
-        ),
+        (lambda c: {n: c[n] for n in "xyz"}, "is a point cloud, without opacity, scale and rotation"),
         (lambda c: {n: v for n, v in c.items() if n != "rot_3"}, "property rot_3 is missing, 1 in all"),
         (lambda c: c | {"f_rest_9": c["x"]}, "has 10 f_rest properties"),
         (lambda c: c | {"opacity": np.zeros(5, np.uint8)}, "property opacity is a whole number type"),
@@ -312,7 +296,7 @@ def test_strange_columns(change, part, tmp_path):
         ("a.gltf", b'{"asset": {"version": "2.0"}}', "is glTF without Gaussian splats"),
         (
             "a.ply",
-            b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\nx\n",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
             "is missing",
         ),
     ],
@@ -323,8 +307,6 @@ def test_files_of_other_kinds_are_named(name, data, part, tmp_path):
 
 
 def test_a_picture_with_loss_and_a_name_that_leads_away_are_refused(tmp_path):
-    from PIL import Image
-
     meta, pictures = sog_parts(still(n=5, k=1))
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "x.webp", lossless=False)
     sog_zip(tmp_path / "a.sog", meta, pictures | {"quats.webp": (tmp_path / "x.webp").read_bytes()})
@@ -350,8 +332,6 @@ def test_axes_that_an_extension_of_spz_names_are_honoured(tmp_path):
 
 
 def test_zstd_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
-    import sys
-
     monkeypatch.setitem(sys.modules, "zstandard", None)
     path = write_as("SPZ 3", tmp_path, still(n=3))
     assert len(read_splat(path)) == 3
@@ -363,20 +343,14 @@ def test_zstd_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
 
 
 def test_a_file_that_lost_its_frequencies_opens_still_or_with_those_that_are_said(tmp_path):
-    import re
-
-    from tests.core.splatfile.conftest import assert_same
-    from tg4mm.core.splatfile import write_splat
-
     splat = random_splat(m=2, unit_scale_m=None)
     path = tmp_path / "a.ply"
     write_splat(path, splat)
     path.write_bytes(re.sub(rb"comment tg4mm .*\n", b"", path.read_bytes()))
     still_read, head = read_splat(path), read_head(path)
     assert (still_read.n_modes, head.n_modes, head.n_lost) == (0, 0, 2)
-    assert still_read.notes[0].startswith(
-        "opened still: it has 24 properties of modes but no 'comment tg4mm' line"
-    )
+    said = "opened still: it has 24 properties of modes but no 'comment tg4mm' line"
+    assert still_read.notes[0].startswith(said)
     said = read_splat(path, freqs_hz=splat.freqs_hz, fps=30.0)
     kept = {"notes": (), "n_timesteps": splat.n_timesteps, "time_origin_s": splat.time_origin_s}
     assert_same(replace(said, **kept), splat)
