@@ -204,11 +204,11 @@ def tables(figures: Mapping[str, Any]) -> dict[str, str]:
         "ssim": _markdown(["SSIM, mean", *(f"α = {a}" for a in next(iter(ssim.values())))], scores),
         "short": "\n".join(
             [
-                "| eight generated scenes, 128×128, 30 cameras, 0.2 pixels of motion "
-                "| mean, ± 95 % over scenes | best | worst |",
+                "| eight generated scenes, 128×128, 30 cameras, motion of about 0.2 pixels "
+                "| mean ± 95 % confidence interval | best | worst |",
                 "|---|---:|---:|---:|",
                 f"| displacement error, rms, relative to the true motion | {' | '.join(cells)} |",
-                f"| SSIM lost against the exact motion, α = {' / '.join(_LOST_AT)} | {' / '.join(lost)} | | |",
+                f"| SSIM below that of the same Gaussians moved exactly, α = {' / '.join(_LOST_AT)} | {' / '.join(lost)} | | |",
             ]
         ),
     }
