@@ -22,14 +22,13 @@ from scipy.spatial import cKDTree
 
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
-from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.gaussians import Gaussians, rotation_matrices
 from tg4mm.fit.motion.animate import displacement_at, rotation_at
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.prior import Graph, build_graph
-from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.research.evaluate.displacement import (
     STATIC_BELOW,
     displacement_figures,

@@ -38,7 +38,7 @@ class Kernels:
         width, height = size
         camera = projection.pack_camera(viewmat, K, NEAR, FAR, EPS2D)
         splats = projection.empty_splats(len(arrays[0]))
-        project = (*arrays, 3, False, camera, width, height, splats)
+        project = (*arrays, 3, camera, width, height, splats)
         projection.project_forward(*project)
         buffers = Buffers()
         bins = binning.bin_splats(splats, width, height)
@@ -56,8 +56,8 @@ class Kernels:
         pictures = (image, transmittance, v_image, v_transmittance, pair_sums)
         slots = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot)
         gather = (*slots, pair_sums, v_splats)
-        back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats, True)
-        gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
+        back = (*arrays[:3], arrays[4], 3, camera, width, height, splats, v_splats, True)
+        gradients = tuple(np.zeros_like(a) for a in arrays)
         self.n_gaussians, self.n_pairs = len(arrays[0]), len(bins.pair_gaussian)
         self.reached = reached = bins.reached  # written by `blend`
         self.calls: dict[str, Callable[[], object]] = {

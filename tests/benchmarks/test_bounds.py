@@ -6,9 +6,9 @@ import pytest
 from benchmarks.bounds import Subject, _noise, basis_fields, bound_of
 from tests.fit.motion.scenes import gaussians_of, view_of
 from tests.fit.rasterize.oracle import make_scene
+from tg4mm.fit.gaussians import rotation_matrices
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.prior import build_graph
-from tg4mm.fit.rasterize.reference import rotation_matrices
 
 N, CAMERAS, POINTS = 150, 6, 5
 

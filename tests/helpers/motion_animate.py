@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 
@@ -23,3 +24,8 @@ def motion(freqs: np.ndarray = FREQS, size: float = 0.1, seed: int = 1) -> Modal
     real, imaginary = size * rng.normal(size=(2, 2, len(freqs), N, 3))
     displacement, rotation = (real + 1j * imaginary).astype(np.complex64)
     return ModalMotion(freqs, displacement, rotation, FPS, 30)
+
+
+def alphas(motion, alpha, band=None):
+    """[K]: α of each mode, magnified in one band, or everywhere."""
+    return Magnification.of(alpha, *([] if band is None else [band])).ideal(motion.freqs_hz)

@@ -2,7 +2,7 @@
 
 import torch
 
-from tg4mm.fit.rasterize.reference import sh_colours
+from tests.helpers.dense import sh_colours
 
 _FAR = 1000.0
 

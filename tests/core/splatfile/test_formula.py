@@ -10,10 +10,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.core.splatfile.conftest import random_splat
+from tests.helpers.dense import sh_colours
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import positions_at, rotations_at
 from tg4mm.core.splatfile.formula import TURN, harmonics_turn, transformed
-from tg4mm.fit.rasterize.reference import rotation_matrices, sh_colours
+from tg4mm.fit.gaussians import rotation_matrices
 
 times = st.floats(-100, 100)
 alphas = st.floats(-2, 100)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tests.helpers.motion_animate import FPS, N, gaussians, motion
+from tests.helpers.motion_animate import FPS, N, alphas, gaussians, motion
 from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate, animator, fields_on, rotated
@@ -54,7 +54,7 @@ class TestMoved:
         g, m = gaussians(), motion()
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, FPS, 30)
-        found = animate(g, m, t, 4.0, band)
+        found = animate(g, m, t, alphas(m, 4.0, band))
         np.testing.assert_allclose(found.means, positions_at(splat, t, 4.0, band), atol=3e-6)
         quats = torch.nn.functional.normalize(found.quats, dim=1).numpy()
         np.testing.assert_allclose(quats, rotations_at(splat, t, 4.0, band), atol=3e-6)
@@ -73,8 +73,9 @@ class TestMoved:
             return phasors @ turn.as_matrix().T
 
         g, m = gaussians(torch.float64), motion()
+        alpha = alphas(m, 20.0, (4, 6))
         other = replace(m, displacement=turned(m.displacement), rotation=turned(m.rotation))
-        one, two = placed(animate(g, m, 7, 20.0, (4, 6))), animate(placed(g), other, 7, 20.0, (4, 6))
+        one, two = placed(animate(g, m, 7, alpha)), animate(placed(g), other, 7, alpha)
         np.testing.assert_allclose(one.means, two.means, atol=1e-5)
         same = Rotation.from_quat(one.quats.numpy()[:, [1, 2, 3, 0]])
         assert (same * Rotation.from_quat(two.quats.numpy()[:, [1, 2, 3, 0]]).inv()).magnitude().max() < 1e-5
@@ -105,8 +106,9 @@ def moved():
 def test_poses_are_those_of_animate(moved, alpha, band):
     gaussians, motion = moved
     pose = animator(gaussians, motion, packed=True)
+    own = alphas(motion, alpha, band)
     for t in (0.0, 7.3):
-        exact, packed = animate(gaussians, motion, t, alpha, band), pose(t, alpha, band)
+        exact, packed = animate(gaussians, motion, t, own), pose(t, own)
         size = float((exact.means - gaussians.means).abs().max()) + 1e-3
         assert float((packed.means - exact.means).abs().max()) < 1e-4 * size
         assert float((packed.quats - exact.quats).abs().max()) < 1e-4

@@ -13,8 +13,10 @@ import torch
 
 from tests.fit.motion.scenes import SCENES, camera_of, gaussians_of
 from tests.fit.rasterize.oracle import assert_close
+from tests.helpers import dense as reference
 from tests.helpers import synthetic
-from tests.helpers.motion_animate import FREQS, N, gaussians, motion
+from tests.helpers.dense import rasterize_dense
+from tests.helpers.motion_animate import FREQS, N, alphas, gaussians, motion
 from tests.helpers.runs import copied
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
@@ -37,9 +39,7 @@ from tg4mm.fit.motion.observations import fixed_cameras
 from tg4mm.fit.motion.prior import build_graph
 from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
-from tg4mm.fit.rasterize import reference
 from tg4mm.fit.rasterize.buffers import Buffers
-from tg4mm.fit.rasterize.reference import rasterize_dense
 from tg4mm.run import Run
 from tg4mm.run.preset import poses_of
 from tg4mm.run.stages import train_motion
@@ -189,7 +189,7 @@ def test_noise_alone_has_none(lab):
 
 def change_at(m, t, alpha, band=None):
     g = gaussians()
-    return (animate(g, m, t, alpha, band).sh - g.sh).numpy()
+    return (animate(g, m, t, alphas(m, alpha, band)).sh - g.sh).numpy()
 
 
 def by_hand(own, t, factors):

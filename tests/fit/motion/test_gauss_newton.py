@@ -15,9 +15,10 @@ from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import exact_run, make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.truth_file import load_truth
-from tg4mm.fit.motion import MotionConfig, gauss_newton
+from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.animate import animate
-from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton
+from tg4mm.fit.motion.large import gauss_newton
+from tg4mm.fit.motion.large.gauss_newton import ABOVE_PX, GaussNewton
 from tg4mm.fit.motion.refine import refine_rest_scene
 from tg4mm.fit.space import SpaceConfig, rest_views
 from tg4mm.research.evaluate.displacement import displacement_figures, exact_motion

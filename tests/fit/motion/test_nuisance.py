@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.fit.motion.filmed import FPS, K_of, at_hz, elsewhere, fitted, length
 from tests.fit.motion.scenes import SCENES, Camera, camera_of, view_of
+from tests.helpers import dense as reference
+from tests.helpers.dense import rasterize_dense
 from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
@@ -26,8 +28,6 @@ from tg4mm.fit.motion.nuisance.projection import (
     without,
 )
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.rasterize import reference
-from tg4mm.fit.rasterize.reference import rasterize_dense
 
 SHAKE_SIZE, SHAKE_T = (96, 128), 20
 STEADY = np.zeros((SHAKE_T, 2))

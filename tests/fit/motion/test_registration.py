@@ -14,8 +14,9 @@ from tg4mm.capture.pictures import over_white
 from tg4mm.core.choices import Kind
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.large.registration import camera_rotations, homographies
+from tg4mm.fit.motion.large.resampling import RegisteredPictures
 from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
-from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5

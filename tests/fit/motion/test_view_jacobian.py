@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from tests.fit.motion.scenes import COLUMNS, SCENES, motion_of, view_of
 from tests.fit.rasterize.oracle import assert_close
+from tests.helpers import dense as reference
+from tests.helpers.dense import rasterize_dense
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.fit.motion.jacobian import view as module
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, pixels_moved, view_jacobian
 from tg4mm.fit.motion.observations import fixed_cameras
-from tg4mm.fit.rasterize import reference
-from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
 def over_white(scene, motion):

@@ -10,9 +10,9 @@ from benchmarks.calibration.film import Coding, Film, Layer, sliding, texture, w
 from tg4mm.capture import ImageStack, load_capture
 from tg4mm.capture.pictures import over_white
 from tg4mm.capture.sfm.reconstruct import reconstruct
-from tg4mm.fit.motion import whole_pixels
 from tg4mm.fit.motion.animate import displacement_at
-from tg4mm.fit.motion.nuisance.registration import put_back
+from tg4mm.fit.motion.large import whole_pixels
+from tg4mm.fit.motion.large.resampling import put_back
 from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.run.train import train
 

@@ -15,15 +15,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from tests.helpers.dense import project, rasterize_dense
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
-from tg4mm.fit.rasterize.reference import project, rasterize_dense
 
 TOLERANCE = 1e-4
-# Depth over alpha does not depend on the alpha of a lone Gaussian. Where alpha is 1/255 that zero is the
-# difference of two terms 255 times as large as the depth, and their rounding is what remains.
-EXPECTED_DEPTH_TOLERANCE = 1e-3
-NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats")
+NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class Scene:
 
     def tensors(self, dtype=torch.float64, device="cpu"):
         """Fresh leaves of everything that gets a gradient, in the order of NAMES."""
-        source = (self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmats)
+        source = (self.means, self.quats, self.scales, self.opacities, self.colors)
         return [a.detach().clone().to(device, dtype).requires_grad_() for a in source]
 
 
@@ -101,32 +98,22 @@ def with_channels(scene, channels, seed=0):
 
 def render(tensors, scene, sh_degree=None, **options):
     """`rasterization` of tensors in the order of NAMES, from the scene's cameras."""
-    means, quats, scales, opacities, colors, viewmats = tensors
-    return rasterization(
-        means, quats, scales, opacities, colors, viewmats, scene.Ks.to(means), scene.width, scene.height,
-        sh_degree=sh_degree, **options,
-    )  # fmt: skip
+    cameras = scene.viewmats.to(tensors[0]), scene.Ks.to(tensors[0])
+    return rasterization(*tensors, *cameras, scene.width, scene.height, sh_degree=sh_degree, **options)
 
 
-def twin(tensors, scene, sh_degree, backgrounds, mode):
-    """`rasterization` by the dense twin: renders [C, H, W, X] and alphas [C, H, W, 1]."""
-    means, quats, scales, opacities, colors, viewmats = tensors
+def twin(tensors, scene, sh_degree, backgrounds):
+    """`rasterization` by the dense twin: renders [C, H, W, D] and alphas [C, H, W, 1]."""
+    means, quats, scales, opacities, colors = tensors
     features = colors if sh_degree is None else colors[:, : (sh_degree + 1) ** 2]
     renders, alphas = [], []
-    for c in range(len(viewmats)):
+    for c, viewmat in enumerate(scene.viewmats.to(means)):
         image, alpha = rasterize_dense(
-            means, quats, scales, opacities, features, viewmats[c], scene.Ks[c].to(means), scene.width,
-            scene.height, with_depth=True, use_sh=sh_degree is not None,
+            means, quats, scales, opacities, features, viewmat, scene.Ks[c].to(means), scene.width,
+            scene.height, use_sh=sh_degree is not None,
         )  # fmt: skip
-        alpha = alpha[..., None]
-        colour, depth = image[..., :-1], image[..., -1:]
-        if backgrounds is not None:
-            colour = colour + (1 - alpha) * backgrounds[c]
-        if "ED" in mode:
-            depth = depth / alpha.clamp_min(1e-10)
-        parts = ([colour] if "RGB" in mode else []) + ([depth] if mode != "RGB" else [])
-        renders.append(torch.cat(parts, -1))
-        alphas.append(alpha)
+        alphas.append(alpha[..., None])
+        renders.append(image if backgrounds is None else image + (1 - alphas[-1]) * backgrounds[c])
     return torch.stack(renders), torch.stack(alphas)
 
 
@@ -198,20 +185,17 @@ def check(
     scene,
     sh_degree=3,
     backgrounds=None,  # [C, D] float64
-    mode="RGB",
-    tolerance=None,
+    tolerance=TOLERANCE,
     margin=1e-4,
     device="cpu",
 ):
     """Compare `rasterization` with the twin: images, alphas and the gradients of a random loss on both."""
-    if tolerance is None:
-        tolerance = EXPECTED_DEPTH_TOLERANCE if "ED" in mode else TOLERANCE
     exact, ours = scene.tensors(), scene.tensors(torch.float32, device)
     fill = fill32 = None
     if backgrounds is not None:
         fill, fill32 = backgrounds.clone().requires_grad_(), backgrounds.to(device).float().requires_grad_()
-    e_image, e_alpha = twin(exact, scene, sh_degree, fill, mode)
-    a_image, a_alpha, _ = render(ours, scene, sh_degree, backgrounds=fill32, render_mode=mode)
+    e_image, e_alpha = twin(exact, scene, sh_degree, fill)
+    a_image, a_alpha, _ = render(ours, scene, sh_degree, backgrounds=fill32)
     safe = torch.stack([thresholds(scene, c, margin).safe for c in range(len(scene.viewmats))])[..., None]
     assert safe.double().mean() >= 0.95 or safe.numel() < 100, "too many pixels at a threshold: another seed"
     assert_close("image", a_image.cpu() * safe, e_image * safe, tolerance)

@@ -13,9 +13,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.fit.rasterize.oracle import random_rotations, uniform
+from tests.helpers.dense import composite, project, sh_colours
+from tg4mm.fit.gaussians import rotation_matrices
 from tg4mm.fit.rasterize import rasterization
 from tg4mm.fit.rasterize.kernels.layout import T_MIN
-from tg4mm.fit.rasterize.reference import composite, project, rotation_matrices, sh_colours
 
 OPTIONS: dict[str, Any] = {
     "near_plane": 0.1,
@@ -23,7 +24,6 @@ OPTIONS: dict[str, Any] = {
     "eps2d": 0.2,
     "sh_degree": 1,
     "backgrounds": torch.rand(2, 3),
-    "render_mode": "RGB+ED",
 }
 
 
@@ -66,7 +66,6 @@ def test_a_wrong_shape_is_named_with_the_right_one(name, shape, expected):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"render_mode": "RGBD"}, r"render_mode is 'RGBD', expected one of RGB, D, ED, RGB\+D, RGB\+ED"),
         ({"sh_degree": 4, "colors": torch.ones(5, 25, 3)}, "sh_degree is 4, expected 0 to 3"),
         ({"sh_degree": 2, "colors": torch.ones(5, 4, 3)}, "colors has 4 SH coefficients, degree 2 needs 9"),
         ({"width": 0}, "image size is 0×6, expected at least 1×1"),

@@ -79,7 +79,7 @@ def _keep_thread_count():
 def everything(scene):
     """Image, alpha, and the gradient by every input."""
     tensors = scene.tensors(torch.float32)
-    image, alpha, _ = render(tensors, scene, 3, render_mode="RGB+D")
+    image, alpha, _ = render(tensors, scene, 3)
     weight = torch.randn(image.shape, generator=torch.Generator().manual_seed(1))
     ((image * weight).sum() + alpha.square().sum()).backward()
     return [image.detach(), alpha.detach()] + [t.grad for t in tensors if t.grad is not None]

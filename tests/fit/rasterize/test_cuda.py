@@ -89,9 +89,7 @@ def test_pictures_and_gradients_on_cuda_are_the_twins(seed, degree):
 
 
 @needs_cuda
-@pytest.mark.parametrize("mode", ["RGB", "D", "ED", "RGB+D", "RGB+ED"])
-def test_render_modes_and_backgrounds_on_cuda_are_the_twins(mode):
+def test_channels_and_backgrounds_on_cuda_are_the_twins():
     fill = uniform(torch.Generator().manual_seed(1), 2, 5)
     scene = with_channels(make_scene(0, cameras=2), 5)
-    backgrounds = fill if "RGB" in mode else None
-    check(scene, None, backgrounds, mode, tolerance=2e-3, margin=1e-3, device="cuda")
+    check(scene, None, fill, tolerance=2e-3, margin=1e-3, device="cuda")

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from tests.fit.rasterize.oracle import assert_close, make_scene, thresholds
+from tests.helpers.dense import rasterize_dense
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.rasterize.reference import rasterize_dense
 from tg4mm.fit.space.view import render_view
 
 SCENE = make_scene(0)

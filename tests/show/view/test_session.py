@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 
+from tests.helpers.motion_animate import alphas
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.core.colour import amount_colours
 from tg4mm.core.magnification import Magnification
@@ -33,7 +34,7 @@ def painter(scene):
 @pytest.mark.parametrize(("alpha", "band"), [(0.0, None), (20.0, None), (20.0, (4.0, 6.0))])
 def test_the_picture_is_the_one_that_render_writes(scene, painter, alpha, band):
     camera, t = scene.cameras[1], 3.5
-    gaussians = animate(scene.gaussians, scene.motion, t, alpha, band)
+    gaussians = animate(scene.gaussians, scene.motion, t, alphas(scene.motion, alpha, band))
     wanted = to_bytes(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))
     shown = painter.paint(
         Look(Magnification.of(alpha, *([band] if band else []))), t / scene.motion.fps, camera

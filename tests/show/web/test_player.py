@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.helpers.motion_animate import alphas
 from tg4mm.capture import load_capture
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.modes import ModalMotion
@@ -61,7 +62,8 @@ def picture(page, camera, **state):
 
 
 def ours(run, camera, time, alpha, band=None):
-    moved = animate(run.load_space(), run.load_motion(), time, alpha, band)
+    motion = run.load_motion()
+    moved = animate(run.load_space(), motion, time, alphas(motion, alpha, band))
     return render_image(moved, camera.viewmat, camera.K, camera.width, camera.height)
 
 

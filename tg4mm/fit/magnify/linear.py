@@ -34,7 +34,7 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
     phasors = phasors * factors.astype(np.complex64)[:, None, None]
     appearance = motion.appearance
     if appearance is not None:
-        values = np.stack([appearance.coefficients(mode_gains(motion, t, 0.0, None)) for t in steps])
+        values = np.stack([appearance.coefficients(mode_gains(motion, t, 0.0)) for t in steps])
         series = series_modes(values, motion.fps)[1].astype(np.complex128)
         appearance = replace(appearance, series=series * factors[:, None])
     return replace(

@@ -11,39 +11,30 @@ from torch import Tensor
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion, apply_appearance, fields_of
 
-_LOOKING = 1e-5  # of the strongest field: what is left out of motion that is looked at
-Alpha = float | np.ndarray  # one for all modes, or [K]: one each
+_DISPLAYED = 1e-5  # of the strongest field: weaker ones are left out of motion for display
+Alpha = float | np.ndarray  # one for all modes, or [K]: one each, as `Magnification.ideal` gives them
 
 
-def mode_gains(motion: ModalMotion, t: float, alpha: Alpha, band: tuple[float, float] | None) -> np.ndarray:
-    """[K] complex factors (1 + α g_k) exp(i 2π f_k t / fps); g_k = 1 for f_k in `band` (ends included), else 0.
+def mode_gains(motion: ModalMotion, t: float, alpha: Alpha) -> np.ndarray:
+    """[K] complex factors (1 + α_k) exp(i 2π f_k t / fps).
 
-    band None takes every mode in; with an α for each mode ([K]) that is how several bands are magnified at once.
-    Gains of the motion's own stand for the exponentials, and modes that are not magnified have g_k = 0.
+    Time courses of the motion replace the exponentials where it has them; modes that are never magnified have α_k = 0.
     """
-    freqs = motion.freqs_hz
-    inside = motion.is_magnified()
-    if band is not None:
-        inside = inside & (freqs >= band[0]) & (freqs <= band[1])
-    return np.asarray((1 + alpha * inside) * motion.gains_at(t))
+    return np.asarray((1 + alpha * motion.is_magnified()) * motion.gains_at(t))
 
 
 def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
     return np.einsum("knc,k->nc", phasors.real, gains.real) - np.einsum("knc,k->nc", phasors.imag, gains.imag)
 
 
-def displacement_at(
-    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
-) -> np.ndarray:
+def displacement_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
     """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
-    return _sum(motion.displacement, mode_gains(motion, t, alpha, band))
+    return _sum(motion.displacement, mode_gains(motion, t, alpha))
 
 
-def rotation_at(
-    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
-) -> np.ndarray:
+def rotation_at(motion: ModalMotion, t: float, alpha: Alpha = 0.0) -> np.ndarray:
     """[N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
-    return _sum(motion.rotation, mode_gains(motion, t, alpha, band))
+    return _sum(motion.rotation, mode_gains(motion, t, alpha))
 
 
 def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
@@ -62,21 +53,15 @@ def moved(gaussians: Gaussians, motion: Tensor) -> Gaussians:
     return replace(gaussians, means=means, quats=quats)
 
 
-def animate(
-    gaussians: Gaussians,
-    motion: ModalMotion | None,
-    t: float,
-    alpha: Alpha = 0.0,
-    band: tuple[float, float] | None = None,
-) -> Gaussians:
-    """The Gaussians at timestep t, motion and appearance inside the band magnified by 1 + α. None: at rest.
+def animate(gaussians: Gaussians, motion: ModalMotion | None, t: float, alpha: Alpha = 0.0) -> Gaussians:
+    """Return the Gaussians at timestep t, motion and appearance magnified by 1 + α. Without motion: at rest.
 
-    Raises ValueError if the motion is of another number of Gaussians.
+    Raises ValueError if the motion has another number of Gaussians.
     """
     if motion is None:
         return gaussians
     _check_number(gaussians, motion)
-    gains = mode_gains(motion, t, alpha, band)
+    gains = mode_gains(motion, t, alpha)
     change = np.concatenate([_sum(motion.displacement, gains), _sum(motion.rotation, gains)], 1)
     there = moved(gaussians, torch.from_numpy(change).to(gaussians.means))
     return _with_appearance(there, motion, gains, _appearance_on(gaussians.means.device, motion))
@@ -104,12 +89,12 @@ def _appearance_on(device: torch.device, motion: ModalMotion) -> Tensor | None:
 def animator(
     gaussians: Gaussians, motion: ModalMotion | None, packed: bool = False
 ) -> Callable[..., Gaussians]:
-    """`animate` with this motion as a function of (t, alpha, band), for many timesteps.
+    """Return `animate` with this motion as a function of (t, alpha), for many timesteps.
 
-    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes, and the fields of appearance), per
-    timestep only the gains. With `packed`, which is for looking, the CPU holds the few fields that the phasors of all
-    frequencies are sums of, to 10⁻⁵ of the strongest: many times as fast where there are many frequencies.
-    Raises ValueError if the motion is of another number of Gaussians.
+    On a GPU the phasors are sent once (K · N · 48 bytes, and the fields of appearance), for each timestep only the
+    gains. With `packed`, for display, the CPU keeps the few fields of which the phasors of all frequencies are sums, to
+    10⁻⁵ of the strongest: many times as fast for many frequencies.
+    Raises ValueError if the motion has another number of Gaussians.
     """
     device = gaussians.means.device
     if motion is None or (device.type == "cpu" and not packed):
@@ -118,8 +103,8 @@ def animator(
     fields, series = fields_on(device, motion, packed)
     appearance = _appearance_on(device, motion)
 
-    def animated(t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None) -> Gaussians:
-        gains = mode_gains(motion, t, alpha, band)
+    def animated(t: float, alpha: Alpha = 0.0) -> Gaussians:
+        gains = mode_gains(motion, t, alpha)
         factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(device)
         there = moved(gaussians, (factors @ fields).reshape(-1, 6))
         return _with_appearance(there, motion, gains, appearance)
@@ -130,7 +115,7 @@ def animator(
 def fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
     """Return fields [R, 6 N] and series [K, R] whose product is the motion's phasors; `few` of them: to 10⁻⁵."""
     if few and len(motion.displacement):
-        fields, series = fields_of(motion, _LOOKING)
+        fields, series = fields_of(motion, _DISPLAYED)
     else:
         both, one = (
             np.concatenate([motion.displacement, motion.rotation], 2),

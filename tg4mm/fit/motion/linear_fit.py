@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated, suffixed
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, concatenated, suffixed
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import LEAST, Hyperparameters
 from tg4mm.fit.motion.prior import Graph, edge_residual, reweight_edges
@@ -50,12 +50,13 @@ class LinearFit:
         """
         first = self.config.iterations - self._of_second if iterations is None else iterations
         return [
-            self.checkpoint(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))
+            self.checkpoint(Step.first_pass.numbered(p), partial(self._first, p, first))
+            for p in range(len(self.folds))
         ]
 
     def within(self, support: np.ndarray, k: int) -> list[Arrays]:
         """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
-        checkpoint = suffixed(self.checkpoint, f"support_{k}")
+        checkpoint = suffixed(self.checkpoint, Step.support.numbered(k))
         own = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
         return own.first_pass(self.config.iterations)
 
@@ -70,7 +71,7 @@ class LinearFit:
         graph, out = self._reweighted(first) if is_small else None, []
         for p in range(len(self.folds)):
             compute = partial(self._second, p, first[p], correction, rounds, graph)
-            out.append(self.checkpoint(f"second_pass_{p}", compute)["fields"])
+            out.append(self.checkpoint(Step.second_pass.numbered(p), compute)["fields"])
         return np.stack(out)
 
     @property

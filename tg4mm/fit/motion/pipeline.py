@@ -12,9 +12,8 @@ from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.amplitude_bias import LACKING, Gain, PictureGain, gain_of
 from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig, resolved
-from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton, linear_px
 from tg4mm.fit.motion.hyperparameters import (
     Hyperparameters,
     noise_components,
@@ -22,6 +21,8 @@ from tg4mm.fit.motion.hyperparameters import (
     select_smoothness,
 )
 from tg4mm.fit.motion.jacobian.view import false_changes
+from tg4mm.fit.motion.large.gauss_newton import ABOVE_PX, gauss_newton, linear_px
+from tg4mm.fit.motion.large.whole_pixels import LinearSolution, solve_whole_pixels
 from tg4mm.fit.motion.linear_fit import Correction, LinearFit
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
@@ -40,7 +41,6 @@ from tg4mm.fit.motion.uncertainty import (
     unseen_motion,
     with_ground,
 )
-from tg4mm.fit.motion.whole_pixels import LinearSolution, iterated
 
 _SUPPORTS = 2  # fits within a support, at most
 _ROUNDS = 2  # of corrections by the mean picture: a share that is lacking is lacking to its cube then
@@ -82,7 +82,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if not solution.folds.shape[1]:
         return without_motion(solution.model)
     if _moves_by_pixels(solution):
-        solution, count = iterated(solution, _solved, checkpoint)
+        solution, count = solve_whole_pixels(solution, _solved, checkpoint)
     model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
     fields, reliability = wiener_shrink(folds)
     pixels, n_views = model.pixels_moved(fields), len(model.problem.views)
@@ -144,7 +144,7 @@ def select_hyperparameters(
     def noise() -> Arrays:
         return {"is_noise": noise_components(model.targets, model.problem, model.folds)}
 
-    is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
+    is_noise = checkpoint(Step.noise, noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
     if (counts := model.observations.counts) is not None:
         weights = counts.astype(np.float32) if weights is None else weights * counts
@@ -153,7 +153,7 @@ def select_hyperparameters(
     def smoothness() -> Arrays:
         return {"smoothness_weight": np.array(select_smoothness(*weighted.strongest()))}
 
-    weight = float(checkpoint("smoothness", smoothness)["smoothness_weight"])
+    weight = float(checkpoint(Step.smoothness, smoothness)["smoothness_weight"])
     return weighted, Hyperparameters(is_noise, weight)
 
 

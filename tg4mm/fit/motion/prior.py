@@ -38,9 +38,6 @@ _CHUNK = 256  # Gaussians a thread takes at a time
 _SIGNS = np.array([1, -1, -1, -1, 0, BENDING, BENDING, BENDING], np.float32)
 COUNT = 12  # neighbours of a Gaussian in the graph
 KNN = 32  # Gaussians, with itself, over which statistics around a Gaussian are averaged
-# As `Graph.edges` gives them: start [N + 1] int64, other end [E] int32, edge rows [4 E] float32. Fields [4N, 3] and
-# blocks [N, 4, 4] are float32 and contiguous.
-Edges = tuple[np.ndarray, np.ndarray, np.ndarray]
 _SCALE = 3.0  # mean squared residuals at which an edge counts half
 _LEAST = 0.01  # of its weight is left to an edge: the graph stays connected
 
@@ -87,23 +84,6 @@ def _from_motion(rotations, v_motion, v_field):
             v_field[i, 3 + k] = rotations[i, k, 0] * x + rotations[i, k, 1] * y + rotations[i, k, 2] * z
 
 
-def to_motion(rotations: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Displacement and rotation [N, 6] of a field [N, 12] (displacement and gradient).
-
-    rotations [N, 9, 3]: of `gradient_to_rotation`, in the gradient's units. All float32.
-    """
-    motion = np.empty((len(rotations), 6), np.float32)
-    _to_motion(rotations, field, motion)
-    return motion
-
-
-def from_motion(rotations: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
-    """The transpose of `to_motion`: [N, 6] -> [N, 12]."""
-    v_field = np.empty((len(rotations), 12), np.float32)
-    _from_motion(rotations, v_motion, v_field)
-    return v_field
-
-
 @inlined
 def _product(start, other, edge_rows, signs, x, i):
     """Rows of Gaussian i of the prior's matrix times a field."""
@@ -120,87 +100,39 @@ def _product(start, other, edge_rows, signs, x, i):
     return fma(differences, bending, total)
 
 
-@kernel()
-def _prior_of(first, last, edges, signs, x, smoothness, ridge, out):
-    start, other, edge_rows = edges
-    for i in range(first, last):
-        at = int64(i) * _WIDTH
-        smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_field(out, at))
-        store_field(out, at, fma(load_field(x, at), ridge, smooth))
-
-
-@kernel()
-def _smoothed(first, last, edges, signs, blocks, x, out):
-    start, other, edge_rows = edges
-    for i in range(first, last):
-        at = int64(i) * _WIDTH
-        step = transposed_times(
-            blocks, int64(i) * ROWS * ROWS, _product(start, other, edge_rows, signs, x, i)
-        )
-        store_field(out, at, load_field(x, at) - step)
-
-
-@kernel()
-def _less_product(first, last, edges, signs, x, out):
-    start, other, edge_rows = edges
-    for i in range(first, last):
-        at = int64(i) * _WIDTH
-        store_field(out, at, load_field(out, at) - _product(start, other, edge_rows, signs, x, i))
-
-
-@kernel()
-def _blockwise(first, last, blocks, x, out, keep):
-    for i in range(first, last):
-        at = int64(i) * _WIDTH
-        product = transposed_times(blocks, int64(i) * ROWS * ROWS, load_field(x, at))
-        store_field(out, at, fma(load_field(out, at), keep, product))
-
-
 @kernel(parallel=True)
 def _add_prior(n, edges, signs, x, smoothness, ridge, out):
+    start, other, edge_rows = edges
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        _prior_of(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), edges, signs, x, smoothness, ridge, out)
+        for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
+            at = int64(i) * _WIDTH
+            smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_field(out, at))
+            store_field(out, at, fma(load_field(x, at), ridge, smooth))
 
 
 @kernel(parallel=True)
 def _smooth(n, edges, signs, blocks, x, out):
+    start, other, edge_rows = edges
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        _smoothed(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), edges, signs, blocks, x, out)
-
-
-@kernel(parallel=True)
-def _subtract_product(n, edges, signs, x, out):
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        _less_product(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), edges, signs, x, out)
+        for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
+            at = int64(i) * _WIDTH
+            product = _product(start, other, edge_rows, signs, x, i)
+            store_field(
+                out, at, load_field(x, at) - transposed_times(blocks, int64(i) * ROWS * ROWS, product)
+            )
 
 
 @kernel(parallel=True)
 def _multiply_blocks(n, blocks, x, out, keep):
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        _blockwise(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), blocks, x, out, keep)
-
-
-def add_prior(edges: Edges, x: np.ndarray, smoothness: float, ridge: float, out: np.ndarray) -> None:
-    """Adds smoothness · K x + ridge · x to `out`."""
-    n = len(x) // ROWS
-    _add_prior(n, edges, _SIGNS, x.reshape(-1), np.float32(smoothness), np.float32(ridge), out.reshape(-1))
-
-
-def smoothed(edges: Edges, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(I − M K) x, with M block diagonal of symmetric blocks: one Jacobi step."""
-    out = np.empty_like(x)
-    _smooth(len(blocks), edges, _SIGNS, blocks.reshape(-1), x.reshape(-1), out.reshape(-1))
-    return out
-
-
-def smooth_transposed(edges: Edges, blocks: np.ndarray, v: np.ndarray) -> None:
-    """(I − K M) v in place of v: the transpose of `smoothed`."""
-    product = times_blocks(blocks, v)
-    _subtract_product(len(blocks), edges, _SIGNS, product.reshape(-1), v.reshape(-1))
+        for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
+            at = int64(i) * _WIDTH
+            product = transposed_times(blocks, int64(i) * ROWS * ROWS, load_field(x, at))
+            store_field(out, at, fma(load_field(out, at), keep, product))
 
 
 def times_blocks(blocks: np.ndarray, x: np.ndarray, onto: np.ndarray | None = None) -> np.ndarray:
-    """Mᵀ x of blocks M; with `onto`, added to it in place."""
+    """Return Mᵀ x of blocks M; with `onto`, add it there in place."""
     out, keep = (np.zeros_like(x), 0.0) if onto is None else (onto, 1.0)
     _multiply_blocks(len(blocks), blocks.reshape(-1), x.reshape(-1), out.reshape(-1), np.float32(keep))
     return out
@@ -226,7 +158,7 @@ class Graph:
         return len(self.gradient_to_rotation)
 
     @property
-    def edges(self) -> Edges:
+    def _edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.start, self.other, self.edge_rows.reshape(-1)
 
     @cached_property
@@ -260,16 +192,31 @@ class Graph:
         return np.asarray(self.blocks.data[self.start[:-1] + np.arange(self.n_gaussians)])
 
     def add_prior(self, x: np.ndarray, smoothness: float, ridge: float, out: np.ndarray) -> None:
-        """Adds smoothness · K x + ridge · x to `out`, both [4N, 3] float32, contiguous; K is the prior's matrix."""
-        add_prior(self.edges, x, smoothness, ridge, out)
+        """Add smoothness · K x + ridge · x to `out`, both [4N, 3] float32, contiguous; K is the prior's matrix."""
+        weights = np.float32(smoothness), np.float32(ridge)
+        _add_prior(self.n_gaussians, self._edges, _SIGNS, x.reshape(-1), *weights, out.reshape(-1))
+
+    def smoothed(self, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return (I − M K) x, with M block diagonal of symmetric blocks: one Jacobi step."""
+        out = np.empty_like(x)
+        _smooth(len(blocks), self._edges, _SIGNS, blocks.reshape(-1), x.reshape(-1), out.reshape(-1))
+        return out
+
+    def smooth_transposed(self, blocks: np.ndarray, v: np.ndarray) -> None:
+        """Replace v by (I − K M) v, the transpose of `smoothed`."""
+        self.add_prior(times_blocks(blocks, v), -1.0, 0.0, v)
 
     def motion(self, field: np.ndarray) -> np.ndarray:
         """[4N, 3] float32 -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
-        return to_motion(self.gradient_to_rotation, field.reshape(self.n_gaussians, -1))
+        motion = np.empty((self.n_gaussians, 6), np.float32)
+        _to_motion(self.gradient_to_rotation, field.reshape(self.n_gaussians, -1), motion)
+        return motion
 
     def from_motion(self, v_motion: np.ndarray) -> np.ndarray:
         """The transpose of `motion`: [N, 6] -> [4N, 3], float32."""
-        return from_motion(self.gradient_to_rotation, v_motion).reshape(-1, 3)
+        v_field = np.empty((self.n_gaussians, _WIDTH), np.float32)
+        _from_motion(self.gradient_to_rotation, v_motion, v_field)
+        return v_field.reshape(-1, 3)
 
 
 def build_graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT) -> Graph:
@@ -318,7 +265,7 @@ def _edges(distance: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def stiffness_root(graph: Graph) -> csr_matrix:
-    """S [4E, 4N] float64 with SᵀS = `graph.stiffness` of E edges: displacements, then gradients along x, y, z."""
+    """Return S [4E, 4N] float64 with SᵀS = `graph.stiffness` of E edges: displacements, then gradients."""
     n = graph.n_gaussians
     owner = np.repeat(np.arange(n), np.diff(graph.start))
     once = owner < graph.other  # every edge is listed at both ends

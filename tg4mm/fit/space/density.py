@@ -8,7 +8,7 @@ have faded or grown past the scene are removed and their places given to new one
 import torch
 from torch import Tensor
 
-from tg4mm.fit.rasterize.reference import rotation_matrices
+from tg4mm.fit.gaussians import rotation_matrices
 from tg4mm.fit.space.parameters import ParameterRows
 
 EVERY = 50  # iterations

@@ -132,7 +132,7 @@ class Iteration:
         scales, opacities = adam.active
         camera = pack_camera(viewmat, K, NEAR, FAR, eps2d)
         splats = take("splats", (len(logits), SPLAT_WIDTH))
-        project_forward(means, quats, scales, opacities, sh, degree, False, camera, width, height, splats)
+        project_forward(means, quats, scales, opacities, sh, degree, camera, width, height, splats)
         bins = bin_splats(splats, width, height, self._buffers)
         tiles = (splats, bins.tile_start, bins.pair_gaussian, width, height)
         image, transmittance = (

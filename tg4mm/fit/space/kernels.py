@@ -112,11 +112,7 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
     coefficients, asked = sh.shape[1], (degree + 1) * (degree + 1)
     sh_rates = np.empty(3 * asked, np.float32)
     sh_rates[:3], sh_rates[3:] = rates[SH0], rates[SHN]
-    no_pose = np.empty((0, 12), np.float32)
-    no, yes = (
-        n < 0,
-        n >= 0,
-    )  # not literals: for each combination of these `backward_rows` would be compiled anew
+    yes = n >= 0  # not a literal: for each value of it `backward_rows` would be compiled anew
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         own, m = room[get_thread_id()], b - a
@@ -125,8 +121,8 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
         v_scales, v_opacities = own[7 * m : 10 * m].reshape((m, 3)), own[10 * m : 11 * m]
         v_sh = own[11 * m : (11 + 3 * coefficients) * m].reshape((m, coefficients, 3))
         backward_rows(
-            means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, no, camera, width, height,
-            splats[a:b], v_splats[a:b], yes, v_means, v_quats, v_scales, v_opacities, v_sh, no_pose, no,
+            means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, camera, width, height,
+            splats[a:b], v_splats[a:b], yes, v_means, v_quats, v_scales, v_opacities, v_sh,
         )  # fmt: skip
         for i in range(a, b):
             if splats[i, POWER] > zero:

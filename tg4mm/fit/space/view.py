@@ -81,7 +81,7 @@ def render_view(
     from tg4mm.fit.rasterize.kernels.layout import FEAT
 
     g = gaussians
-    view = View(*size, near, FAR, eps2d, degree, False)
+    view = View(*size, near, FAR, eps2d, degree)
     images, transmittances, (record,) = rasterize_cpu(
         g.means, g.quats, g.scales, g.opacities, g.sh, viewmat[None], K[None], view
     )

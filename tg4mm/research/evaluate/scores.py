@@ -59,7 +59,7 @@ class Candidate:
             return (self.name, alpha, t)
         if self.motion is None:
             return ()
-        phase = mode_gains(self.motion, t, self._alphas(alpha), None)
+        phase = mode_gains(self.motion, t, self._alphas(alpha))
         has_re, has_im = self._parts
         factors = np.stack([phase.real * has_re, -phase.imag * has_im]).round(9) + 0.0  # + 0.0: -0 is 0
         return (self.name, tuple(factors.ravel().tolist())) if factors.any() else ()

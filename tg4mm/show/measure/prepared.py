@@ -23,11 +23,11 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import no_checkpoint
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.fit.motion.large.registration import mean_pictures
 from tg4mm.fit.motion.modes import MotionFit
 from tg4mm.fit.motion.nuisance.first_look import FixedCameras, look_at, rest_views
 from tg4mm.fit.motion.nuisance.poses import corrected_poses, left_of, pictures_of
 from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, Nuisance, nuisances_of, without
-from tg4mm.fit.motion.nuisance.registration import mean_pictures
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times

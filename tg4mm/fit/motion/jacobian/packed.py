@@ -62,25 +62,26 @@ def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return of_displacement[..., 0], of_displacement[..., 1]
 
 
-@kernel()
-def _jvp_range(first, last, values, rows, conic_lanes, motions, shape, d_splats):
+@kernel(parallel=True)
+def _jvp(count, values, rows, conic_lanes, motions, shape, d_splats):
     n_motions, n = shape
-    conic = load(conic_lanes, int64(0))
-    for k in range(first, last):
-        i, at = int64(rows[k]), int64(k) * _PACKED
-        j0, j1, j2 = load(values, at), load(values, at + 8), load(values, at + 16)
-        at += _ROTATION
-        t0, t1, t2 = load(values, at), load(values, at + 4), load(values, at + 8)
-        for r in range(n_motions):
-            m = (r * n + i) * DOF
-            shifted = fma(
-                j0, number(motions, m), fma(j1, number(motions, m + 1), j2 * number(motions, m + 2))
-            )
-            m += 3
-            rotated = fma(
-                t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2))
-            )
-            store_eight(d_splats, (i * n_motions + r) * COLUMNS, fma(rotated, conic, shifted))
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        conic = load(conic_lanes, int64(0))
+        for k in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+            i, at = int64(rows[k]), int64(k) * _PACKED
+            j0, j1, j2 = load(values, at), load(values, at + 8), load(values, at + 16)
+            at += _ROTATION
+            t0, t1, t2 = load(values, at), load(values, at + 4), load(values, at + 8)
+            for r in range(n_motions):
+                m = (r * n + i) * DOF
+                shifted = fma(
+                    j0, number(motions, m), fma(j1, number(motions, m + 1), j2 * number(motions, m + 2))
+                )
+                m += 3
+                rotated = fma(
+                    t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2))
+                )
+                store_eight(d_splats, (i * n_motions + r) * COLUMNS, fma(rotated, conic, shifted))
 
 
 @inlined
@@ -125,13 +126,6 @@ def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
 
 
 @kernel(parallel=True)
-def _jvp(count, values, rows, conic_lanes, motions, shape, d_splats):
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
-        last = min(count, (chunk + 1) * _CHUNK)
-        _jvp_range(chunk * _CHUNK, last, values, rows, conic_lanes, motions, shape, d_splats)
-
-
-@kernel(parallel=True)
 def _vjp(count, values, rows, conic_lanes, pairs, shape, v_motions):
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         last = min(count, (chunk + 1) * _CHUNK)
@@ -164,15 +158,15 @@ def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, co
     n = len(means)
     v_splats = np.zeros((n, SPLAT_WIDTH), np.float32)
     v_means, v_quats = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
-    v_scales, v_opacities, v_pose = np.zeros((n, 3), np.float32), np.zeros(n, np.float32), v_means[:0]
+    v_scales, v_opacities = np.zeros((n, 3), np.float32), np.zeros(n, np.float32)
     v_sh, half = np.zeros(sh.shape, np.float32), float32(0.5)
-    no = n < 0  # not a literal: for each combination of these `backward_rows` would be compiled anew
+    no = n < 0  # not a literal: for each value of it `backward_rows` would be compiled anew
     for c in range(len(columns)):
         v_splats[:, columns[c]] = float32(1.0)
         v_means[:], v_quats[:] = float32(0.0), float32(0.0)
         backward_rows(
-            means, quats, scales, sh, degree, no, camera, width, height, splats, v_splats, no,
-            v_means, v_quats, v_scales, v_opacities, v_sh, v_pose, no,
+            means, quats, scales, sh, degree, camera, width, height, splats, v_splats, no,
+            v_means, v_quats, v_scales, v_opacities, v_sh,
         )  # fmt: skip
         v_splats[:, columns[c]] = float32(0.0)
         for i in range(n):

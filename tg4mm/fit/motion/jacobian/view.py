@@ -30,8 +30,12 @@ from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
-from tg4mm.fit.rasterize.kernels.linearised import blend_cotangents, blend_tangents
-from tg4mm.fit.rasterize.kernels.normal import blend_normal, most_blocks
+from tg4mm.fit.rasterize.kernels.linearised import (
+    blend_cotangents,
+    blend_normal,
+    blend_tangents,
+    most_blocks,
+)
 from tg4mm.fit.rasterize.kernels.project import empty_splats, pack_camera, project_forward
 from tg4mm.fit.space.view import FAR, WHITE, near_plane
 
@@ -93,13 +97,11 @@ class ViewJacobian:
 
         With `buffers` the result is theirs: valid until the next call with the same ones.
         """
-        bins, n_motions, buffers = self.bins, len(motions), buffers or Buffers()
+        n_motions, buffers = len(motions), buffers or Buffers()
         d_splats = buffers.take("d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
         d_images = buffers.take("d_images", (n_motions, *self.transmittance.shape, 3))
-        blend_tangents(
-            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
-        )
+        blend_tangents(self.splats, d_splats, self.bins, WHITE, d_images, ALPHA_MIN_LINEAR)
         return d_images
 
     def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
@@ -107,8 +109,8 @@ class ViewJacobian:
         bins, n_motions, buffers = self.bins, len(pictures), buffers or Buffers()
         v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         blend_cotangents(
-            self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
-            np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
+            self.splats, bins, WHITE, self.image, self.transmittance, np.ascontiguousarray(pictures), v_pairs,
+            ALPHA_MIN_LINEAR,
         )  # fmt: skip
         self._gather(v_pairs, v_motions)
 
@@ -125,10 +127,7 @@ class ViewJacobian:
         jvp_rows(self.packed, self._rows, motions, d_splats)
         v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         pixels = np.ones_like(self.transmittance) if weights is None else weights
-        blend_normal(
-            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
-            v_pairs, ALPHA_MIN_LINEAR,
-        )  # fmt: skip
+        blend_normal(self.splats, d_splats, bins, self.most, WHITE, pixels, v_pairs, ALPHA_MIN_LINEAR)
         self._gather(v_pairs, v_motions)
 
     def stored(self) -> "ViewJacobian":
@@ -181,7 +180,7 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     near = near_plane(means, camera.viewmat)
     packed_camera = pack_camera(camera.viewmat, camera.K, near, FAR, camera.low_pass, ALPHA_MIN_LINEAR)
     splats = empty_splats(len(means))
-    project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
+    project_forward(means, quats, scales, opacities, sh, degree, packed_camera, width, height, splats)
     bins = bin_splats(splats, width, height)
     image = np.empty((height, width, FEATURES), np.float32)
     transmittance = np.empty((height, width), np.float32)

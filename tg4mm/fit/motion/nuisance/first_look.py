@@ -25,6 +25,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.fit.motion.large.registration import stabilised
 from tg4mm.fit.motion.nuisance.projection import (
     COLUMNS,
     EXPOSURE,
@@ -37,7 +38,6 @@ from tg4mm.fit.motion.nuisance.projection import (
     nuisances_of,
     pseudo_inverse,
 )
-from tg4mm.fit.motion.nuisance.registration import stabilised
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, watched
 from tg4mm.fit.motion.solver.problem import Problem

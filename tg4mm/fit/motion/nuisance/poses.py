@@ -24,7 +24,7 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.nuisance.projection import POSE, Nuisance, Projection, rigid_columns
@@ -63,7 +63,7 @@ def refine_scene_and_poses(
             poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
             return arrays_of(shown) | poses
 
-        kept = checkpoint(f"scene_{k}", compute)
+        kept = checkpoint(Step.scene.numbered(k), compute)
         gaussians = gaussians_of(kept)
         frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
         moved.append(round(float(kept["pixels"]), 4))

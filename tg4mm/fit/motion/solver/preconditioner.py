@@ -20,7 +20,7 @@ from scipy.sparse import bsr_matrix
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
-from tg4mm.fit.motion.prior import ROWS, Graph, smooth_transposed, smoothed, times_blocks
+from tg4mm.fit.motion.prior import ROWS, Graph, times_blocks
 from tg4mm.fit.rasterize.buffers import Buffers
 
 MOST = 256  # aggregates: the coarse operator is dense, with four times as many rows
@@ -76,14 +76,14 @@ class Aggregates:
         """P x: [4G, 3] float32 -> [4N, 3] float32."""
         x = self.tentative @ coarse
         for _ in range(_STEPS):
-            x = smoothed(self.graph.edges, self.smoother, x)
+            x = self.graph.smoothed(self.smoother, x)
         return np.asarray(x)
 
     def from_field(self, v: np.ndarray) -> np.ndarray:
         """Pᵀ v, the transpose of `field`."""
         v = v.copy()
         for _ in range(_STEPS):
-            smooth_transposed(self.graph.edges, self.smoother, v)
+            self.graph.smooth_transposed(self.smoother, v)
         return np.asarray(self._restriction @ v)
 
     @cached_property

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.gaussians import Gaussians, rotation_matrices
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection, projections_of, without
@@ -22,7 +22,6 @@ from tg4mm.fit.motion.solver.preconditioner import (
     probe,
     two_level_preconditioner,
 )
-from tg4mm.fit.rasterize.reference import rotation_matrices
 
 
 @dataclass(frozen=True)

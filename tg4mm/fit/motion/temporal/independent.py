@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.linear_fit import LinearFit
@@ -108,7 +108,7 @@ class IndependentClocks(Steady):
                 fields, _ = wiener_shrink(np.stack([f["fields"] for f in linear.first_pass(few)]))
                 return {"phases": model.phases_for(fields)}
 
-            model = model.with_phases(checkpoint(f"phases_{k}", compute)["phases"])
+            model = model.with_phases(checkpoint(Step.phases.numbered(k), compute)["phases"])
         return model
 
     def phases_for(self, fields: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
@@ -266,4 +266,4 @@ def _series(
         models = [ObservationModel(*own) for own in each]
         return moving_camera_series(models, (np.array(own[0]) for own in residuals), labels).arrays()
 
-    return RegionSeries.restored(times, checkpoint("regions", compute))
+    return RegionSeries.restored(times, checkpoint(Step.regions, compute))

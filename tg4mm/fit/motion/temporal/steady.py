@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from tg4mm.core.lines.band import FEWEST, Tone, tone_in
 from tg4mm.core.lines.model import log_floor
 from tg4mm.core.progress import progress
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, concatenated
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, concatenated
 from tg4mm.fit.motion.config import MotionConfig, asked_band
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import pixels_moved
@@ -249,7 +249,7 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
                 pictures = whole_pictures(seen.observations, frames.rows)
                 return shift_series(seen.model(v), labels, (p - seen.look.mean[v] for p in pictures)).arrays()
 
-            out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
+            out.append(RegionSeries.restored(frames.times_s, checkpoint(Step.regions.numbered(v), compute)))
             update(v + 1)
     return out
 

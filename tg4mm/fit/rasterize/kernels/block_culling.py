@@ -33,7 +33,6 @@ from tg4mm.fit.rasterize.simd.lanes import store_eight
 from tg4mm.fit.rasterize.simd.memory import (
     address,
     integer,
-    keep,
     load,
     load_pixels,
     number,
@@ -215,22 +214,9 @@ _BATCH_PLANES = room(BATCH)
 
 
 @inlined
-def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
-    """Load, for the pairs first … last, what `weights` needs, and which blocks they may reach."""
-    masks, words, at, _, _ = batch
-    flat, gaussians = address(splats), address(pair_gaussian)
-    fill_batch(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
-    prefetch_gaussians(flat, gaussians, last, BATCH, end)
-    reaching(at, BATCH, int64(0), address(words))
-    by_gaussian(address(words), int64(BATCH), address(masks))
-    keep(words)
-    keep(masks)
-
-
-@inlined
-def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
-    """`look_at_all` where `blend_forward` has told which blocks are reached."""
-    masks, _, at, _, _ = batch
+def load_batch(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
+    """Load, for the pairs first … last, what `weights` needs, and the blocks in which `blend_forward` saw them."""
+    masks, at, _, _ = batch
     fill_batch(
         address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, False
     )  # fmt: skip
@@ -240,9 +226,13 @@ def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, fa
 
 @inlined
 def batch_room(blocks=BLOCKS):
-    """Room for a batch: masks, words and planes of its pairs; for `weights` of so many blocks: `kept` and `found`."""
-    masks, words = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.uint32)
-    return masks, words, aligned(_BATCH_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
+    """Memory for a batch: masks and planes of its pairs; for `weights` of so many blocks: `kept` and `found`."""
+    return (
+        np.empty(BATCH, np.uint32),
+        aligned(_BATCH_PLANES),
+        aligned(blocks * KEPT),
+        np.empty(blocks, np.int64),
+    )
 
 
 @inlined
@@ -252,7 +242,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
     are there then, and the blocks still live.
     """
-    masks, _, planes, kept, found = batch
+    masks, planes, kept, found = batch
     lane_x, lane_y, powers, alpha_max, t_min = held
     one, zero = float32(1.0), float32(0.0)
     at_x = lane_x + (float32(x0) - splats[i, MX])

@@ -109,9 +109,7 @@ def camera_centre(cam):
 
 
 @njit(error_model="numpy")
-def _sixteen(
-    means, quats, scales, opacities, features, starts, degree, with_depth, cam, width, height, splats
-):
+def _sixteen(means, quats, scales, opacities, features, starts, degree, cam, width, height, splats):
     """`project_forward` of sixteen Gaussians: addresses of the first one's rows. Of `features` only if degree >= 0."""
     one, half, zero = float32(1.0), float32(0.5), broadcast(float32(0.0))
     eps2d, near, far = cam[EPS2D], cam[NEAR], cam[FAR]
@@ -152,12 +150,11 @@ def _sixteen(
         dx, dy, dz = mx - ox, my - oy, mz - oz
         norm = one / math.sqrt(dx * dx + dy * dy + dz * dz)
         red, green, blue = colour(features, starts, degree, dx * norm, dy * norm, dz * norm)
-    last = z if with_depth else zero
     power = select(visible, power, float32(-1.0))
     r11, l22 = math.sqrt(det / (float32(SQUARES) * m11)), math.sqrt(float32(SQUARES) / m11)
     record = (
         u, v, m11 * inv, -m01 * inv, m00 * inv, opacity, red, green,
-        blue, last, z, ey, ex, power, r11, l22,
+        blue, zero, z, ey, ex, power, r11, l22,
     )  # as layout.py says  # fmt: skip
     store_rows(splats, int64(0), record)
 
@@ -170,13 +167,10 @@ def copy(source, target, count):
 
 
 @kernel(parallel=True)
-def project_forward(
-    means, quats, scales, opacities, features, degree, with_depth, cam, width, height, splats
-):
+def project_forward(means, quats, scales, opacities, features, degree, cam, width, height, splats):
     """Fill `splats` [N, SPLAT_WIDTH]; what lies outside, behind or is too faint gets POWER = -1.
 
     features: [N, K, 3] SH coefficients where degree >= 0, else [N, 1, D] plain channels, D <= FEATURES.
-    with_depth: 1 puts z into the last feature channel.
     """
     n, wide_row = means.shape[0], int64(features.shape[1] * features.shape[2])
     w, h = float32(width), float32(height)
@@ -196,7 +190,7 @@ def project_forward(
             o, f = address(opacities) + 4 * i, address(features) + 4 * wide_row * i
             here = address(splats) + 4 * SPLAT_WIDTH * i
             if i + LANES < n:
-                _sixteen(m, q, s, o, f, address(starts), degree, with_depth, camera, w, h, here)
+                _sixteen(m, q, s, o, f, address(starts), degree, camera, w, h, here)
             else:
                 rest = n - i
                 copy(m, rooms[0], 3 * rest)
@@ -205,8 +199,8 @@ def project_forward(
                 copy(o, rooms[3], rest)
                 copy(f, rooms[4], wide_row * rest)
                 _sixteen(
-                    rooms[0], rooms[1], rooms[2], rooms[3], rooms[4], address(starts), degree, with_depth, camera,
-                    w, h, record,
+                    rooms[0], rooms[1], rooms[2], rooms[3], rooms[4], address(starts), degree, camera, w, h,
+                    record,
                 )  # fmt: skip
                 copy(record, here, SPLAT_WIDTH * rest)
         keep(room)
@@ -214,8 +208,7 @@ def project_forward(
         if degree < 0:
             for i in range(begin, end):
                 for k in range(min(FEATURES, features.shape[2])):
-                    if not (with_depth and k == FEATURES - 1):
-                        splats[i, FEAT + k] = features[i, 0, k]
+                    splats[i, FEAT + k] = features[i, 0, k]
 
 
 def empty_splats(n: int) -> np.ndarray:

@@ -41,8 +41,6 @@ from tg4mm.fit.rasterize.simd.rows import (
 )
 from tg4mm.fit.rasterize.simd.vector import LANES, broadcast, movemask, select
 
-_POSE = 12  # numbers of W and t
-
 
 @inlined
 def _quat_vjp(w, x, y, z, inv, g00, g01, g02, g10, g11, g12, g20, g21, g22):
@@ -110,8 +108,8 @@ def _axis(slope, centre, focal, size, reciprocal, v_slope, g):
 def _sixteen(given, sums, view, cam, width, height, room):
     """`backward_rows` of sixteen Gaussians: addresses of the first one's rows, inputs and sums."""
     means, quats, scales, features, splats, v_splats = given
-    v_means, v_quats, v_scales, v_opacities, v_features, v_pose = sums
-    degree, with_depth, summed, with_pose, of_features = view
+    v_means, v_quats, v_scales, v_opacities, v_features = sums
+    degree, summed, of_features = view
     one, half, nothing = float32(1.0), float32(0.5), float32(0.0)
     record, v_record = load_columns(splats, int64(0)), load_columns(v_splats, int64(0))
     visible = record[POWER] > nothing
@@ -168,12 +166,10 @@ def _sixteen(given, sums, view, cam, width, height, room):
     by_rotation = turned(back, vn00, vn01, vn02, vn10, vn11, vn12, vn20, vn21, vn22)
     vqw, vqx, vqy, vqz = _quat_vjp(qw, qx, qy, qz, qinv, *by_rotation)
     _add_four(v_quats, int64(4), visible, vqw, vqx, vqy, vqz)
-    # position in the camera: through the mean, the Jacobian and depth
+    # position in the camera: through the mean and the Jacobian
     vcx, by_x = _axis(x * iz, cam[CX], cam[FX], width, iz, vjxz, gu)
     vcy, by_y = _axis(y * iz, cam[CY], cam[FY], height, iz, vjyz, gv)
     vcz = by_x + by_y - (vjx * jx + vjy * jy) * iz
-    if with_depth:
-        vcz = vcz + v_record[FEAT + FEATURES - 1]
     store(v_opacities, int64(0), load(v_opacities, int64(0)) + select(visible, go, nothing))
     vx, vy, vz = broadcast(nothing), broadcast(nothing), broadcast(nothing)  # by the viewing direction
     if degree >= 0:
@@ -198,77 +194,50 @@ def _sixteen(given, sums, view, cam, width, height, room):
         cam[1] * vcx + cam[4] * vcy + cam[7] * vcz + vy,
         cam[2] * vcx + cam[5] * vcy + cam[8] * vcz + vz,
     )
-    if with_pose:
-        # W and t: through camera-space position, covariance and the viewing direction. The direction starts at the
-        # camera centre o = -Wᵀ t, so its share is that of -(vx, vy, vz) by o.
-        tx, ty, tz = cam[9], cam[10], cam[11]
-        _add_four(
-            v_pose, int64(_POSE), visible,
-            vcx * mx + r00 * vn00 + r01 * vn01 + r02 * vn02 + tx * vx,
-            vcx * my + r10 * vn00 + r11 * vn01 + r12 * vn02 + tx * vy,
-            vcx * mz + r20 * vn00 + r21 * vn01 + r22 * vn02 + tx * vz,
-            vcy * mx + r00 * vn10 + r01 * vn11 + r02 * vn12 + ty * vx,
-        )  # fmt: skip
-        _add_four(
-            v_pose + 16, int64(_POSE), visible,
-            vcy * my + r10 * vn10 + r11 * vn11 + r12 * vn12 + ty * vy,
-            vcy * mz + r20 * vn10 + r21 * vn11 + r22 * vn12 + ty * vz,
-            vcz * mx + r00 * vn20 + r01 * vn21 + r02 * vn22 + tz * vx,
-            vcz * my + r10 * vn20 + r11 * vn21 + r12 * vn22 + tz * vy,
-        )  # fmt: skip
-        _add_four(
-            v_pose + 32, int64(_POSE), visible,
-            vcz * mz + r20 * vn20 + r21 * vn21 + r22 * vn22 + tz * vz,
-            vcx + cam[0] * vx + cam[1] * vy + cam[2] * vz,
-            vcy + cam[3] * vx + cam[4] * vy + cam[5] * vz,
-            vcz + cam[6] * vx + cam[7] * vy + cam[8] * vz,
-        )  # fmt: skip
 
 
 @inlined
-def _of_rows(arrays, widths, row):
-    """Where a row of six arrays begins: addresses of the arrays, and how many float32 a row of each has."""
+def _rows_at(arrays, widths, row):
+    """Addresses of a row of eleven arrays: addresses of the arrays, and how many float32 a row of each has."""
     return (
         arrays[0] + 4 * widths[0] * row, arrays[1] + 4 * widths[1] * row, arrays[2] + 4 * widths[2] * row,
         arrays[3] + 4 * widths[3] * row, arrays[4] + 4 * widths[4] * row, arrays[5] + 4 * widths[5] * row,
+        arrays[6] + 4 * widths[6] * row, arrays[7] + 4 * widths[7] * row, arrays[8] + 4 * widths[8] * row,
+        arrays[9] + 4 * widths[9] * row, arrays[10] + 4 * widths[10] * row,
     )  # fmt: skip
 
 
 @kernel()
 def backward_rows(
-    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
-    v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
+    means, quats, scales, features, degree, cam, width, height, splats, v_splats, summed,
+    v_means, v_quats, v_scales, v_opacities, v_features,
 ):  # fmt: skip
-    """`project_backward` of the given rows in one thread. Of `v_splats` only rows that are visible count."""
+    """`project_backward` of the given rows in one thread. Only the visible rows of `v_splats` count."""
     n, of_features = means.shape[0], int64(features.shape[1] * features.shape[2])
     camera, w, h = unpacked(cam), float32(width), float32(height)
-    view = (int64(degree), bool(with_depth), bool(summed), bool(with_pose), of_features)
-    given = (
+    view = (int64(degree), bool(summed), of_features)
+    arrays = (
         address(means), address(quats), address(scales), address(features), address(splats), address(v_splats),
-    )  # fmt: skip
-    sums = (
         address(v_means), address(v_quats), address(v_scales), address(v_opacities), address(v_features),
-        address(v_pose),
     )  # fmt: skip
-    of_given = (3, 4, 3, of_features, SPLAT_WIDTH, SPLAT_WIDTH)
-    of_sums = (3, 4, 3, 1, of_features, _POSE if with_pose else 0)
+    widths = (3, 4, 3, of_features, SPLAT_WIDTH, SPLAT_WIDTH, 3, 4, 3, 1, of_features)
     room = np.empty(ROOM, np.float32)
-    whole = n - n % LANES
-    for i in range(0, whole, LANES):
-        _sixteen(_of_rows(given, of_given, i), _of_rows(sums, of_sums, i), view, camera, w, h, address(room))
-    if n > whole:  # by way of a copy
+    full = n - n % LANES
+    for i in range(0, full, LANES):
+        rows = _rows_at(arrays, widths, i)
+        _sixteen(rows[:6], rows[6:], view, camera, w, h, address(room))
+    if n > full:  # through a copy: sixteen rows are read and written at once
         most = LANES * max(of_features, int64(SPLAT_WIDTH))
-        part = np.zeros((12, most), np.float32)
+        part = np.zeros((11, most), np.float32)
         at = address(part)
-        firsts = (at, at, at, at, at, at)
-        own = _of_rows(firsts, (0, 1, 2, 3, 4, 5), most)
-        own_sums = _of_rows(firsts, (6, 7, 8, 9, 10, 11), most)
-        for k in range(6):
-            copy(given[k] + 4 * of_given[k] * whole, own[k], of_given[k] * (n - whole))
-            copy(sums[k] + 4 * of_sums[k] * whole, own_sums[k], of_sums[k] * (n - whole))
-        _sixteen(own, own_sums, view, camera, w, h, address(room))
-        for k in range(6):
-            copy(own_sums[k], sums[k] + 4 * of_sums[k] * whole, of_sums[k] * (n - whole))
+        rows = _rows_at(
+            (at, at, at, at, at, at, at, at, at, at, at), (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10), most
+        )
+        for k in range(11):
+            copy(arrays[k] + 4 * widths[k] * full, rows[k], widths[k] * (n - full))
+        _sixteen(rows[:6], rows[6:], view, camera, w, h, address(room))
+        for k in range(6, 11):
+            copy(rows[k], arrays[k] + 4 * widths[k] * full, widths[k] * (n - full))
         keep(part)
     keep(room)
     if degree < 0:
@@ -280,19 +249,18 @@ def backward_rows(
 
 @kernel(parallel=True)
 def project_backward(
-    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
-    v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
+    means, quats, scales, features, degree, cam, width, height, splats, v_splats, summed,
+    v_means, v_quats, v_scales, v_opacities, v_features,
 ):  # fmt: skip
     """Pull `v_splats` [N, SPLAT_WIDTH] back to the parameters, adding to the v_* arrays.
 
-    summed: what `v_splats` holds are sums of pairs (layout.py) and not yet the gradient by `splats`.
-    v_pose: [N, 12] each Gaussian's share of the gradient by W (row-major) and t; untouched unless with_pose.
+    summed: `v_splats` contains sums of pairs (layout.py), not yet the gradient by `splats`.
     """
     n = means.shape[0]
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         backward_rows(
-            means[a:b], quats[a:b], scales[a:b], features[a:b], degree, with_depth, cam, width, height,
-            splats[a:b], v_splats[a:b], summed, v_means[a:b], v_quats[a:b], v_scales[a:b], v_opacities[a:b],
-            v_features[a:b], v_pose[a:b], with_pose,
+            means[a:b], quats[a:b], scales[a:b], features[a:b], degree, cam, width, height, splats[a:b],
+            v_splats[a:b], summed, v_means[a:b], v_quats[a:b], v_scales[a:b], v_opacities[a:b],
+            v_features[a:b],
         )  # fmt: skip

@@ -1,10 +1,9 @@
 """Motion of whole pixels before one fixed camera: put it back, fit what is left, and again.
 
-Pictures change in proportion to motion up to about .7 pixels, and a mean over larger motion is blurred. Where something
-vibrates by more, every picture is resampled so that it lies where it is at rest (`nuisance/registration.py`). Their
-mean is sharp, and the scene at rest is fitted to it. What motion is left is small. Its target images and those of the
-motion put back are fitted together, as any others, so that prior, noise and halves of the data apply to the whole
-motion. An iteration counts if the pictures, put back by what it found, differ less from each other.
+Every picture is resampled so that its parts lie where they are at rest (`resampling.py`). The mean of these pictures is
+sharp, and the scene at rest is fitted to it. The motion that is left is small. Its target images and those of the
+motion put back are fitted together, like any others, so that prior, noise and halves of the data apply to all of the
+motion. An iteration counts if the pictures, put back by its motion, differ less from each other.
 """
 
 from collections.abc import Callable
@@ -15,10 +14,12 @@ from scipy.spatial import cKDTree
 
 from tg4mm.core.memory import release
 from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of, suffixed
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of, suffixed
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import false_changes, optical_flow, view_jacobian
-from tg4mm.fit.motion.nuisance.registration import mean_pictures, put_back
+from tg4mm.fit.motion.large import iterated
+from tg4mm.fit.motion.large.registration import mean_pictures
+from tg4mm.fit.motion.large.resampling import put_back
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.fit.motion.split_half import wiener_shrink
 from tg4mm.fit.motion.temporal import TemporalModel
@@ -26,15 +27,14 @@ from tg4mm.fit.motion.temporal.synchronous import Synchronous
 from tg4mm.fit.rasterize.buffers import Buffers
 from tg4mm.fit.space.plane import plane_gaussians, solve_colours
 
-# pixels, rms: what moves by less is read as it is, what moves by more is wholly put back. Far below what is linear
+# pixels, rms: smaller motion is not put back, larger motion completely. Far below the linear range
 _LEFT, _PUT_BACK = 0.1, 0.3
-_FALL = 0.05  # of what putting back has saved: what saves less is not worth another iteration
 _NEAREST = 8  # Gaussians that one of the new scene takes its motion from
 
 
 @dataclass(frozen=True)
 class LinearSolution:
-    """Folds' fields of a model's functions of time, and what they were found with."""
+    """Fields of both folds for a model's functions of time, with the hyperparameters of the fit."""
 
     model: TemporalModel
     hyper: Hyperparameters
@@ -43,12 +43,12 @@ class LinearSolution:
 
     @property
     def fields(self) -> np.ndarray:
-        """[R, N, 6]: what the folds agree on."""
+        """[R, N, 6]: the motion on which the folds agree."""
         return wiener_shrink(self.folds)[0]
 
     @property
     def vibration(self) -> np.ndarray:
-        """[R, N, 6]: of `fields` the vibrations that were known before, which are put back; 0 of what else moves."""
+        """[R, N, 6]: `fields` of the vibrations that were known before, which are put back; 0 for other motion."""
         fields = self.fields.copy()
         fields[self.model.targets.n_known :] = 0
         return fields
@@ -61,22 +61,22 @@ class LinearSolution:
 
 @dataclass(frozen=True)
 class _PutBack:
-    """A model of pictures put back, and by what: fields [K, N, 6] of its first K functions of time."""
+    """A model of pictures put back by fields [K, N, 6] of its first K functions of time."""
 
     model: TemporalModel
     fields: np.ndarray
 
     @property
     def left(self) -> float:
-        """How much the pictures differ from each other: squares summed over them and over pixels."""
+        """Sum over pictures and pixels of squared differences from their mean."""
         targets, total = self.model.targets, 0.0
         for image in targets.images[0]:
             total += float(np.einsum("hwc,hwc->", image, image, dtype=np.float64)) / 3
             release(targets.images)
         return total + float(targets.residual_energy.sum(dtype=np.float64))
 
-    def whole(self) -> TemporalModel:
-        """The model whose target images hold the motion put back, too; the strongest function of time first."""
+    def complete(self) -> TemporalModel:
+        """Return the model whose target images include the motion put back; the strongest function of time first."""
         model, fields, n = self.model, self.fields, len(self.fields)
         shifts = fields[..., :3].reshape(n, -1).astype(np.float64)
         turn = np.linalg.eigh(shifts @ shifts.T)[1][:, ::-1].T
@@ -92,31 +92,35 @@ class _PutBack:
         return replace(model, targets=replace(targets, basis=basis, energy=energy))
 
 
-def iterated(
+def solve_whole_pixels(
     first: LinearSolution,
     solve: Callable[[TemporalModel, Checkpoint], LinearSolution],
     checkpoint: Checkpoint,
 ) -> tuple[LinearSolution, int]:
-    """The solution for a flat capture after iterations, `config.gauss_newton` at most, and how many counted.
+    """Iterate a flat capture's solution, `config.gauss_newton` times at most; return it and the number that counted.
 
     solve: hyperparameters and the linear fit of a model.
     """
-    observations, solutions = first.model.observations, [first]
-    lefts = [_PutBack(first.model, np.zeros(0)).left]
-    for k in range(first.model.config.gauss_newton):
-        named = suffixed(checkpoint, f"whole_pixels_{k}")
-        there = _put_back(solutions[-1], observations, named)
-        lefts.append(there.left)
-        if lefts[-1] >= lefts[-2]:
-            solutions = solutions[: max(k, 1)]
-            break
-        if k and lefts[-2] - lefts[-1] < _FALL * (lefts[0] - lefts[-1]):
-            break
-        found = solve(there.whole(), named)
+    observations = first.model.observations
+
+    def named(k: int) -> Checkpoint:
+        return suffixed(checkpoint, Step.whole_pixels.numbered(k))
+
+    def step(
+        state: tuple[LinearSolution, _PutBack | None], k: int
+    ) -> tuple[tuple[LinearSolution, _PutBack], float] | None:
+        found, last = state
+        if last is not None:
+            found = solve(last.complete(), named(k - 1))
         if not found.folds.shape[1]:
-            break
-        solutions.append(found)
-    return solutions[-1], len(solutions) - 1
+            return None
+        there = _put_back(found, observations, named(k))
+        return (found, there), there.left
+
+    start: tuple[LinearSolution, _PutBack | None] = first, None
+    left = _PutBack(first.model, np.zeros(0)).left
+    (solution, _), lefts = iterated(start, left, step, first.model.config.gauss_newton + 1, of_gain=True)
+    return solution, max(len(lefts) - 2, 0)
 
 
 def _put_back(last: LinearSolution, observations: Observations, checkpoint: Checkpoint) -> _PutBack:
@@ -137,10 +141,10 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
         return arrays_of(solve_colours(scene, mean, frames.viewmat, frames.K).detach())
 
     if not observations.is_part:
-        scene = gaussians_of(checkpoint("scene", sharper))
+        scene = gaussians_of(checkpoint(Step.scene, sharper))
         fields = _interpolated(gaussians.means.numpy(), fields, scene.means.numpy())
         gaussians = scene
-    # what was found to be no motion is taken out again
+    # the nuisance found before is taken out again
     nuisance = {0: "none", 1: "exposure"}.get(len(model.figures["nuisance"]), "all")
     config = replace(model.config, nuisance=nuisance)
     again = Synchronous.of(gaussians, displaced(gaussians, fields), config, model.problem.device, checkpoint)
@@ -150,7 +154,7 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
 
 
 def _large(fields: np.ndarray, frames: PosedFrames) -> np.ndarray:
-    """[R, N, 6]: the fields, and 0 of Gaussians that hardly move."""
+    """[R, N, 6]: the fields, 0 for Gaussians that hardly move."""
     across = fields[..., :3] @ frames.viewmat[:2, :3].T * np.diag(frames.K)[:2]  # at distance 1
     moved = np.sqrt((across.astype(np.float64) ** 2).sum((0, 2)) / len(frames.rows))
     return np.asarray(fields * np.clip((moved - _LEFT) / (_PUT_BACK - _LEFT), 0, 1)[:, None], np.float32)

@@ -1,18 +1,15 @@
-"""Motion of more than a pixel by Gauss-Newton: fit, move, render the residual, fit again.
+"""Motion of more than a pixel before several cameras: fit, move, render the residual, fit again (Gauss–Newton).
 
-A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted
-to a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels, or 0.35
-with six cameras or more, it is repeated: every iteration renders what the motion found so far shows, fits the motion to
-the residual with Jacobians where things have moved to, and then the scene at rest to all pictures (`refine.py`). An
-iteration counts only if the residual of the pictures gets smaller; if not, half its step is tried, and if that does
-not help, they are over. The Jacobians are taken at few states for all timesteps, the knots.
+Where the linear fit moves things by more than 0.7 pixels, or 0.35 with six cameras or more, it is repeated: every
+iteration renders the motion found so far, fits the motion to the residual with Jacobians at the moved positions, and
+then the scene at rest to all pictures (`refine.py`). An iteration counts only if the residual of the pictures falls;
+if not, half its step is tried. The Jacobians are taken at a few states for all timesteps, the linearisation points.
 
-States. A vibration passes the same few places over and over. Timesteps between which nothing moves by more than a
-fraction of a pixel are one state, whose picture is the mean of theirs, so that the cost of an iteration goes by states
-and not by timesteps, and noise is averaged besides. A mode smaller than that, beside a large one, is averaged out of
-all states. What it changes in the pictures stays here as target images, less what the states' pictures hold of them,
-and is small enough to be explained linearly: from the capture itself in each iteration, and not from what the iteration
-before found, which every iteration would smooth once more.
+States. A vibration passes the same few positions over and over. Timesteps between which nothing moves by more than a
+fraction of a pixel are one state, whose picture is the mean of theirs: the cost of an iteration grows with states
+instead of timesteps, and noise is averaged. A smaller mode beside a large one is averaged out of all states. What it
+changes in the pictures remains as target images, less their part in the states' pictures, and is small enough to be
+explained linearly: from the capture in each iteration, not from the last result, which would be smoothed again.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,10 +24,11 @@ from tg4mm.core.memory import mapped_zeros, release
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import moved
-from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, ViewJacobian, pixels_moved, view_jacobian
+from tg4mm.fit.motion.large import iterated
 from tg4mm.fit.motion.nuisance.first_look import rest_views
 from tg4mm.fit.motion.nuisance.projection import Nuisance, projections_of
 from tg4mm.fit.motion.observations import Observations, PosedFrames, strips
@@ -47,13 +45,12 @@ from tg4mm.fit.space.view import render_view
 STATE_PX = 0.1  # timesteps between which nothing moves by more are one state
 MOST = 24  # states, and fewer where their pictures would take more than
 PICTURE_BYTES = 1 << 30
-KNOTS = 5  # at most: each costs as much as the problem at rest
-KNOT_PX = 0.7  # states less apart share one
+POINTS = 5  # at most: each costs as much as the problem at rest
+POINT_PX = 0.7  # states less apart share one
 _ROWS = 64  # of a picture at a time, where pictures are combined
 ABOVE_PX, MANY_CAMERAS_PX = 0.7, 0.35  # up to these motion is in the linear range
 _FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration tells less of them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
-_FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
 
 
 @dataclass(frozen=True)
@@ -219,7 +216,7 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
 
 
 @dataclass(frozen=True)
-class Knot:
+class LinearisationPoint:
     """States that share Jacobians."""
 
     views: list[ViewJacobian]  # of all cameras, where things are in these states
@@ -227,59 +224,63 @@ class Knot:
     mixing: np.ndarray  # C_l [ρ, R]
 
 
-def knots_of(
+def linearisation_points(
     gaussians: Gaussians, views: Sequence[ViewJacobian], fields: np.ndarray, observed: StateObservations
-) -> list[Knot]:
+) -> list[LinearisationPoint]:
     """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
     states, motions = observed.states, observed.moved(fields).motions
-    knots = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), KNOTS, KNOT_PX)
+    points = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), POINTS, POINT_PX)
     out = []
-    for knot in range(len(knots.gains)):
-        own = np.flatnonzero(knots.of == knot)
+    for point in range(len(points.gains)):
+        own = np.flatnonzero(points.of == point)
         share = states.count[own] / states.count[own].sum()
         motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
         there = moved(gaussians, motion)
-        is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
+        is_large = len(points.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
         height, width = observed.pictures.shape[2:4]
         each = (view_jacobian(there, camera, (width, height)) for camera in observed.cameras)
         jacobians = [view.stored() if is_large else view for view in each]
-        out.append(Knot(jacobians, own, _root(states.products[own].sum(0))))
+        out.append(LinearisationPoint(jacobians, own, _root(states.products[own].sum(0))))
     return out
 
 
 def targets_at(
-    knots: Sequence[Knot], fold: Fold, residuals: np.ndarray, fields: np.ndarray, observed: StateObservations
+    points: Sequence[LinearisationPoint],
+    fold: Fold,
+    residuals: np.ndarray,
+    fields: np.ndarray,
+    observed: StateObservations,
 ) -> Iterator[np.ndarray]:
-    """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
-    for knot in knots:
+    """C_lᵀ times the target images [R, H, W, 3] of each point and view, one at a time: all are gigabytes at 1080p."""
+    for point in points:
         for v in fold.views:
-            shown = knot.views[v].jvp(fields)
-            knot.views[v].release()
-            yield observed.target_images(v, residuals, knot.states, shown)
+            shown = point.views[v].jvp(fields)
+            point.views[v].release()
+            yield observed.target_images(v, residuals, point.states, shown)
 
 
 def coupled_operator(
     problem: Problem,
     at_rest: Problem,
-    knots: Sequence[Knot],
+    points: Sequence[LinearisationPoint],
     fold: Fold,
     smoothness_weight: float,
     targets: Iterable[np.ndarray],
 ) -> tuple[Operator, Array]:
-    """One fold with the views of all knots, and its right-hand sides.
+    """One fold with the views of all points, and its right-hand sides.
 
     What is projected out is as in the problem `at_rest` of the linear fit.
     """
     rest = problem.on_cpu(fold, smoothness_weight)
-    views, rows = [knot.views[v] for knot in knots for v in fold.views], [*fold.views] * len(knots)
-    weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
+    views, rows = [point.views[v] for point in points for v in fold.views], [*fold.views] * len(points)
+    weights = None if rest.weights is None else np.concatenate([rest.weights] * len(points))
     nuisances: list[Nuisance] = []
     if at_rest.nuisances:
         nuisances = [replace(at_rest.nuisances[v], view=own) for v, own in zip(rows, views, strict=True)]
     means = None if at_rest.means is None else [at_rest.means[v] for v in rows]
     projections = projections_of(nuisances, means, weights)
     plain = replace(rest, views=views, weights=weights, projections=projections)
-    mixing = [knot.mixing for knot in knots for _ in fold.views]
+    mixing = [point.mixing for point in points for _ in fold.views]
     there = views_on(problem.device, views, problem.graph)
     b = operator_on(there, plain).right_hand_sides(targets)
     return operator_on(there, replace(plain, mixing=mixing)), b
@@ -308,19 +309,17 @@ class GaussNewtonState:
     fold_fields: np.ndarray  # [P, R, N, 6] of each fold
     smoothness_weight: float
     errors: Errors  # of the residual
-    is_over: bool = False
 
     def arrays(self) -> Arrays:
-        """For a checkpoint."""
-        figures = self.smoothness_weight, self.errors.changes, self.errors.total, float(self.is_over)
+        """Return the arrays of a checkpoint."""
+        figures = self.smoothness_weight, self.errors.changes, self.errors.total
         return arrays_of(self.gaussians) | {"fold_fields": self.fold_fields, "figures": np.array(figures)}
 
     @staticmethod
     def restored(arrays: Arrays) -> "GaussNewtonState":
-        """From what `arrays` gave."""
-        weight, changes, total, is_over = (float(f) for f in arrays["figures"])
-        errors = Errors(changes, total)
-        return GaussNewtonState(gaussians_of(arrays), arrays["fold_fields"], weight, errors, bool(is_over))
+        """Return the state of a checkpoint's arrays."""
+        weight, *errors = (float(f) for f in arrays["figures"][:3])
+        return GaussNewtonState(gaussians_of(arrays), arrays["fold_fields"], weight, Errors(*errors))
 
 
 def used_components(is_noise: np.ndarray) -> np.ndarray:
@@ -361,24 +360,20 @@ class GaussNewton:
         self.start = GaussNewtonState(model.gaussians, start, hyper.smoothness_weight, errors)
 
     def run(self, checkpoint: Checkpoint) -> tuple[GaussNewtonState, list[float]]:
-        """The last state, and the misfits along the way."""
-        state, misfits = self.start, [self.start.errors.changes]
+        """Return the last state, and the misfits along the way."""
         units = len(self.folds) * self.iterations * self._costs + self.refining
         with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
-            for k in range(self.config.gauss_newton):
 
-                def compute(state: GaussNewtonState = state, k: int = k) -> Arrays:
-                    def tell(done: int, **figures: Any) -> None:
-                        update(k * units + done, iteration=k + 1, **figures)
+            def step(state: GaussNewtonState, k: int) -> tuple[GaussNewtonState, float]:
+                def tell(done: int, **figures: Any) -> None:
+                    update(k * units + done, iteration=k + 1, **figures)
 
-                    return self._iterated(state, k, tell).arrays()
+                name = Step.gauss_newton.numbered(k)
+                new = checkpoint(name, lambda: self._iterated(state, k, tell).arrays())
+                new_state = GaussNewtonState.restored(new)
+                return new_state, new_state.errors.changes
 
-                before, state = state, GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
-                if state.errors.changes < before.errors.changes:
-                    misfits.append(state.errors.changes)
-                if state.is_over:
-                    break
-        return state, misfits
+            return iterated(self.start, self.start.errors.changes, step, self.config.gauss_newton)
 
     @property
     def _costs(self) -> int:
@@ -386,7 +381,7 @@ class GaussNewton:
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
 
     def _iterated(self, state: GaussNewtonState, k: int, tell: Callable[..., None]) -> GaussNewtonState:
-        """One iteration: its motion if it is accepted, then the scene at rest."""
+        """Return the state after one iteration, motion and then scene at rest; the same if neither step helps."""
         new, weight = self._solved(state, tell)
         for length in (1.0, 0.5):
             stepped = (state.fold_fields + np.float32(length) * (new - state.fold_fields)).astype(np.float32)
@@ -394,9 +389,8 @@ class GaussNewton:
             errors = self.observed.residuals(state.gaussians, fields, self.device)[1]
             if errors.changes < state.errors.changes:
                 gaussians, after = self._refined(state.gaussians, fields, errors, k, tell)
-                is_over = after.changes > (1 - _FALL) * state.errors.changes
-                return GaussNewtonState(gaussians, stepped, weight, after, is_over)
-        return replace(state, is_over=True)
+                return GaussNewtonState(gaussians, stepped, weight, after)
+        return state
 
     def _refined(
         self, gaussians: Gaussians, fields: np.ndarray, errors: Errors, k: int, tell: Callable[..., None]
@@ -425,11 +419,11 @@ class GaussNewton:
             target = np.stack([own[:1].copy() for own in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, iterations)
-        knots = knots_of(state.gaussians, views, fields, self.observed)
+        points = linearisation_points(state.gaussians, views, fields, self.observed)
         solved = []
         for p, fold in enumerate(self.folds):
-            targets = targets_at(knots, fold, residuals, fields, self.observed)
-            operator, b = coupled_operator(problem, self.at_rest, knots, fold, weight, targets)
+            targets = targets_at(points, fold, residuals, fields, self.observed)
+            operator, b = coupled_operator(problem, self.at_rest, points, fold, weight, targets)
 
             def update(done: int, residual: float, p: int = p) -> None:
                 tell((p * self.iterations + done) * self._costs, residual=round(residual, 4))

@@ -1,4 +1,4 @@
-"""The dense twin of the rasteriser: plain differentiable torch, every Gaussian on every pixel. The oracle.
+"""The dense twin of the rasteriser, its oracle: plain differentiable torch, every Gaussian on every pixel.
 
 Same definitions as the CPU kernels and gsplat; meant for float64 and a few dozen Gaussians.
 """
@@ -6,18 +6,8 @@ Same definitions as the CPU kernels and gsplat; meant for float64 and a few doze
 import torch
 from torch import Tensor
 
+from tg4mm.fit.gaussians import rotation_matrices
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotation matrices [N, 3, 3] of quaternions [N, 4] (wxyz, any non-zero length)."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, -1).reshape(*quats.shape[:-1], 3, 3)
 
 
 def sh_colours(sh: Tensor, directions: Tensor) -> Tensor:
@@ -97,16 +87,13 @@ def rasterize_dense(
     near_plane: float = 0.01,
     far_plane: float = 1e10,
     eps2d: float = 0.3,
-    with_depth: bool = False,
     use_sh: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """One view, [H, W, D (+ 1 with depth)] without background, alpha [H, W]. Arguments: `rasterization`."""
+    """One view, [H, W, D] without background, alpha [H, W]. Arguments: `rasterization`."""
     uv, cov, depth = project(means, quats, scales, viewmat, K, width, height, eps2d)
     if use_sh:
         centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
         features = sh_colours(features, means - centre)
-    if with_depth:
-        features = torch.cat([features, depth[:, None]], -1)
     keep = (depth > near_plane) & (depth < far_plane)
     order = torch.argsort(depth[keep], stable=True)
     uv, cov, features, opacity = (a[keep][order] for a in (uv, cov, features, opacities))
