@@ -31,6 +31,7 @@ from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.fit.rasterize.kernels.blend import blend_forward
 from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.fit.rasterize.kernels.linearised import (
+    BlendedView,
     blend_cotangents,
     blend_normal,
     blend_tangents,
@@ -89,6 +90,10 @@ class ViewJacobian:
         return unpack(self.packed)
 
     @property
+    def _blended(self) -> BlendedView:
+        return BlendedView(self.splats, self.bins, self.most, WHITE, ALPHA_MIN_LINEAR)
+
+    @property
     def _rows(self) -> np.ndarray:
         return self.bins.order[: self.bins.n_visible]
 
@@ -101,17 +106,14 @@ class ViewJacobian:
         d_splats = buffers.take("d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
         d_images = buffers.take("d_images", (n_motions, *self.transmittance.shape, 3))
-        blend_tangents(self.splats, d_splats, self.bins, WHITE, d_images, ALPHA_MIN_LINEAR)
+        blend_tangents(self._blended, d_splats, d_images)
         return d_images
 
     def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
         """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
         bins, n_motions, buffers = self.bins, len(pictures), buffers or Buffers()
         v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
-        blend_cotangents(
-            self.splats, bins, WHITE, self.image, self.transmittance, np.ascontiguousarray(pictures), v_pairs,
-            ALPHA_MIN_LINEAR,
-        )  # fmt: skip
+        blend_cotangents(self._blended, np.ascontiguousarray(pictures), v_pairs)
         self._gather(v_pairs, v_motions)
 
     def gauss_newton_product(
@@ -127,7 +129,7 @@ class ViewJacobian:
         jvp_rows(self.packed, self._rows, motions, d_splats)
         v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         pixels = np.ones_like(self.transmittance) if weights is None else weights
-        blend_normal(self.splats, d_splats, bins, self.most, WHITE, pixels, v_pairs, ALPHA_MIN_LINEAR)
+        blend_normal(self._blended, d_splats, pixels, v_pairs)
         self._gather(v_pairs, v_motions)
 
     def stored(self) -> "ViewJacobian":

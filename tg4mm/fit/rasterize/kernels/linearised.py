@@ -7,15 +7,16 @@ Blocks, tiles and threads as in `tiles.py`. Pairs are visited in the blocks in w
 With α = o·2^-(p²+q²) and r = -d(exponent), a contribution's weight w = T α changes by T α r + w·(dT/T), and dT/T by
 -r α / (1 - α). The quotient dT/T is carried along, so that both directions need the same three numbers.
 
-Conjugate gradients need JᵀWJ and never the picture in between. `blend_normal` keeps a tile in the cache: weights and
-slopes of its contributions are computed once and kept for the VJP, which goes from far to near, so that what lies
-behind a contribution has been summed already.
+The VJP visits a tile's pairs from far to near, so that the light behind a contribution has been summed already, with
+the weights and slopes that the way there has kept. Conjugate gradients need JᵀWJ and never the picture in between:
+`blend_normal` goes both ways in a tile while it is in the cache.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated, operator"
 # an intrinsic has one argument more than its calls: the typing context
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import float32, int64, prange
@@ -34,6 +35,19 @@ _WIDTH = 8  # their number
 # Planes of the state for each right-hand side. Forward: dT/T and the picture's change. Backward: the light behind and
 # the gradient by three features.
 _CHANGE = 4
+_JVP, _VJP, _NORMAL = 0, 1, 2
+_NO_PIXELS = np.empty((0, 0), np.float32)
+_NO_CHANGES, _NO_PICTURES = np.empty((0, 0, _WIDTH), np.float32), np.empty((0, 0, 0, 3), np.float32)
+
+
+class BlendedView(NamedTuple):
+    """A view at rest for the linearised passes; `bins.reached` is that of `blend_forward` with the same alpha_min."""
+
+    splats: np.ndarray  # [N, SPLAT_WIDTH]
+    bins: Bins
+    most: tuple[int, int]  # largest numbers of blocks and pairs of a tile, of `most_blocks`
+    white: float  # background
+    alpha_min: float
 
 
 @inlined
@@ -67,134 +81,6 @@ def _jvp_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
         store(state, place, fma(dw, f1, fma(w, e1, load_pixels(state, place))))
         place += PIXELS
         store(state, place, fma(dw, f2, fma(w, e2, load_pixels(state, place))))
-
-
-@kernel()
-def _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
-    tile_start, pair_gaussian, table, reached = tables
-    width, height = frame
-    n_changes = len(d_images)
-    n_x = (width + TILE - 1) // TILE
-    zero = float32(0.0)
-    faintest = float32(math.log2(alpha_min))
-    # planes: transmittance, then of every change dT/T and three features
-    stride = (1 + _CHANGE * n_changes) * PIXELS
-    held, state = constants(table), aligned(BLOCKS * stride)
-    masks, planes, kept, found = batch_room()
-    batch = masks, address(planes), kept, found
-    flat, changes = splats.reshape(-1), d_splats.reshape(-1)
-    while True:
-        item = fetch_add(counter)
-        if item >= len(order):
-            break
-        tile = order[item]
-        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        begin, end = tile_start[tile], tile_start[tile + 1]
-        if begin == end:
-            d_images[:, y0 : y0 + rows, x0 : x0 + columns] = zero
-            continue
-        fill(state, stride, float32(1.0))
-        live = inside(rows, columns)
-        for pair in range(begin, end):
-            i = pair_gaussian[pair]
-            at = (pair - begin) % BATCH
-            if at == 0:
-                last = min(end, pair + BATCH)
-                load_batch(splats, pair_gaussian, reached, pair, last, end, x0, y0, faintest, held, batch)
-            n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
-            conic, colour = _splat(flat, i)
-            for change in range(n_changes if n > 0 else 0):
-                plane, source = (1 + _CHANGE * change) * PIXELS, (int64(i) * n_changes + change) * _WIDTH
-                _jvp_pair(conic, colour, changes, source, plane, (int64(0), n), found, kept, state)
-            if live == 0:
-                break
-        for change in range(n_changes):
-            plane = (1 + _CHANGE * change) * PIXELS
-            for r in range(rows):
-                for j in range(columns):
-                    at = pixel(r, j, stride)
-                    behind = white * abs(state[at]) * state[plane + at]
-                    for k in range(3):
-                        d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * PIXELS + at]
-    keep(planes)
-
-
-@kernel()
-def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
-    tile_start, pair_gaussian, table, reached = tables
-    width, height = frame
-    image, transmittance = pictures
-    n_changes = len(v_images)
-    n_x = (width + TILE - 1) // TILE
-    half, zero = float32(0.5), float32(0.0)
-    faintest = float32(math.log2(alpha_min))
-    # planes: transmittance, then of every right-hand side what is still to come and the gradient by three features
-    stride = (1 + _CHANGE * n_changes) * PIXELS
-    held, state = constants(table), aligned(BLOCKS * stride)
-    masks, planes, kept, found = batch_room()
-    batch = masks, address(planes), kept, found
-    while True:
-        item = fetch_add(counter)
-        if item >= len(order):
-            break
-        tile = order[item]
-        begin, end = tile_start[tile], tile_start[tile + 1]
-        if begin == end:
-            continue
-        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        fill(state, stride, float32(-1.0))  # outside the image: stopped from the start
-        for r in range(rows):
-            for j in range(columns):
-                at = pixel(r, j, stride)
-                state[at] = float32(1.0)
-                for change in range(n_changes):
-                    plane, to_come = (1 + _CHANGE * change) * PIXELS + at, zero
-                    for k in range(3):
-                        g = v_images[change, y0 + r, x0 + j, k]
-                        state[plane + (1 + k) * PIXELS] = g
-                        to_come += g * (image[y0 + r, x0 + j, k] + white * transmittance[y0 + r, x0 + j])
-                    state[plane] = to_come
-        live = inside(rows, columns)
-        for pair in range(begin, end):
-            i = pair_gaussian[pair]
-            at = (pair - begin) % BATCH
-            if at == 0:
-                last = min(end, pair + BATCH)
-                load_batch(splats, pair_gaussian, reached, pair, last, end, x0, y0, faintest, held, batch)
-            n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
-            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
-            for change in range(n_changes):
-                nothing = broadcast_pixels(zero)
-                sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
-                h0, h1, h2 = nothing, nothing, nothing
-                plane = (1 + _CHANGE * change) * PIXELS
-                for m in range(n):
-                    place, source = found[m] + plane, m * KEPT
-                    w = load_pixels(kept, source)
-                    g0, g1 = load_pixels(state, place + PIXELS), load_pixels(state, place + 2 * PIXELS)
-                    g2 = load_pixels(state, place + 3 * PIXELS)
-                    light = fma(g2, f2, fma(g1, f1, g0 * f0))
-                    to_come = fma(-w, light, load_pixels(state, place))
-                    store(state, place, to_come)
-                    shade = load_pixels(kept, source + 2 * PIXELS) * to_come
-                    v = fma(load_pixels(kept, source + PIXELS), light, -shade)
-                    dx, dy = load_pixels(kept, source + 3 * PIXELS), load_pixels(kept, source + 4 * PIXELS)
-                    vx, vy = v * dx, v * dy
-                    sx, sy = sx + vx, sy + vy
-                    sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
-                    h0, h1, h2 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2)
-                sums = lane_sums_of_eight(
-                    fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, -sxy, syy * -half, h0, h1, h2
-                )
-                store_eight(v_pairs, (int64(pair) * n_changes + change) * _WIDTH, sums)
-            if live == 0:
-                for rest in range((pair + 1) * n_changes * _WIDTH, end * n_changes * _WIDTH):
-                    v_pairs[rest] = zero
-                break
-    keep(planes)
 
 
 @inlined
@@ -251,11 +137,48 @@ def _weigh(pixels, y0, x0, rows, columns, counts):
 
 
 @kernel()
-def _normal_tiles(
-    order, counter, tables, most, splats, d_splats, n_changes, white, pixels, v_pairs, alpha_min
-):
+def _counts(pixels, y0, x0, rows, columns):
+    """Whether any pixel of a tile has a weight."""
+    for y in range(y0, y0 + rows):
+        for x in range(x0, x0 + columns):
+            if pixels[y, x] != float32(0.0):
+                return True
+    return False
+
+
+@inlined
+def _load_gradients(v_images, white, y0, x0, rows, columns, stride, state):
+    """Read a tile of the gradients by the picture into the state; behind all Gaussians is the background."""
+    for r in range(rows):
+        for j in range(columns):
+            at = pixel(r, j, stride)
+            for change in range(len(v_images)):
+                plane = (1 + _CHANGE * change) * PIXELS + at
+                g0 = v_images[change, y0 + r, x0 + j, 0]
+                g1 = v_images[change, y0 + r, x0 + j, 1]
+                g2 = v_images[change, y0 + r, x0 + j, 2]
+                state[plane] = white * abs(state[at]) * (g0 + g1 + g2)
+                state[plane + PIXELS], state[plane + 2 * PIXELS], state[plane + 3 * PIXELS] = g0, g1, g2
+
+
+@inlined
+def _write_changes(state, white, y0, x0, rows, columns, stride, d_images):
+    """Write a tile of the picture's changes, with what shows of the background."""
+    for change in range(len(d_images)):
+        plane = (1 + _CHANGE * change) * PIXELS
+        for r in range(rows):
+            for j in range(columns):
+                at = pixel(r, j, stride)
+                behind = white * abs(state[at]) * state[plane + at]
+                for k in range(3):
+                    d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * PIXELS + at]
+
+
+@kernel()
+def _tiles(order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
-    height, width = pixels.shape
+    d_splats, pixels, d_images, v_images, v_pairs = arrays
+    height, width = frame
     n_x = (width + TILE - 1) // TILE
     faintest = float32(math.log2(alpha_min))
     stride = (1 + _CHANGE * n_changes) * PIXELS
@@ -270,11 +193,13 @@ def _normal_tiles(
             break
         tile = order[item]
         begin, end = tile_start[tile], tile_start[tile + 1]
-        if begin == end:
-            continue
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        if not _counts(pixels, y0, x0, rows, columns):
+        if begin == end:
+            if job == _JVP:
+                d_images[:, y0 : y0 + rows, x0 : x0 + columns] = float32(0.0)
+            continue
+        if job == _NORMAL and not _counts(pixels, y0, x0, rows, columns):
             gradients[begin * n_changes * _WIDTH : end * n_changes * _WIDTH] = float32(0.0)
             continue
         fill(state, stride, float32(1.0))
@@ -286,18 +211,24 @@ def _normal_tiles(
             if at == 0:
                 last = min(end, pair + BATCH)
                 load_batch(splats, pair_gaussian, reached, pair, last, end, x0, y0, faintest, held, batch)
-            before = filled
+            before = int64(0) if job == _JVP else filled  # kept for the way back
             filled, live = weights(
-                splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch, filled
+                splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch, before
             )
             upto[pair - begin + 1] = filled
-            blocks = before, filled
-            conic, colour = _splat(flat, i)
-            for change in range(n_changes if before < filled else 0):
-                plane, source = (1 + _CHANGE * change) * PIXELS, (int64(i) * n_changes + change) * _WIDTH
-                _jvp_pair(conic, colour, changes, source, plane, blocks, found, kept, state)
-        _weigh(pixels, y0, x0, rows, columns, counts)
-        _turn_round(state, stride, n_changes, white, counts)
+            if job != _VJP and before < filled:
+                conic, colour = _splat(flat, i)
+                for change in range(n_changes):
+                    plane, source = (1 + _CHANGE * change) * PIXELS, (int64(i) * n_changes + change) * _WIDTH
+                    _jvp_pair(conic, colour, changes, source, plane, (before, filled), found, kept, state)
+        if job == _JVP:
+            _write_changes(state, white, y0, x0, rows, columns, stride, d_images)
+            continue
+        if job == _NORMAL:
+            _weigh(pixels, y0, x0, rows, columns, counts)
+            _turn_round(state, stride, n_changes, white, counts)
+        else:
+            _load_gradients(v_images, white, y0, x0, rows, columns, stride, state)
         for back in range(end - begin):
             pair = int64(end - 1 - back)
             conic, colour = _splat(flat, pair_gaussian[pair])
@@ -308,36 +239,12 @@ def _normal_tiles(
     keep(planes)
 
 
-@kernel()
-def _counts(pixels, y0, x0, rows, columns):
-    """Whether any pixel of a tile has a weight."""
-    for y in range(y0, y0 + rows):
-        for x in range(x0, x0 + columns):
-            if pixels[y, x] != float32(0.0):
-                return True
-    return False
-
-
 @kernel(parallel=True)
-def _jvp(workers, order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
-    for _ in prange(workers):
-        _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min)
-
-
-@kernel(parallel=True)
-def _vjp(workers, order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
-    for _ in prange(workers):
-        _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min)
-
-
-@kernel(parallel=True)
-def _normal(
-    workers, order, counter, tables, most, splats, d_splats, n_changes, white, pixels, v_pairs, alpha_min
+def _all_tiles(
+    workers, order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min
 ):
     for _ in prange(workers):
-        _normal_tiles(
-            order, counter, tables, most, splats, d_splats, n_changes, white, pixels, v_pairs, alpha_min
-        )
+        _tiles(order, counter, tables, most, job, frame, splats, n_changes, white, arrays, alpha_min)
 
 
 @kernel()
@@ -352,61 +259,38 @@ def most_blocks(tile_start, reached):
     return most, longest
 
 
-def _tables(bins: Bins) -> tuple[np.ndarray, ...]:
-    return bins.tile_start, bins.pair_gaussian, TABLE, bins.reached
+def blend_tangents(view: BlendedView, d_splats: np.ndarray, d_images: np.ndarray) -> None:
+    """Forward mode: how the picture changes when `splats` moves along each of R changes.
 
-
-def blend_tangents(
-    splats: np.ndarray, d_splats: np.ndarray, bins: Bins, white: float, d_images: np.ndarray, alpha_min: float
-) -> None:
-    """Forward mode: how the picture over `white` changes when `splats` moves along each of R changes.
-
-    d_splats [N, R, 8] has the columns COLUMNS; d_images [R, H, W, 3] is written. `bins.reached` is that of
-    `blend_forward` with the same alpha_min.
+    d_splats [N, R, 8] has the columns COLUMNS; d_images [R, H, W, 3] is written.
     """
-    height, width = d_images.shape[1:3]
-    _jvp(
-        *work(bins.tile_start), _tables(bins), (width, height), splats, d_splats, np.float32(white), d_images,
-        alpha_min,
-    )  # fmt: skip
+    arrays = d_splats, _NO_PIXELS, d_images, _NO_PICTURES, _NO_CHANGES
+    _run(view, _JVP, d_images.shape[1:3], len(d_images), arrays)
 
 
-def blend_cotangents(
-    splats: np.ndarray,
-    bins: Bins,
-    white: float,
-    image: np.ndarray,
-    transmittance: np.ndarray,
-    v_images: np.ndarray,
-    v_pairs: np.ndarray,
-    alpha_min: float,
-) -> None:
+def blend_cotangents(view: BlendedView, v_images: np.ndarray, v_pairs: np.ndarray) -> None:
     """Transpose of `blend_tangents`: cotangents of the (tile, Gaussian) pairs for R picture gradients [R, H, W, 3].
 
-    v_pairs [P, R, 8] is written, in the columns COLUMNS. image and transmittance are those of `blend_forward`.
+    v_pairs [P, R, 8] is written, in the columns COLUMNS.
     """
-    height, width = v_images.shape[1:3]
-    _vjp(
-        *work(bins.tile_start), _tables(bins), (width, height), splats, (image, transmittance),
-        np.float32(white), v_images, v_pairs.reshape(-1), alpha_min,
-    )  # fmt: skip
+    arrays = _NO_CHANGES, _NO_PIXELS, _NO_PICTURES, v_images, v_pairs
+    _run(view, _VJP, v_images.shape[1:3], len(v_images), arrays)
 
 
-def blend_normal(
-    splats: np.ndarray,
-    d_splats: np.ndarray,
-    bins: Bins,
-    most: tuple[int, int],
-    white: float,
-    pixels: np.ndarray,
-    v_pairs: np.ndarray,
-    alpha_min: float,
+def blend_normal(view: BlendedView, d_splats: np.ndarray, pixels: np.ndarray, v_pairs: np.ndarray) -> None:
+    """`blend_tangents`, the pictures times `pixels` [H, W], and `blend_cotangents`, in one pass.
+
+    d_splats [N, R, 8] and v_pairs [P, R, 8] as there.
+    """
+    arrays = d_splats, pixels, _NO_PICTURES, _NO_PICTURES, v_pairs
+    _run(view, _NORMAL, pixels.shape, d_splats.shape[1], arrays)
+
+
+def _run(
+    view: BlendedView, job: int, size: tuple[int, ...], n_changes: int, arrays: tuple[np.ndarray, ...]
 ) -> None:
-    """`blend_tangents`, the pictures times `pixels` [H, W], and `blend_cotangents`, of R changes, in one pass.
-
-    d_splats [N, R, 8] and v_pairs [P, R, 8] as there; most: of `most_blocks`.
-    """
-    _normal(
-        *work(bins.tile_start), _tables(bins), most, splats, d_splats, d_splats.shape[1], np.float32(white),
-        pixels, v_pairs, alpha_min,
+    bins = view.bins
+    _all_tiles(
+        *work(bins.tile_start), (bins.tile_start, bins.pair_gaussian, TABLE, bins.reached), view.most, job, size,
+        view.splats, n_changes, np.float32(view.white), arrays, view.alpha_min,
     )  # fmt: skip
