@@ -25,7 +25,7 @@ OTHER_LENSES = (
     *(f"ftheta_p{i}" for i in range(5)),
     "rolling_shutter",
 )
-SMALLEST = 8  # pixels along a side of a picture: fewer hold no texture that motion is told by
+SMALLEST = 8  # pixels along a side of a picture: fewer have too little texture to resolve motion
 _PINHOLE = "the images of a pinhole camera: undistort them first"
 
 

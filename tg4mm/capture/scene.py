@@ -51,10 +51,10 @@ def codec_period(root: Path) -> int | None:
 
 def picture_kinds(root: Path, count: int) -> list[int] | None:
     """Return the coding of each of the video's pictures, as FFmpeg numbers I, P and B, or None if unknown."""
-    told = read_scene(root, needs_fps=False).values.get("picture_kinds") or ""
-    if len(told) != count or told.strip(KINDS_OF_PICTURES):
+    recorded = read_scene(root, needs_fps=False).values.get("picture_kinds") or ""
+    if len(recorded) != count or recorded.strip(KINDS_OF_PICTURES):
         return None
-    return [KINDS_OF_PICTURES.index(kind) + 1 for kind in told]
+    return [KINDS_OF_PICTURES.index(kind) + 1 for kind in recorded]
 
 
 def is_coded(root: Path) -> bool:

@@ -131,7 +131,7 @@ def replacing(path: Path, suffix: str = "") -> Iterator[Path]:
         yield temporary
         flush(temporary)
         rename(temporary, path)
-    except OSError as error:  # a full disk is told without a name, or with that of what is copied
+    except OSError as error:  # a full disk is reported without a name, or with the name of the copied file
         if error.errno in FULL or error.filename in (None, str(temporary)):
             raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
         raise

@@ -7,7 +7,7 @@
      "rectangle": {"corners": [[150, 95], [330, 95], [330, 207], [150, 207]], "metres": [0.36, 0.224]}}
 
 Pixels are from the picture's left and upper edge. `camera` names a view of a dataset that has several. Lengths scale a
-surface that the camera faces; a rectangle (corners from its upper left one on, clockwise) also tells how a plane is
+surface that the camera faces; a rectangle (corners from its upper left one on, clockwise) also gives how a plane is
 tilted (Hartley & Zisserman 2004, algorithm 4.1).
 """
 
@@ -69,7 +69,7 @@ class Scale:
 
     def _check_agree(self) -> None:
         """Lengths must give one scale, and those on a rectangle's plane the rectangle's."""
-        told = [
+        estimates = [
             (
                 m / float(np.linalg.norm(self._between(a, b))),
                 _READ_PX * 2**0.5 / float(np.hypot(*np.subtract(a, b))),
@@ -77,8 +77,8 @@ class Scale:
             for a, b, m in self.lengths
         ]
         if self.corners:
-            told.append((1.0, self.share))
-        for (one, sure), (other, also) in combinations(told, 2):
+            estimates.append((1.0, self.share))
+        for (one, sure), (other, also) in combinations(estimates, 2):
             if abs(np.log(one / other)) > _DISAGREE * np.hypot(sure, also):
                 unit = "times what the rectangle says" if self.corners else "mm per pixel"
                 values = (one, other) if self.corners else (1e3 * one, 1e3 * other)

@@ -180,7 +180,7 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
 
 
 def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:
-    """An amplitude and its deviation over the gain, which the test told; same units as given.
+    """Divide an amplitude and its deviation by the gain found by the test; same units as given.
 
     A marked one stays as it was measured: the true amplitude is larger by an amount that is not known.
     """

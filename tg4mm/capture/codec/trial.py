@@ -1,4 +1,4 @@
-"""A known motion through the encoder that made a video, and what is left of it; what the file tells of its encoder."""
+"""Encode a known motion as a video was encoded, and measure what remains; read the encoder's settings from the file."""
 
 import re
 import tempfile

@@ -49,8 +49,8 @@ def look(
 
     video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
     recording's (slow motion); a folder needs it. window: the part of a video that is looked at. regions: drawn ones,
-    whose lines are told one by one. keep_duplicates: duplicate frames are not looked for. Raises CaptureError where it
-    cannot be decoded or is too short, RegionError for a region without texture.
+    whose lines are estimated one by one. keep_duplicates: duplicate frames are not looked for. Raises CaptureError
+    where it cannot be decoded or is too short, RegionError for a region without texture.
     """
     path = Path(video)
     drawn = () if regions is None else regions.regions
@@ -63,9 +63,11 @@ def look(
     if path.is_dir() or is_stack(path):
         return found
     own = [line for one in found.regions for line in one.lines]
-    told = with_losses(replace(found, lines=(*found.lines, *own)), path, found.rate, window.start_s, repeats)
+    corrected = with_losses(
+        replace(found, lines=(*found.lines, *own)), path, found.rate, window.start_s, repeats
+    )
     count = len(found.lines)
-    return replace(found, lines=told[:count], regions=with_lines(found.regions, told[count:]))
+    return replace(found, lines=corrected[:count], regions=with_lines(found.regions, corrected[count:]))
 
 
 def _is_small(region: Region) -> bool:

@@ -111,7 +111,7 @@ def _beside_taken(line: LookLine, taken_off: Mapping[float, str], duration_s: fl
     """Return the mark of a line at a frequency that is taken off the shifts; empty: it is at none."""
     for hz, whose in taken_off.items():
         if abs(hz - line.hz) < 1 / duration_s:
-            return f"nearer to {whose} {hz:.4g} Hz than the record tells apart"
+            return f"nearer to {whose} {hz:.4g} Hz than the record resolves"
     return ""
 
 

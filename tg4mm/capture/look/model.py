@@ -139,7 +139,7 @@ class RegionLook:
 
     region: Region
     lines: tuple[LookLine, ...]  # by falling strength
-    noise_px: float  # standard deviation of one picture's shift along the direction that is told best
+    noise_px: float  # standard deviation of one picture's shift along the best-resolved direction
     remark: str  # what its texture does not tell
 
 

@@ -205,7 +205,7 @@ class _Placing:
         return [cell for cell in cells if cell in self.at]
 
     def _inexact(self) -> np.ndarray:
-        """[P]: the share of a cell's amplitude by which it may be wrong: what a shift leaves of its changes tells."""
+        """[P]: relative error of a cell's amplitude, from the share of its changes that no shift explains."""
         return np.asarray(_INEXACT * np.sqrt(self.search.scene.left[cell_numbers(self.search)]))
 
     def _common(self, cells: np.ndarray) -> np.ndarray:

@@ -111,7 +111,7 @@ def _pool(scene: Scene, size: int) -> Pool:
         boxes(seen[..., None] * flat)[:, good].reshape(frames, -1, 2, 2) if varies else whole[good][None]
     )
     determinant = np.linalg.det(information)
-    told = determinant > _LEAST_SEEN * np.linalg.det(whole[good])
+    resolved = determinant > _LEAST_SEEN * np.linalg.det(whole[good])
     adjugate = np.stack(
         [information[..., 1, 1], -information[..., 0, 1], -information[..., 1, 0], information[..., 0, 0]], -1
     )
@@ -120,18 +120,18 @@ def _pool(scene: Scene, size: int) -> Pool:
         if varies
         else np.einsum("cij,kcj->kci", adjugate[0].reshape(-1, 2, 2), by_shift)
     )
-    motion = mean / np.where(told, determinant, 1)[..., None]
+    motion = mean / np.where(resolved, determinant, 1)[..., None]
     axes = np.linalg.eigh(whole[good])[1][..., ::-1]
-    told = np.broadcast_to(told, motion.shape[:2])
-    along = np.einsum("kci,cij->kcj", np.where(told[..., None], motion, 0), axes).reshape(frames, -1)
-    gaps = None if told.all() else np.repeat(told, 2, 1)
+    resolved = np.broadcast_to(resolved, motion.shape[:2])
+    along = np.einsum("kci,cij->kcj", np.where(resolved[..., None], motion, 0), axes).reshape(frames, -1)
+    gaps = None if resolved.all() else np.repeat(resolved, 2, 1)
     series = without(along, scene.nuisance, gaps)
     size_of = np.trace(scene.information, axis1=1, axis2=2)[:, None]
     centre = boxes(size_of * grid.centres())[good] / boxes(size_of)[good]
     corner = np.stack(np.divmod(np.flatnonzero(good), grid.columns - size + 1), 1)
     empty = np.zeros((0, 0))
     pool = Pool(
-        *(size, corner, centre, axes, told.mean(0), None if gaps is None else gaps.astype(float)),
+        *(size, corner, centre, axes, resolved.mean(0), None if gaps is None else gaps.astype(float)),
         *(series, series.copy(), empty, empty, np.zeros(0), np.ones((1, 1))),
     )
     if len(pool):

@@ -17,7 +17,7 @@ from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.regions import Region
 
 _WHOLE, _HALF = 0.95, 0.5  # of a cell that a region covers
-_EDGE = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_EDGE = 10.0  # times as uncertain as the best direction: beyond it a direction is not resolved
 _SEEN = 0.5  # of a region's information that a picture must show
 
 
@@ -52,18 +52,18 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     least = max(LEAST_INFORMATION, FROZEN * false)
     if values[0] <= least:
         raise RegionError(f"region {region.name!r} has no texture: its shift cannot be measured")
-    told = values > max(values[0] / _EDGE**2, least)
+    resolved = values > max(values[0] / _EDGE**2, least)
     products = np.einsum("fc,cij->fij", seen, information)
     rows = np.linalg.det(products) > _SEEN**2 * np.linalg.det(whole)
     weighted = np.einsum("fc,cij,fcj->fi", seen, information, scene.own[:, cells], optimize=True)
-    motion = np.linalg.solve(products[rows], weighted[rows][..., None])[..., 0] @ axes[:, told]
+    motion = np.linalg.solve(products[rows], weighted[rows][..., None])[..., 0] @ axes[:, resolved]
     series = without(motion, scene.nuisance[rows])
     shown = scene.grid.picture(cells)
     between = scene.between[rows] if scene.treats_apart else None
     found = find_lines(series, scene.times_s[rows], between=between).lines
-    lines = [_line(line, axes[:, told], region, shown) for line in found]
+    lines = [_line(line, axes[:, resolved], region, shown) for line in found]
     remarks = [] if is_inside else ["its cells reach beyond it"]
-    if not told.all():
+    if not resolved.all():
         remarks.append(f"an edge: measured along {axes[0, 0]:+.2f} right {-axes[1, 0]:+.2f} up alone")
     lines = marked(lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light)
     return RegionLook(region, tuple(lines), float(values[0] ** -0.5), "; ".join(remarks).replace("-", "−"))

@@ -1,8 +1,9 @@
-"""Rows that are read one after another: how long that takes, told by phases or by light, and places' own times.
+"""Rows that are read one after another: readout time by phases or by light, and the time of each row.
 
 By phases: cells that move alike at f Hz, at h of the picture's height from its top, are read T h later, so that their
-phases are ahead by 2π f T h. So are those of parts that move one after another, which nothing tells apart. By light: of
-lamps on the mains, which flicker at F = 100 or 120 Hz, a row's brightness at the alias of F is ahead by 2π F T h.
+phases are ahead by 2π f T h. So are those of parts that move one after another, which cannot be distinguished. By
+light: of lamps on the mains, which flicker at F = 100 or 120 Hz, a row's brightness at the alias of F is ahead by 2π F
+T h.
 """
 
 import math
@@ -21,7 +22,7 @@ _SHARE = 0.05  # of a readout by phases, as codecs and edges turn them
 _FEWEST_HEIGHTS = 4
 _MAINS = (100.0, 120.0)  # Hz of light, twice that of the mains
 _DRIFT_HZ = np.linspace(-0.2, 0.2, 9)  # of the light
-_STANDS = 1.5  # periods of the alias in the record: fewer cannot be told from shadow
+_STANDS = 1.5  # periods of the alias in the record: fewer cannot be distinguished from shadow
 _CLEAR = 8.0  # amplitude over its deviation: 4.4 at most where there is none, 20 at least where there is
 _LEAST_S = 0.004  # rolling shutters take 8 to 25 ms; less may be phases of the scene's own
 
@@ -114,38 +115,38 @@ def readout_of(found: Found) -> Readout | None:
     """Return the readout from light, else the weighted mean over lines without a mark; None if unknown."""
     if found.light_readout is not None:
         return found.light_readout
-    told = [
+    estimates = [
         (line.readout_s, line.readout_deviation_s**2)
         for line in found.vibrations
         if line.readout_s is not None and line.readout_deviation_s
     ]
-    if not told:
+    if not estimates:
         return None
-    seconds, variances = np.array(told).T
+    seconds, variances = np.array(estimates).T
     variance = 1 / (1 / variances).sum()
     mean = variance * (seconds / variances).sum()
-    spread = float(((seconds - mean) ** 2 / variances).sum()) / max(len(told) - 1, 1)
+    spread = float(((seconds - mean) ** 2 / variances).sum()) / max(len(estimates) - 1, 1)
     return Readout(float(mean), float((variance * max(spread, 1.0)) ** 0.5))
 
 
 def row_note(found: Found) -> str:
     """Return a note on phases at different heights and the option that would explain them; empty if consistent."""
-    told = readout_of(found)
-    if told is None or abs(told.seconds - found.rows_s) < max(_LEAST_S, 2 * told.deviation_s):
+    estimate = readout_of(found)
+    if estimate is None or abs(estimate.seconds - found.rows_s) < max(_LEAST_S, 2 * estimate.deviation_s):
         return ""
-    ms, deviation, frame_s = 1e3 * told.seconds, 1e3 * told.deviation_s, 1 / (2 * float(found.hz[-1]))
+    ms, deviation, frame_s = 1e3 * estimate.seconds, 1e3 * estimate.deviation_s, 1 / (2 * float(found.hz[-1]))
     more = " other than the readout that was given" if found.rows_s else ""
-    if told.seconds < -2 * told.deviation_s or told.seconds > frame_s + 2 * told.deviation_s:
+    if estimate.seconds < -2 * estimate.deviation_s or estimate.seconds > frame_s + 2 * estimate.deviation_s:
         return (
             f"phases at different heights: they rise with the row as if a picture were read over {ms:.3g} ± "
             f"{deviation:.2g} ms, which no readout of 0 to {1e3 * frame_s:.4g} ms from top to bottom explains"
         )
     digits = max(0, 1 - math.floor(math.log10(max(deviation, 1e-3))))
     what = f"--readout {ms:.{digits}f} would explain it, ± {deviation:.2g} ms"
-    if told.light_hz:
+    if estimate.light_hz:
         return (
             f"phases at different heights to better than the readout{more}: dark bands run over the picture; "
-            f"{what}, if lamps flicker at {told.light_hz:g} Hz"
+            f"{what}, if lamps flicker at {estimate.light_hz:g} Hz"
         )
     return (
         f"phases at different heights to better than the readout{more}: they rise with the row; {what}, if what "

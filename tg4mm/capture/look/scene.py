@@ -191,8 +191,10 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     typical = typical_by_kind(series)
     relative = series.misfit / typical
     quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread))))
-    tells = quiet & usual.compared
-    unlike = (relative > _usually(relative[:, tells])) & (series.misfit > _of_alone(series, tells))
+    informative = quiet & usual.compared
+    unlike = (relative > _usually(relative[:, informative])) & (
+        series.misfit > _of_alone(series, informative)
+    )
     unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
     clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="nearest")
     passed = unlike & (clustered > _CLUSTER).reshape(unlike.shape) & quiet
@@ -210,9 +212,9 @@ def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:
     return np.asarray((left > OTHER * change) & (sums[0] > OTHER * sums[1]))
 
 
-def _of_alone(series: CellSeries, tells: np.ndarray) -> float:
+def _of_alone(series: CellSeries, informative: np.ndarray) -> float:
     """Grey levels²: what pictures that a codec predicts from no other hold of noise, but seldom."""
-    some = series.misfit[series.kinds == INTRA][:, tells]
+    some = series.misfit[series.kinds == INTRA][:, informative]
     if not some.size:
         return 0.0
     middle = float(np.median(some))

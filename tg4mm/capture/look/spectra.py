@@ -9,7 +9,7 @@ PAD = 2  # bins a resolution cell
 LOG2 = float(np.log(2))  # median of |noise|² over its mean, for a complex Gaussian
 _MEDIAN_SCATTER = 2.08  # variance of log(median of n independent exponentials) times n: 1 / log(2)²
 _LEAST_SHAPE = 0.2  # of the common shape: deeper notches come from what was subtracted
-_ALIKE = 20  # columns from which a common shape is told
+_ALIKE = 20  # columns from which a common shape is estimated
 _UNEVEN = 0.01  # of a step
 _CHANCE = 1e-3  # of one false line in a series that is no shift
 

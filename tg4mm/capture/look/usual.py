@@ -8,7 +8,7 @@ from scipy import ndimage
 from tg4mm.capture.tracking.template import Grid
 
 QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
-LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
+LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture is not informative
 OTHER = 0.5  # of the change beyond noise that a shift leaves: edges of what vibrates .1 to .5, wheels, leaves .6 to 1
 BLOCK = np.ones((3, 3))
 _CORE, _CORE_SPREADS = 2.5, 6  # times the usual misfit, and deviations of the cells' scatter: what stands out
@@ -62,6 +62,6 @@ def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.nda
     noisy = typical > QUANTISED
     # A plain cell beside one with noise has some of its slopes.
     beside = ndimage.binary_dilation(grid.picture(noisy), BLOCK).ravel() & ~noisy
-    tells = QUANTISED * np.einsum("cii->ci", covariance).min(1) < 1 / LEAST_INFORMATION
-    compared = tells & ~beside
+    informative = QUANTISED * np.einsum("cii->ci", covariance).min(1) < 1 / LEAST_INFORMATION
+    compared = informative & ~beside
     return compared if compared.any() else np.ones(len(typical), bool)

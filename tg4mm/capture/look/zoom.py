@@ -61,10 +61,10 @@ def camera_shapes(
         weights = weights / (1 + (error / np.median(error[some])) ** 2)[:, None, None]
     corner = (places > np.array(size) / 2) @ [1, 2]
     slopes = [_slopes(design, weights, counts, shift, nuisance, corner == k) for k in range(4)]
-    told = np.array([s for s in slopes if s is not None])  # [Q, m, 2]
-    if len(told) < _FEWEST_QUARTERS:
+    answers = np.array([s for s in slopes if s is not None])  # [Q, m, 2]
+    if len(answers) < _FEWEST_QUARTERS:
         return ()
-    slope, sure = told[..., 0], told[..., 1]
+    slope, sure = answers[..., 0], answers[..., 1]
     middle = np.median(slope, 0)
     alike = np.abs(slope - middle) < _ALIKE * middle + 2 * np.abs(slope) / np.maximum(sure, _SURE)
     is_one = ((sure > _SURE) & alike).all(0)

@@ -39,7 +39,7 @@ LAYOUTS = (
 _IN_FOLDERS = tuple({*VIDEO_SUFFIXES, *PHOTRON_SUFFIXES} - {".gif"})
 # Pictures that phones and cameras write and that are not read here.
 UNREAD = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
-# Files by which a dataset that `tg4mm train` reads is told from pictures.
+# Files that distinguish a dataset for `tg4mm train` from a folder of pictures.
 DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/images.*", "sparse/0/images.*")
 
 
@@ -88,7 +88,7 @@ class Clip:
 
     @property
     def is_untimed(self) -> bool:
-        """Whether nothing tells when the pictures were taken, but their rate."""
+        """Whether the times of the pictures follow from their rate alone."""
         return not self.is_video or is_untimed(self.path)
 
 
@@ -138,8 +138,8 @@ def frame_rate(
         fitted = Fraction(_slope(times, numbers)).limit_denominator(_FINE)
         usual = [Fraction(round(fitted)), Fraction(round(fitted * 1001 / 1000) * 1000, 1001)]
         usual.sort(key=lambda rate: float(np.ptp(_misfits(times, rate or fitted, numbers))))
-        told = [rate for rate in (*rates, *usual) if rate in usual]
-        once = [(rate, 1 + hair) for hair in (-_ROUNDING, _ROUNDING) for rate in told]
+        common = [rate for rate in (*rates, *usual) if rate in usual]
+        once = [(rate, 1 + hair) for hair in (-_ROUNDING, _ROUNDING) for rate in common]
         for rate, ticks in (*once, (fitted, 2)):
             if rate > 0 and _fit(times, rate, tick, numbers, ticks):
                 return rate

@@ -238,14 +238,14 @@ def warn_light(surveys: Iterable[Survey]) -> None:
             continue
         times = np.array([float(time) for time in survey.times])
         found = [_change(times, survey.light[:, :1]), _change(times, survey.light[:, 1:])]
-        told = [
+        found_defects = [
             f"{what} changes by {size:.2g} of it, fastest at {at:.1f} s"
             for what, (size, at) in zip(("exposure", "white balance"), found, strict=True)
             if size > _SAID
         ]
-        if told:
+        if found_defects:
             warnings.warn(
-                f"{survey.path.name}: {' and '.join(told)}; changes common to all of the picture are "
+                f"{survey.path.name}: {' and '.join(found_defects)}; changes common to all of the picture are "
                 "removed; lock both in the camera",
                 stacklevel=2,
             )

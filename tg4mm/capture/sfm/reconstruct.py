@@ -157,7 +157,7 @@ def _flat(job: _Job) -> dict[str, Any]:
 
 
 def _video(job: _Job) -> dict[str, Any]:
-    """The one video, linked into the dataset, with what of it is left out: what its compression takes is told by it."""
+    """Link the one video into the dataset, with the frames left out, so that its compression can be tested."""
     clip, survey = job.sources.clips[0], job.surveys[0]
     if not clip.is_coded:
         return {}

@@ -2,14 +2,14 @@
 
 The shift of a frame from the first one is found by phase correlation (Kuglin & Hines 1975) on a reduced grey picture
 and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority. Where
-it is not, as with a bridge before the sky, the blocks tell too: a camera that is knocked takes nearly all along.
+it is not, as with a bridge before the sky, the blocks show it too: a camera that is knocked takes nearly all along.
 
-Whether a recording shows one picture for a while, or hardly changes at all, is told apart from what its codec does to
-it. A sensor's noise and a scene's motion change blocks of the picture in nearly every frame. A codec that is fed one
-picture changes it at its key frames, refines it after them, and goes back and forth between its kinds of frames, to
-pictures that were there a moment before. So a block counts as new where it is unlike each of the last RECENT frames.
-Light that flickers changes a still picture from frame to frame and comes back too. A picture whose brightness changes
-is not frozen; and a run of it is found only in a recording in which more than the light changes otherwise.
+A frozen picture, or a recording that hardly changes at all, is distinguished from the effects of the codec. A sensor's
+noise and a scene's motion change blocks of the picture in nearly every frame. A codec that is fed one picture changes
+it at its key frames, refines it after them, and goes back and forth between its kinds of frames, to pictures that were
+there a moment before. So a block counts as new where it is unlike each of the last RECENT frames. Light that flickers
+changes a still picture from frame to frame and comes back too. A picture whose brightness changes is not frozen; and a
+run of it is found only in a recording in which more than the light changes otherwise.
 """
 
 from collections import deque
@@ -46,7 +46,7 @@ ALIVE = 0.2  # share of new blocks in a fifth of the frames of a recording whose
 STILL = 0.02  # those with fewer new blocks than this
 NOISE = 1.3  # grey levels between successive key frames that are a sensor's noise, where it is
 EVEN = 0.75  # as large between all of them
-FEWEST_KEYS = 3  # changes between key frames, after the first, that tell noise from one picture
+FEWEST_KEYS = 3  # changes between key frames, after the first, that distinguish noise from one picture
 LIVELY = 0.5  # share of new blocks in each of
 LIVELY_RUN = 10  # successive frames of a recording that is not frozen all along
 SHORTEST = 5  # frames of a frozen run
@@ -264,7 +264,7 @@ def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray, together: np.ndar
     if worst is None:
         return None
     step, t = worst
-    # The medians of the windows step within half a window of it; the frames themselves tell where.
+    # The medians of the windows step within half a window of it; the frames themselves show where.
     low, high = max(1, t - window), min(n - 1, t + window)
     jumps = np.linalg.norm(np.diff(shifts[low - 1 : high + 1], axis=0), axis=1)
     at = low + int(jumps.argmax())
@@ -320,17 +320,17 @@ class NoveltyMeter:
 
         is_new [T] bool: frames that are no duplicates.
         """
-        told = is_new[self._at]
-        news = np.array(self._news)[told]
+        kept = is_new[self._at]
+        news = np.array(self._news)[kept]
         if not len(news) or any(stop - first >= LIVELY_RUN for first, stop in runs(news >= LIVELY)):
             return False
         silent, median = np.quantile(news, (0.25, 0.5))
-        busy = np.unpackbits(np.stack(self._blocks)[told], axis=1).sum(0)
+        busy = np.unpackbits(np.stack(self._blocks)[kept], axis=1).sum(0)
         busiest = busy.max() / len(news)
         return bool(silent <= SILENT and median < QUIET and busiest < BUSY and not self._keys_differ())
 
     def _keys_differ(self) -> bool:
-        """Whether key frames tell of noise that the frames between them have lost. The first one is coarser."""
+        """Whether key frames have noise that the frames between them have lost. The first one is coarser."""
         changes = self._key_changes[1:]
         return len(changes) >= FEWEST_KEYS and min(changes) >= max(NOISE, EVEN * max(changes))
 
@@ -339,9 +339,9 @@ class NoveltyMeter:
 
         is_new [T] bool: frames that are no duplicates; the others are not counted.
         """
-        length, told = len(self._brightness), is_new[self._at]
+        length, counted = len(self._brightness), is_new[self._at]
         frozen = np.zeros(length, bool)
-        alive = np.array(self._relit if self._is_lit else self._news)[told]
+        alive = np.array(self._relit if self._is_lit else self._news)[counted]
         if not len(alive) or np.quantile(alive, 0.8) < ALIVE:
             return frozen
         kept = np.flatnonzero(is_new)

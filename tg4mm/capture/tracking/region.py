@@ -1,8 +1,8 @@
 """The measuring instrument: the motion of regions in the pictures of one fixed camera, with what it is known by.
 
-Each region is measured as a rigid body against its mean picture (`template.py`), in two halves of its pixels apart: how
-much the halves differ tells the noise. Motion beyond a third of a pixel is iterated (`registration.py`). Rows that are
-read one after another are brought to the time at which the region as a whole is read.
+Each region is measured as a rigid body against its mean picture (`template.py`), in two halves of its pixels apart: the
+difference of the halves gives the noise. Motion beyond a third of a pixel is iterated (`registration.py`). Rows that
+are read one after another are brought to the time at which the region as a whole is read.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -122,7 +122,7 @@ class RowClock:
         """mean [h, w] of the inner box; height: of the picture."""
         rows, bands, known = region.index // mean.shape[1], [], []
         slope = (np.array(np.gradient(mean)) ** 2).sum(0).ravel()
-        told = slope[region.index] * region.root**2
+        weight = slope[region.index] * region.root**2
         delays = np.zeros(len(mean))
         for band in bands_of(readout_s, height):
             first, last = (edge - region.top for edge in (band.rows.start, band.rows.stop))
@@ -133,7 +133,7 @@ class RowClock:
             ]
             if any(own.stop > own.start for own in ends):
                 bands.append((band.delay_s, ends))
-                known.append(sum(float(told[k, own].sum()) for k, own in enumerate(ends)))
+                known.append(sum(float(weight[k, own].sum()) for k, own in enumerate(ends)))
         weights = np.maximum(known, 1e-12 * max(max(known), 1e-30))
         whole = float(np.average([delay for delay, _ in bands], weights=weights))
         return RowClock(region, times_s, delays, bands, whole)

@@ -161,7 +161,7 @@ class Template:
         return normals, left @ self.of_instruments @ left.transpose(0, 2, 1)
 
     def together(self, shift: np.ndarray) -> np.ndarray:
-        """[F, 2] of shifts [C, F, 2 or 3]: their mean, weighted by what each part tells."""
+        """[F, 2] of shifts [C, F, 2 or 3]: their mean, weighted by each part's information."""
         if len(shift) == 1:
             return np.asarray(shift[0, :, :2])
         normals = self.motion_equations()[0]

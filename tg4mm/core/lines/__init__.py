@@ -6,7 +6,7 @@
         line.phasor, line.amplitude_deviation    # [D] complex, [D]: u(t) = envelope(t) Re[phasor exp(i 2π f t)]
         line.damping, line.damping_deviation     # ζ = decay / (2π f), None unless a test says that it rings down
         line.change                              # "steady", "decays", "grows", "begins", "varies" or "untold", tested
-        line.modulation                          # rms of what changes slowly beside that, relative; 0: none is told
+        line.modulation                          # rms of what changes slowly beside that, relative; 0: none detected
     fit_line_near(values, times_s, hz, half_hz)      # the one line at a frequency that is known to within half_hz
     fit_lines(values, times_s, hz)               # the same at frequencies [K] that are known to within a bin, or with
                                                  # the frequencies and envelopes of other lines [K]

@@ -4,8 +4,8 @@
 
 The drift is a Gaussian process of flat spectrum from 0 Hz to the band's lower end, as strong as all of the record: in
 one period, a drift as large as the motion may look like it. f is anywhere in the band alike. For each f the phasor m is
-that of generalised least squares; the answer is the mean over f, each by its evidence, and the deviations hold both how
-m is told at f and how it differs with f (Rasmussen & Williams 2006, sections 2.7 and 5.2).
+that of generalised least squares; the answer is the mean over f, each by its evidence, and the deviations contain both
+the error of m at f and its change with f (Rasmussen & Williams 2006, sections 2.7 and 5.2).
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ FEWEST = 6  # samples
 _TRIED = 8  # frequencies tried per 1 / duration, and in the band at least
 _MOST = 2000  # samples at once: of more, neighbours are averaged
 _ZOOMS, _NEGLIGIBLE = 4, 1e-4
-_ROUNDING = 1e-9  # of the record's mean square: less noise cannot be told from rounding
+_ROUNDING = 1e-9  # of the record's mean square: less noise cannot be distinguished from rounding
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ def tone_in(
     middle = float(t.mean())
     for _ in range(_ZOOMS):  # to where the evidence is, which may be narrower than a step
         means, variances, weights = _answers(grid, t - middle, y, low, known, high)
-        told = np.flatnonzero(weights > _NEGLIGIBLE)
-        ends = grid[max(told[0] - 1, 0)], grid[min(told[-1] + 1, len(grid) - 1)]
+        likely = np.flatnonzero(weights > _NEGLIGIBLE)
+        ends = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, len(grid) - 1)]
         if ends == (grid[0], grid[-1]):
             break
         grid = np.linspace(*ends, len(grid))
@@ -113,7 +113,7 @@ def _at_each(
         angles = 2 * np.pi * f * t
         design = np.stack([np.cos(angles), -np.sin(angles), np.ones_like(t)], 1)
         solved = cho_solve(factor, np.column_stack([design, y]))
-        # parts of the phasor as large as the record, at most: without an end, what is hardly told would weigh as much
+        # parts of the phasor at most as large as the record: else poorly resolved frequencies would weigh as much
         information = design.T @ solved[:, :3] + np.diag([0.5 / size, 0.5 / size, 0.0])
         covariance = np.linalg.inv(information)
         right = design.T @ solved[:, 3]

@@ -110,8 +110,8 @@ def fit_lines(
 ) -> Lines:
     """One line for each of `at` [K], in their order.
 
-    Frequencies (Hz) are refined, by 0.75 / duration at most, and decay where that is told; lines, of another record at
-    the same times, keep their frequency and envelope. The other arguments are `find_lines`'. Raises ValueError for
+    Frequencies (Hz) are refined, by 0.75 / duration at most, and decay where it is resolved; lines, of another record
+    at the same times, keep their frequency and envelope. The other arguments are `find_lines`'. Raises ValueError for
     fewer than 12 samples, or than four for each line and eight.
     """
     record = Record.of(values, times_s, noise, None)

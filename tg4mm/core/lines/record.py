@@ -63,7 +63,7 @@ class Line:
     change: str  # "steady", "decays", "grows", "begins" (and then lasts or decays), "varies", "untold"
     strength: float  # χ² of its amplitudes, of 2D degrees of freedom
     modulation: float = (
-        0.0  # rms of what its amplitude and phase (rad) change by beside that, relative; 0: none is told
+        0.0  # rms of what its amplitude and phase (rad) change by beside that, relative; 0: none detected
     )
 
     @property
@@ -382,11 +382,11 @@ def early_decay_variance(shape: Shape, t: np.ndarray, own: np.ndarray, variance:
 
     bounds = tuple(np.log(shape.decay * np.array(_RANGE)))
     found = float(np.exp(minimize_scalar(left, bounds=bounds, method="bounded").x))
-    told = [_information(shape, part, whole, y), _information(shape, whole, whole, y)]
-    if told[0] <= 0:
+    information = [_information(shape, part, whole, y), _information(shape, whole, whole, y)]
+    if information[0] <= 0:
         return 0.0
     # of nested samples' estimates, the variance of their difference is that of their variances
-    apart = variance * max(told[1] / told[0] - 1, 0.0)
+    apart = variance * max(information[1] / information[0] - 1, 0.0)
     return max((found - shape.decay) ** 2 - apart, 0.0)
 
 

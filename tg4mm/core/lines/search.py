@@ -168,7 +168,7 @@ _SURE = 1e-3  # chance that pictures between others are called lossy though they
 # times weaker than the line that it comes of: what a codec makes, if it keeps a tenth of a motion
 WEAKER = 1.5
 _MIRROR, _OVERLAP = 2.0, 0.7  # 1 / duration about twice a frequency, and what is too much there
-_PLACES = 3  # of pictures between two others, at most, that are told apart
+_PLACES = 3  # of pictures between two others, at most, that are distinguished
 
 
 def without_between(

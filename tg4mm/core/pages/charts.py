@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
+COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, distinguishable for the colour-blind
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,

@@ -96,7 +96,7 @@ def sub_bands(shape: tuple[int, int], config: PyramidConfig | None = None) -> It
         poke[..., 0, 0] = 1  # every orientation: `bands` picks one
         poked = OrderedDict(answers | {scale: poke})
         for o in range(config.orientations):
-            # Synthesis filters are real in space: one impulse tells all.
+            # Synthesis filters are real in space: one impulse suffices.
             back = made.recon_pyr(poked, levels=[scale], bands=[o])[0, 0]
             yield SubBand(scale, o, analysis[o].clone(), crop(torch.fft.fft2(back), analysis.shape[-2:]))
 

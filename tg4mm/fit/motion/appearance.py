@@ -29,7 +29,7 @@ _TILT = np.float32(np.sqrt(3.0))  # of degree 1 beside it
 SMOOTHNESS_WEIGHT = 2.0  # λ, of neighbours that change alike; both chosen on eight generated scenes
 RIDGE_WEIGHT = 0.2  # μ, which draws changes to zero
 ITERATIONS = 3  # six do hardly better
-LOOK = 1  # iterations after which it is told whether the folds agree; enough between the motion's two passes
+LOOK = 1  # iterations after which the folds' agreement is tested; enough between the motion's two passes
 _MIN_RELIABILITY = 0.5  # below it a component has none
 _TOGETHER = 8  # components that share a pass over the views
 

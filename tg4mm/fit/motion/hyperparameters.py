@@ -1,7 +1,7 @@
 """What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
 
-Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. What
-such components hold tells how noisy every pixel is: shadows and gloss of a renderer, dark places of a sensor. Pixels
+Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. The
+energy of such components gives every pixel's noise: shadows and gloss of a renderer, dark places of a sensor. Pixels
 count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
 average one.
 
@@ -61,7 +61,7 @@ class Hyperparameters:
 
 
 def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold]) -> float:
-    """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
+    """Return the smoothness weight: that of the settings, if any; `DEFAULT` for a single fold."""
     if problem.config.smoothness_weight:
         return float(problem.config.smoothness_weight)
     if len(folds) == 1:

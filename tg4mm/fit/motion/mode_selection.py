@@ -1,4 +1,4 @@
-"""What is known of each mode: which are peaks, which hold nothing but noise, what else it could be."""
+"""Selection of modes: which are peaks, which are noise, and which may be artefacts."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,7 @@ def peaks(
 ) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
-    Below half the frame rate, where cosine and sine cannot be told apart.
+    Below half the frame rate, where cosine and sine are distinct.
     Of many modes most are noise: then a peak is six times the median one too. And a drift, which is spread over
     frequencies, has no peak: one is three times what rms falls to with frequency, and four robust deviations above it.
     A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger mode is its

@@ -155,13 +155,13 @@ def _rows(motion: ModalMotion, some: slice) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MotionFit:
-    """What `fit_motion` gives: the scene at rest, its motion, how sure it is, and what the capture cannot tell."""
+    """What `fit_motion` gives: the scene at rest, its motion, its uncertainty, and the limits of the capture."""
 
     gaussians: Gaussians  # at rest; others than those given where large motion made them sharper
     motion: ModalMotion  # displacement and rotation phasors of every Gaussian
     uncertainty: dict[str, np.ndarray]  # RUN/uncertainty.safetensors (docs/conventions.md); may be empty
     figures: dict[str, Any]  # for the log
-    notes: list[str] = field(default_factory=list)  # what cannot be told, a line each
+    notes: list[str] = field(default_factory=list)  # limits of the result, a line each
     config: MotionConfig = field(default_factory=MotionConfig)  # it was asked for with
 
     @property

@@ -30,9 +30,9 @@ _CLOCK = 0.1
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
 LEAST_PERIODS = 0.5  # of a band that a person gives: less is a slope
-CLEAR_PERIODS = 2.5  # of one that is told from a drift
+CLEAR_PERIODS = 2.5  # of one that is distinguished from drift
 PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two cores a pass
-PICTURE = 1920 * 1080  # pixels of one picture, likewise: more tell little to the Gaussians that there are
+PICTURE = 1920 * 1080  # pixels of one picture, likewise: more add little for the number of Gaussians
 _SHORTEST = 270  # pixels along a side, which are never made fewer
 _AROUND = 16  # pixels at least
 _SAMPLED = 16  # pictures that tell how fine the texture is
@@ -322,9 +322,9 @@ def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None =
 def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window) -> str:
     """What a window that averages costs: by how much standard deviations grow.
 
-    Motion is told by slopes of the picture. Averaging k² pixels makes independent noise k times smaller and slopes per
-    pixel k times larger, where the texture is coarse. Slopes are told from noise by the product of two means over
-    different pictures.
+    Motion is resolved by slopes of the picture. Averaging k² pixels makes independent noise k times smaller and slopes
+    per pixel k times larger, where the texture is coarse. Slopes are separated from noise by the product of two means
+    over different pictures.
     """
     rows = fixed_cameras(capture)[0].rows
     some = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).round().astype(int)].tolist()

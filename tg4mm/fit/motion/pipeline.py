@@ -46,7 +46,7 @@ _SUPPORTS = 2  # fits within a support, at most
 _ROUNDS = 2  # of corrections by the mean picture: a share that is lacking is lacking to its cube then
 _DRAWS, _DRAW_ITERATIONS = 4, 8  # of motion that many cameras do not show: a fifth of the time of the fit
 _DRAWN_PIXELS = 720_000  # of all views together
-_JUDGED = 10  # views whose residual tells errors of the model
+_JUDGED = 10  # views whose residual estimates errors of the model
 
 
 def fit_motion(
@@ -86,7 +86,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     model, hyper, folds, gradients = solution.model, solution.hyper, solution.folds, solution.gradients
     fields, reliability = wiener_shrink(folds)
     pixels, n_views = model.pixels_moved(fields), len(model.problem.views)
-    # views whose residual tells errors of the model
+    # views whose residual estimates errors of the model
     rows = np.linspace(0, n_views - 1, min(n_views, _JUDGED)).round().astype(int).tolist()
     figures: dict[str, Any] = {"pixels_moved": pixels * model.observations.factor, "gauss_newton": count}
     targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
@@ -273,7 +273,7 @@ def _result(
     uncertainty: Uncertainty | None,
     figures: dict[str, Any],
 ) -> MotionFit:
-    """With what is logged, and what cannot be told."""
+    """Assemble the fit with its log and notes."""
     observations, notes = model.observations, [*model.notes]
     if observations.is_flat:
         notes.append("a flat capture shows only motion across the line of sight, in pixels")

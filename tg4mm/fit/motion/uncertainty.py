@@ -320,11 +320,11 @@ def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
     for pictures, view, camera in zip(estimate.residuals, estimate.views, estimate.cameras, strict=True):
         down, right = np.gradient(view.over_white, axis=(0, 1))
         slopes = (down**2 + right**2).sum(-1)
-        told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
+        sums = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
         depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
-        told[:, 1:] *= per_unit[:, None] ** 2
-        seen += told
+        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(sums[:, 2] > 0, depth, 1)  # pixels
+        sums[:, 1:] *= per_unit[:, None] ** 2
+        seen += sums
     local, total = mean_over_neighbours(seen, estimate.knn), seen.sum(0)
     flat = _FLAT * local[:, 2] * total[1] / max(total[2], _TINY)
     squares = local[:, 0] / np.maximum(np.maximum(local[:, 1], flat), _TINY)

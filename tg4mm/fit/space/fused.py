@@ -94,13 +94,13 @@ def _named(arrays: tuple[np.ndarray, ...]) -> dict[str, Tensor]:
     return dict(zip(_SHAPES, plain, strict=True)) | {"sh0": sh[:, :1], "shn": sh[:, 1:]}
 
 
-def told(target: np.ndarray, image: np.ndarray, transmittance: np.ndarray, gain: np.ndarray) -> np.ndarray:
+def filled(target: np.ndarray, image: np.ndarray, transmittance: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """A target [H, W, 3] with what is rendered where it is NaN, so that there is nothing to be gained there."""
-    untold = np.isnan(target[..., 0])
-    if not untold.any():
+    is_masked = np.isnan(target[..., 0])
+    if not is_masked.any():
         return target
     out = target.copy()
-    out[untold] = (image[untold][:, :3] + np.float32(WHITE) * transmittance[untold][:, None]) * gain
+    out[is_masked] = (image[is_masked][:, :3] + np.float32(WHITE) * transmittance[is_masked][:, None]) * gain
     return out
 
 
@@ -142,7 +142,7 @@ class Iteration:
         blend_forward(*tiles, image, transmittance, reached=bins.reached)
         v_image, v_transmittance = take("v_image", image.shape), take("v_transmittance", (height, width))
         squares = take("squares", (height,), np.float64)
-        target = told(target, image, transmittance, gain)
+        target = filled(target, image, transmittance, gain)
         more = self._structure(image, transmittance, target, gain)
         share = 1 - self._dssim
         loss = (share, self._l2, more)
@@ -167,7 +167,7 @@ class Iteration:
         transmittance = self._buffers.take("transmittance", (height, width))
         every = (slice(None, None, GAIN_EVERY),) * 2
         shown = image[every][..., :3] + np.float32(WHITE) * transmittance[every][..., None]
-        return fitting_gain(shown, told(target[every], image[every], transmittance[every], _PLAIN))
+        return fitting_gain(shown, filled(target[every], image[every], transmittance[every], _PLAIN))
 
     def _structure(
         self, image: np.ndarray, transmittance: np.ndarray, target: np.ndarray, gain: np.ndarray

@@ -285,10 +285,10 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
 
 def _without_holes(picture: np.ndarray) -> np.ndarray:
     """[H, W, 3]: with the nearest pixel where a mask left nothing."""
-    untold = np.isnan(picture[..., 0])
-    if not untold.any():
+    is_masked = np.isnan(picture[..., 0])
+    if not is_masked.any():
         return picture
-    nearest = distance_transform_edt(untold, return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(is_masked, return_distances=False, return_indices=True)
     return np.asarray(picture[tuple(nearest)])
 
 

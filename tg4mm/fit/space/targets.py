@@ -60,7 +60,7 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
                 update(done := done + 1)
             rgb[v], alpha[v] = total.means(len(group))
             if capture.masks:
-                rgb[v] = _told(capture, images, group, rgb[v])
+                rgb[v] = _masked_mean(capture, images, group, rgb[v])
     return RestViews(
         viewmats=capture.viewmats[first],
         Ks=capture.Ks[first].astype(np.float32),
@@ -70,7 +70,7 @@ def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews
     )
 
 
-def _told(
+def _masked_mean(
     capture: Capture, images: ImageStack | FilePictures, group: np.ndarray, mean: np.ndarray
 ) -> np.ndarray:
     """[H, W, 3]: the mean over the pictures that count at each pixel, NaN where none does."""
@@ -82,8 +82,8 @@ def _told(
         counts = np.ones(mean.shape[:2], bool) if mask is None else mask
         total += images.rgb(int(i)) * counts[..., None]
         count += counts
-    told = total / np.maximum(count, 1)[..., None]
-    return np.where(count[..., None] > 0, told, np.nan).astype(np.float32)
+    masked_mean = total / np.maximum(count, 1)[..., None]
+    return np.where(count[..., None] > 0, masked_mean, np.nan).astype(np.float32)
 
 
 def _in_turn(images: ImageStack | FilePictures, rows: np.ndarray) -> Iterator[np.ndarray]:

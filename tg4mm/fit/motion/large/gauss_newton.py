@@ -49,7 +49,7 @@ POINTS = 5  # at most: each costs as much as the problem at rest
 POINT_PX = 0.7  # states less apart share one
 _ROWS = 64  # of a picture at a time, where pictures are combined
 ABOVE_PX, MANY_CAMERAS_PX = 0.7, 0.35  # up to these motion is in the linear range
-_FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration tells less of them
+_FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration says less about them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 
 

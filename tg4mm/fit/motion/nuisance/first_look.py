@@ -44,7 +44,7 @@ from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.split_half import chessboard
 
 BLOCKS = 8  # along each side
-_TEXTURE = 0.05  # of the mean block's: less tells no shift
+_TEXTURE = 0.05  # of the mean block's: less resolves no shift
 _STILLEST = 0.25  # of the blocks with texture
 LEAST_PX = 0.01  # rms; less is none
 _EXPLAINED = 0.7  # of the stillest blocks' power must be that of one pose

@@ -33,7 +33,7 @@ class TemporalModel(ABC):
     folds: Sequence[Fold]
     config: MotionConfig
     figures: dict[str, Any]  # for the log
-    notes: Sequence[str]  # what cannot be told
+    notes: Sequence[str]  # limits of the result
     fitted: np.ndarray  # [ρ'] which of the target images
     # on the motion at a frequency: what the user can do
     if_halves_disagree: ClassVar[str] = "use longer clips"
@@ -59,7 +59,7 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
-        """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
+        """Return target images [V, ρ, H, W, 3] for choosing the smoothness weight, with their problem and folds."""
 
     @abstractmethod
     def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "TemporalModel":
@@ -98,4 +98,4 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-        """Frequencies of the motion's peaks, by falling strength. noise [N]: as `split_half_uncertainty` tells it."""
+        """Frequencies of the motion's peaks, by falling strength. noise [N]: of `split_half_uncertainty`."""

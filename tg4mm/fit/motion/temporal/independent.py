@@ -7,7 +7,7 @@ fields for given phases by least squares, phases as θ = arg⟨J_c m, C_c⟩ wit
 start from the same alternation on region shifts alone, which costs nothing and is tried from many random phases.
 
 The first camera's clock is the common one. Cameras of a rig have one offset of their clock for all frequencies,
-which is told from the phases.
+which follows from the phases.
 """
 
 from collections.abc import Sequence
@@ -217,7 +217,7 @@ def _phase_figures(observations: Observations, phases: np.ndarray, hz: np.ndarra
 
 
 def clock_offset(phases: np.ndarray, hz: np.ndarray) -> float:
-    """The offset Δ (s) nearest to 0 with θ_k = 2π f_k Δ for all k; of one frequency it is told modulo a period."""
+    """The offset Δ (s) nearest to 0 with θ_k = 2π f_k Δ for all k; for one frequency, modulo a period."""
     span = min(1 / (2 * hz.min()) * (1 if len(hz) == 1 else 8), 2.0)
     grid = np.arange(-span, span, 1 / (64 * hz.max()))
     score = np.cos(phases[None] - 2 * np.pi * grid[:, None] * hz).sum(1) - 1e-3 * np.abs(grid) / span

@@ -6,7 +6,7 @@ is then motion, noise, and what the scene at rest still gets wrong. The last cha
 viewpoint. So the functions of time that are fitted hold, besides the sinusoids, a constant and slow polynomials, whose
 fields are let go.
 
-Motion that looks like the camera's own, of the whole picture as one, cannot be told from it: of all motions that
+Motion common to the complete picture cannot be distinguished from the camera's: of all motions that
 explain the frames, the one is taken in which most of the scene stands still.
 """
 
@@ -133,7 +133,7 @@ class MovingCamera(Steady):
         """What moves by a quarter of the largest amplitude or more, for each frequency; slow functions where any does.
 
         With the pose projected out the first fit spreads motion over what stands still. Where that is held still,
-        the poses are told by it, and the amplitude comes out.
+        it determines the poses, and the amplitude is correct.
         """
         moves = self._moves(self.fix_gauge(folds[:, : 2 * len(self.hz)]).mean(0))
         slow = np.tile(moves.any(0), (folds.shape[1] - 2 * len(self.hz), 1))
@@ -147,7 +147,7 @@ class MovingCamera(Steady):
         return np.asarray(amplitudes > _MOVES * largest)
 
     def settled(self, folds: np.ndarray) -> "tuple[MovingCamera, np.ndarray]":
-        """The frequencies on which two folds agree, and of which the camera's path tells what stands still."""
+        """Keep the frequencies on which two folds agree and for which the camera's path shows what is at rest."""
         model, folds = super().settled(folds)
         readings = model._readings(folds.mean(0))
         if not readings:

@@ -85,8 +85,8 @@ class _Record:
 
     def strongest(self) -> "_Record":
         """The series with the most power, each over its own noise."""
-        told = self.noise > 0
-        y = self.y[:, told] / np.sqrt(self.noise[told])
+        measured = self.noise > 0
+        y = self.y[:, measured] / np.sqrt(self.noise[measured])
         return replace(self, y=y[:, np.argsort((y**2).sum(0))[::-1][:_STRONG]])
 
     def without_third(self, k: int) -> "_Record":
@@ -146,9 +146,11 @@ def _spectrum(records: Sequence[_Record], hz: np.ndarray, grid: np.ndarray) -> n
     """[M]: mean over all series of power over noise, 1 for noise alone; sinusoids of frequencies [K] taken out."""
     total, count = np.zeros(len(grid)), 0
     for r in records:
-        told = r.noise > 0
-        total += np.minimum(_power(r.without(hz)[:, told], r.times_s, grid) / r.noise[told], _CAP).sum(1)
-        count += int(told.sum())
+        measured = r.noise > 0
+        total += np.minimum(
+            _power(r.without(hz)[:, measured], r.times_s, grid) / r.noise[measured], _CAP
+        ).sum(1)
+        count += int(measured.sum())
     return total / max(count, 1)
 
 
@@ -190,10 +192,10 @@ def _cramer_rao(records: Sequence[_Record], hz: np.ndarray) -> np.ndarray:
     for f in hz:
         information = 0.0
         for r in records:
-            told = r.noise > 0
+            measured = r.noise > 0
             x = sinusoids(r.times_s, np.array([f])).T
-            amplitude2 = (np.linalg.lstsq(x, r.y[:, told], rcond=None)[0] ** 2).sum(0)
-            snr = len(x) * amplitude2 / (2 * r.noise[told])
+            amplitude2 = (np.linalg.lstsq(x, r.y[:, measured], rcond=None)[0] ** 2).sum(0)
+            snr = len(x) * amplitude2 / (2 * r.noise[measured])
             information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(r.times_s)) ** 2
         out.append(np.sqrt(3 / (np.pi**2 * max(information, 1e-12))))
     return np.array(out)
@@ -320,7 +322,7 @@ class Steady(TemporalModel):
 
     @property
     def is_asked(self) -> np.ndarray:
-        """[K] bool: which lie in the band that was asked for, and stay however little is told of them."""
+        """[K] bool: which lie in the requested band, and are kept whatever their error."""
         band = asked_band(self.config.band, self.observations.fps)
         return in_band(self.hz, band) if band is not None else np.zeros(len(self.hz), bool)
 
@@ -372,7 +374,7 @@ def frequencies_of(
     """From all clocks' region shifts, from two periods in the record (or `lowest_hz`) to half the frame rate.
 
     Those whose power is at least `least` times that of the noise. In the band that was asked for there is always one:
-    where none stands out, that of the tone there (`core/lines/band.py`). Also for the log, how little is told of it.
+    where none stands out, that of the tone there (`core/lines/band.py`). Also return its relative error for the log.
     """
     highest, lowest = _HIGHEST * observations.fps / 2, max(lowest_hz, observations.lowest_hz)
     shifts, times = [s.whitened() for s in series], [s.times_s for s in series]

@@ -134,9 +134,9 @@ def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float =
     """How many components stand out of rounding and noise: `energy` [T] falling. At least `least`.
 
     Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
-    where pictures repeat (`rank` are not). So the weakest quarter of the others tells its level. Fewer than seven are
-    no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by the
-    number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
+    where pictures repeat (`rank` are not). So its level is that of the weakest quarter of the others. Fewer than seven
+    are no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by
+    the number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
     """
     used = len(energy) - 1 if rank is None else rank
     floor = _RELATIVE_FLOOR * energy[0]
