@@ -3,7 +3,7 @@
 import numpy as np
 
 from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.fixed_cameras import picture_sums
 from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.targets import TargetImages
@@ -26,7 +26,7 @@ _nothing = _Nothing()
 
 def components(observations: Observations, most: int = 6) -> TargetImages:
     nuisances = no_nuisance(observations)
-    look, config = first_look(observations, nuisances), MotionConfig(components=most)
+    look, config = picture_sums(observations, nuisances), MotionConfig(components=most)
     return principal_components(observations, look, nuisances, config)
 
 

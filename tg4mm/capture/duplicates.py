@@ -54,7 +54,7 @@ _ALONE_RUN = 4  # duplicates in a row, at most: more are a frozen picture
 
 @dataclass(frozen=True)
 class Duplicates:
-    """Which frames are duplicates, and in what pattern."""
+    """The duplicate frames and their pattern."""
 
     is_new: np.ndarray  # [T] bool
     share: Fraction | None  # m / n of the frames are new pictures, in a pattern; None: no pattern
@@ -162,7 +162,7 @@ def _ordered(rank: np.ndarray, is_new: np.ndarray) -> float:
 
 
 def _kinds_of(kinds: str) -> list[Hashable]:
-    """What the codec's structure says of each frame: its letter, and its place between frames that are not B."""
+    """Return each frame's kind as a letter, with its position between frames that are not B-frames."""
     at = np.flatnonzero([kind != "B" for kind in kinds])
     frames = np.arange(len(kinds))
     before = np.concatenate([[-1], at])[np.searchsorted(at, frames, "left")]

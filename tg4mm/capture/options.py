@@ -61,7 +61,7 @@ def _threads(given: int) -> int:
 
 @dataclass(frozen=True)
 class RecordingConfig:
-    """What is known of recordings: kind, times, scale."""
+    """Properties of recordings: kind, times, scale."""
 
     kind: Kind | None = option(
         None, f"{' '.join(f'{kind}: {kind.about}.' for kind in Kind)} [default: found from the input]"
@@ -116,7 +116,7 @@ class Intrinsics(StrEnum):
 
 
 class Matching(StrEnum):
-    """Which pictures are compared."""
+    """The pairs of pictures that are compared."""
 
     auto = "auto"
     exhaustive = "exhaustive"

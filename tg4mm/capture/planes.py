@@ -44,7 +44,7 @@ AS_STORED = Orientation()
 
 
 def orientation_of(frame: Any) -> Orientation:
-    """What a decoded frame's display matrix asks for; one that turns by no quarter is not obeyed."""
+    """Return the rotation in a decoded frame's display matrix; other angles than quarter turns are ignored."""
     data = next((bytes(d) for d in frame.side_data if d.type.name == "DISPLAYMATRIX"), b"")
     if len(data) != 36:
         return AS_STORED

@@ -79,7 +79,7 @@ class VideoFile:
 
 
 def video_file(root: Path) -> VideoFile | None:
-    """As `tg4mm sfm` keeps it of one fixed camera; None for pictures. CaptureError where scene.json is damaged."""
+    """Return the video linked by `tg4mm sfm`, None for pictures. Raises CaptureError if scene.json is damaged."""
     where = root / "scene.json"
     own = read_scene(root, needs_fps=False).values.get("video")
     if own is None:

@@ -50,7 +50,7 @@ def is_stack(path: Path) -> bool:
 
 
 def stack_info(path: Path) -> Stack:
-    """Without decoding. Raises CaptureError for a file that is not whole, or holds one picture."""
+    """Count pictures without decoding. Raises CaptureError for a truncated file, or one picture."""
     if path.suffix.lower() in TIFF_SUFFIXES:
         return Stack(_pages(path), None)
     photron = _photron(path)

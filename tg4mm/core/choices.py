@@ -8,7 +8,7 @@ LAYOUTS = ("photographs", "recording", "recording and sweep", "recordings")
 
 
 class Clock(StrEnum):
-    """How the times of several cameras are related."""
+    """Relation between the times of several cameras."""
 
     synchronous = "synchronous"  # one clock, the same times
     independent = "independent"  # each fixed camera has its own clock

@@ -143,7 +143,7 @@ class BandGain:
 
 @dataclass(frozen=True)
 class Magnification:
-    """What is magnified, by how much, and by which method.
+    """Bands to magnify, each with its α, and the method.
 
     The method `modal` needs no filter: a mode lies inside a band or outside.
     """
@@ -171,7 +171,7 @@ class Magnification:
         return cls(gains, 0.0 if gains else alpha, method, filter)
 
     def times(self, alpha: float) -> "Magnification":
-        """With `alpha` in place of every α."""
+        """Replace every α by `alpha`."""
         own = Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
         return replace(own, suppressed=self.suppressed, amplitude_percentile=self.amplitude_percentile)
 
@@ -252,7 +252,7 @@ AS_CAPTURED = Magnification()
 
 
 def check_bands(bands: Sequence[tuple[float, float]], fps: float) -> None:
-    """Raises CaptureError for a band that does not fit `fps` (Hz), Tg4mmError for two that share a frequency."""
+    """Raise CaptureError for a band that does not fit `fps` (Hz), Tg4mmError for two that share a frequency."""
     ordered = sorted(check_band(band, fps) for band in bands)
     for (low, high), (next_low, next_high) in pairwise(ordered):
         if next_low <= high:

@@ -34,7 +34,7 @@ ALPHA = "Magnification: a displacement δ becomes (1 + alpha) δ"
 
 @dataclass(frozen=True)
 class Spelling:
-    """How the command line shows and reads an option.
+    """An option's form on the command line.
 
     `given` is the type on the command line where it differs from the field's; `into` then makes the field's value of it
     and raises Tg4mmError for a value that cannot be.
@@ -150,7 +150,7 @@ def read_drawn(path: Path | None) -> "Regions | None":
 
 
 class Device(StrEnum):
-    """Where tensors live."""
+    """The device of tensors."""
 
     cpu = "cpu"
     cuda = "cuda"

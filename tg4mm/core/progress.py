@@ -43,7 +43,7 @@ _few: ContextVar[_Few | None] = ContextVar("few", default=None)
 
 @contextmanager
 def few_lines() -> Iterator[None]:
-    """Within it jobs share their lines of progress, ever further apart, about 20 in an hour; finished bars go."""
+    """Let jobs share their lines of progress: ever further apart, about 20 in an hour, without finished bars."""
     token = _few.set(_Few(time.monotonic() + _FEW_FIRST_S))
     try:
         yield

@@ -223,7 +223,7 @@ class Regions:
         raise RegionError(f"no region {name!r}; there are: {known}")
 
     def check_size(self, size: tuple[int, int], what: object) -> None:
-        """Raises RegionError where they were drawn on pictures of another size."""
+        """Raise RegionError if they were drawn on pictures of another size."""
         if tuple(size) != tuple(self.size):
             raise RegionError(f"regions are of pictures of {_size(self.size)}, those of {what} are {_size(size)}: draw "
                               f"them with tg4mm view {what}")  # fmt: skip

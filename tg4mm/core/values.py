@@ -147,7 +147,7 @@ def require(what: str, value: Any, rule: Any, error: type[Exception] = ValueErro
 
 
 def check_form(value: Any, rule: Any, where: str = "") -> None:
-    """Raises ValueError naming the first part that does not fit."""
+    """Raise ValueError naming the first part that does not fit."""
     if isinstance(rule, Maybe) and isinstance(rule.rule, list | Mapping):
         if value is not None:
             check_form(value, rule.rule, where)

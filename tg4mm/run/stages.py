@@ -27,7 +27,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.observations import fixed_cameras, held, note_on, observe, window_on
+from tg4mm.fit.motion.observations import fixed_cameras, masked, note_on, observe, window_on
 from tg4mm.fit.motion.pipeline import fit_motion
 from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.plane import fit_plane
@@ -70,15 +70,15 @@ def train_motion(
         config = dataclasses.replace(config, nuisance="exposure")  # too little is left to tell a shake by
     if mask is not None and mask.any():
         own = mask if window is None else window.any_of(mask)
-        observations = held(observations, own[None])
+        observations = masked(observations, own[None])
     if found is not None and found.vibrations and observations.clock == Clock.synchronous:
         times = observations.frames[0].times_s
         lines = {
             line.hz: line for line in found.vibrations
         }.values()  # parts of one frequency share its course
-        courses = np.concatenate([line.course(times) for line in lines])
+        time_courses = np.concatenate([line.course(times) for line in lines])
         steady = tuple(line.hz for line in lines if line.start_s is None and not line.damping)
-        observations = dataclasses.replace(observations, courses=courses, steady_hz=steady)
+        observations = dataclasses.replace(observations, time_courses=time_courses, steady_hz=steady)
     checkpoint = RunCheckpoint(run, kept, capture.rows_s)
     gaussians = checkpoint.gaussians
     try:

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.calibration.film import Film, Layer, Mode, texture
 from tests.helpers.look import found as a_look
 from tg4mm.capture.look import Picture, look_at_pictures
-from tg4mm.capture.look.model import Swing, Tone
+from tg4mm.capture.look.model import GlobalMotion, Tone
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted, left_of, swing_note
 from tg4mm.capture.tracking.template import Grid
 
@@ -75,5 +75,5 @@ def test_a_lens_that_pumps_is_named_with_its_frequency_and_taken_off_what_vibrat
 def test_a_faint_line_at_the_zooms_frequency_is_marked_and_a_strong_one_is_not():
     line = a_look().lines[0]
     for size, is_marked in ((10 * line.amplitude_px, True), (line.amplitude_px, False)):
-        zoom = Swing("zoom", size, 0.0, (Tone(line.hz, 0.01, size),))
+        zoom = GlobalMotion("zoom", size, 0.0, (Tone(line.hz, 0.01, size),))
         assert bool(left_of(line, [zoom], 10.0)) == is_marked

@@ -18,7 +18,7 @@ from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.core.choices import Kind
 from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.fit.motion.nuisance.first_look import BlockShifts
+from tg4mm.fit.motion.nuisance.fixed_cameras import BlockShifts
 from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,

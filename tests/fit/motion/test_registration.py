@@ -16,7 +16,7 @@ from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.motion.jacobian.view import view_jacobian
 from tg4mm.fit.motion.large.registration import camera_rotations, homographies
 from tg4mm.fit.motion.large.resampling import RegisteredPictures
-from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
+from tg4mm.fit.motion.nuisance.fixed_cameras import _read_once, rest_views
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
@@ -163,7 +163,7 @@ def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(moving):
     """By what they disagree in."""
     gaussians, motion = moving
     shaken = filmed(lambda t: _at(gaussians, motion, t, 0), 6, SHAKE_PX, True)
-    seen, shake_px = _looked_at(shaken, rest_views(gaussians, shaken), gaussians, MotionConfig())
+    seen, shake_px = _read_once(shaken, rest_views(gaussians, shaken), gaussians, MotionConfig())
     assert shake_px > 0
     assert seen.figures["shake_own_share"] > 0.5
     assert "pose" in seen.figures["nuisance"]
@@ -184,7 +184,7 @@ def test_noise_of_a_cut_out_object_is_no_shake_and_hides_none(moving, shake_px):
     clean = filmed(lambda t: _at(gaussians, motion, t, 0), 6, shake_px, True)
     for seed in range(5):
         noisy = with_noise(clean, 0.1, seed)
-        seen, found_px = _looked_at(noisy, rest_views(gaussians, noisy), gaussians, MotionConfig())
+        seen, found_px = _read_once(noisy, rest_views(gaussians, noisy), gaussians, MotionConfig())
         if shake_px:
             assert found_px == pytest.approx(shake_px, rel=0.3)
         else:
@@ -204,7 +204,7 @@ def test_a_scene_that_moves_as_a_whole_is_not_stabilised(moving, is_cut_out):
         return replace(gaussians, means=gaussians.means.new_tensor(moved))
 
     observations = filmed(at, 4, 0.0, is_cut_out)
-    seen, shake_px = _looked_at(observations, rest_views(gaussians, observations), gaussians, MotionConfig())
+    seen, shake_px = _read_once(observations, rest_views(gaussians, observations), gaussians, MotionConfig())
     assert shake_px == 0
     assert seen.figures["shake_own_share"] < 0.2
     assert "pose" not in seen.figures["nuisance"]

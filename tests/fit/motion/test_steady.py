@@ -25,7 +25,7 @@ from tg4mm.fit.motion.observations import PosedFrames
 from tg4mm.fit.motion.pipeline import fit_motion, without_motion
 from tg4mm.fit.motion.spectrum import sinusoids
 from tg4mm.fit.motion.temporal.independent import IndependentClocks, clock_offset
-from tg4mm.fit.motion.temporal.steady import find_frequencies, moving_camera_series, shift_series
+from tg4mm.fit.motion.temporal.sinusoidal import find_frequencies, moving_camera_series, shift_series
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps

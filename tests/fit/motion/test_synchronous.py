@@ -11,7 +11,7 @@ import pytest
 from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components, moving_pictures, no_nuisance
 from tg4mm.fit.motion import observations as observations_module
-from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.fixed_cameras import picture_sums
 from tg4mm.fit.motion.observations import observe
 from tg4mm.fit.motion.temporal.independent import sinusoid_targets
 from tg4mm.fit.motion.temporal.synchronous import kept_components, orthonormal, sinusoidal_courses
@@ -233,14 +233,14 @@ class TestSinusoidTargets:
         observations, phasors = stack
         nuisances = no_nuisance(observations)
         found, mixing = sinusoid_targets(
-            observations, first_look(observations, nuisances), nuisances, self.HZ
+            observations, picture_sums(observations, nuisances), nuisances, self.HZ
         )
         scale = np.sqrt(2 / 39)
         for v in range(2):
             x = np.stack([phasors[v].real, phasors[v].imag], 1).reshape(4, *phasors[v].shape[1:]) / scale
             expected = np.tensordot(mixing[v], x, 1)
             np.testing.assert_allclose(found.images[v], expected, atol=0.01 * np.abs(expected).max())
-        changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)
+        changes = sum(float(np.trace(gram)) for gram in picture_sums(observations, nuisances).grams)
         left = changes - (found.images.astype(float) ** 2).sum()  # the trend
         assert 3 * found.residual_energy.sum() == pytest.approx(left, rel=1e-3)
 
@@ -257,7 +257,7 @@ def test_a_vibration_of_few_pixels_is_held_by_its_own_course_alone():
     observed = observe(capture, images)
     courses = np.stack([np.cos(2 * np.pi * hz * t), np.sin(2 * np.pi * hz * t)])
     truth = courses - courses.mean(1, keepdims=True)
-    alone, known = components(observed), components(replace(observed, courses=courses))
+    alone, known = components(observed), components(replace(observed, time_courses=courses))
     share = [np.linalg.norm(truth @ f.basis.T) ** 2 / np.linalg.norm(truth) ** 2 for f in (alone, known)]
     assert share[0] < 0.5
     assert share[1] == pytest.approx(1)
@@ -274,6 +274,6 @@ def test_courses_that_are_one_are_one():
     capture, images = capture_of([0] * n, list(range(n)), data)
     courses = np.stack([np.cos(2 * np.pi * f * t + p) for f in (4.0, 4.001) for p in (0, 1.5)])
     found = components(
-        replace(observe(capture, images), courses=courses + rng.normal(0, 1e-4, courses.shape))
+        replace(observe(capture, images), time_courses=courses + rng.normal(0, 1e-4, courses.shape))
     )
     assert found.n_known == 2

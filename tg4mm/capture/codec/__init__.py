@@ -1,4 +1,4 @@
-"""What a video's compression takes from small motion: measured by sending a known motion through the same encoder."""
+"""Loss of small motion by a video's compression, measured by encoding a known motion in the same way."""
 
 from tg4mm.capture.codec.loss import Loss, before_compression, codec_losses
 from tg4mm.capture.codec.trial import Tone, is_lossless

@@ -1,4 +1,4 @@
-"""How much of a small motion a video's compression lets through, by a blind test with a known one.
+"""Share of a small motion that survives a video's compression, by a blind test with a known motion.
 
 A codec skips what changes too little, so that it is a low-pass over time: of .02 pixels at a third of the frame rate a
 fifth may be left. What it leaves depends on the texture, the noise, the rate, the amplitude and the encoder. So the
@@ -39,7 +39,7 @@ _ALIKE = 0.9  # first gains from which a second tone would be as large as the fi
 
 @dataclass(frozen=True)
 class Loss:
-    """What compression let through of one tone: amplitude kept / true amplitude."""
+    """Share of one tone's amplitude that survives compression."""
 
     gain: float  # 1 where nothing is lost; NaN where it is not known
     deviation: float  # standard deviation of the gain

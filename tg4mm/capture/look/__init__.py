@@ -1,4 +1,4 @@
-"""What vibrates in a video of a fixed camera, region by region: one pass, seconds, no model.
+"""Vibrations in a video of a fixed camera, region by region: one pass, seconds, no model.
 
 from tg4mm.capture.look import look
 for line in look("pump.mp4").vibrations:
@@ -6,7 +6,7 @@ for line in look("pump.mp4").vibrations:
 """
 
 from tg4mm.capture.look.look import look, look_at_pictures
-from tg4mm.capture.look.model import Found, Look, LookLine, Mover, Tone
+from tg4mm.capture.look.model import Found, Look, LookLine, MovingRegion, Tone
 from tg4mm.capture.look.reading import Picture
 from tg4mm.capture.look.recording import video_pictures
 
@@ -14,7 +14,7 @@ __all__ = [
     "Found",
     "Look",
     "LookLine",
-    "Mover",
+    "MovingRegion",
     "Picture",
     "Tone",
     "look",

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, stats
 
+from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.compression import with_losses
 from tg4mm.capture.look.marks import marked
-from tg4mm.capture.look.model import Look, LookLine, Mover, Swing, Tone
+from tg4mm.capture.look.model import GlobalMotion, Look, LookLine, MovingRegion, Tone
 from tg4mm.capture.look.peaks import CHANCE
 from tg4mm.capture.look.place import Placed, cell_numbers, placed
 from tg4mm.capture.look.reading import LARGE_CELL, CellSeries, Picture, read_cells
@@ -19,7 +20,6 @@ from tg4mm.capture.look.rows import by_light
 from tg4mm.capture.look.scene import Scene, against_background, scene_of
 from tg4mm.capture.look.search import Line, Search
 from tg4mm.capture.look.spectra import tones_of
-from tg4mm.capture.look.usual import BLOCK
 from tg4mm.capture.look.zoom import left_of
 from tg4mm.capture.sfm.clip import WHOLE, Window
 from tg4mm.capture.stacks import is_stack
@@ -209,7 +209,7 @@ def _is_off_mirror(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
     return bool(apart > _APART / duration_s)
 
 
-def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list[LookLine]) -> Look:
+def _result(scene: Scene, search: Search, swings: tuple[GlobalMotion, ...], lines: list[LookLine]) -> Look:
     grid, series = scene.grid, scene.series
     cells = max(len(search.pools[0]), 1) if search.pools else 1
     whole = [tone for k in (0, 1) for tone in tones_of(scene.whole[:, k], scene.times_s, scene.nuisance)]
@@ -237,13 +237,13 @@ def _result(scene: Scene, search: Search, swings: tuple[Swing, ...], lines: list
     )
 
 
-def swings_of(scene: Scene) -> Iterator[Swing]:
+def swings_of(scene: Scene) -> Iterator[GlobalMotion]:
     """Yield the whole picture's motion besides its shift, zoom and roll, and the light's level where it changes."""
     for shape, course in zip(scene.shapes, scene.courses.T, strict=True):
         away = course - np.median(course)
         tones = tuple(Tone(*tone) for tone in tones_of(course, scene.times_s, scene.nuisance))
         at = int(np.abs(away).argmax())
-        yield Swing(shape, float(np.abs(away).max()), float(scene.times_s[at]), tones)
+        yield GlobalMotion(shape, float(np.abs(away).max()), float(scene.times_s[at]), tones)
     rows = np.log(np.maximum(scene.series.row_means, 1.0))
     level = np.median(rows - np.median(rows, 0), 1)
     window = 2 * round(_LIGHT_S / scene.dt / 2) + 1
@@ -251,21 +251,23 @@ def swings_of(scene: Scene) -> Iterator[Swing]:
     if float(np.ptp(smooth)) > _LIGHT:
         steps = np.abs(smooth[window // 2 + 1 :] - smooth[: -(window // 2 + 1)])
         at = int(steps.argmax()) + window // 4
-        yield Swing("light", float(np.expm1(np.ptp(smooth))), float(scene.times_s[at]), ())
+        yield GlobalMotion("light", float(np.expm1(np.ptp(smooth))), float(scene.times_s[at]), ())
 
 
 _FEWEST, _LONGEST = 8, 2  # cells × pictures of something that passes, and pictures it takes at least
 
 
-def movers_of(scene: Scene) -> tuple[Mover, ...]:
+def movers_of(scene: Scene) -> tuple[MovingRegion, ...]:
     """Wheels, leaves and the like, then what passes."""
     return (*_all_along(scene), *_passing(scene))
 
 
-def _all_along(scene: Scene) -> Iterator[Mover]:
+def _all_along(scene: Scene) -> Iterator[MovingRegion]:
     for cells, tones in _by_themselves(scene):
         hz, deviation, _ = min(tones, key=lambda tone: tone[1], default=(None, None, 0.0))
-        yield Mover("moves by itself", scene.grid.box(cells), hz, deviation, 0.0, float(scene.times_s[-1]))
+        yield MovingRegion(
+            "moves by itself", scene.grid.box(cells), hz, deviation, 0.0, float(scene.times_s[-1])
+        )
 
 
 def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float, float, float]]]]:
@@ -279,7 +281,7 @@ def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float,
         yield cells, [tone for tones in both for tone in tones]
 
 
-def _passing(scene: Scene) -> Iterator[Mover]:
+def _passing(scene: Scene) -> Iterator[MovingRegion]:
     passed, size = scene.grid.picture(scene.masks.passed), scene.grid.size
     labels, _ = ndimage.label(passed, np.ones((3, 3, 3)))
     for k, where in enumerate(ndimage.find_objects(labels), 1):
@@ -287,4 +289,4 @@ def _passing(scene: Scene) -> Iterator[Mover]:
         if (labels[where] == k).sum() >= _FEWEST and times.stop - times.start > _LONGEST:
             box = (columns.start * size, rows.start * size, columns.stop * size, rows.stop * size)
             first, last = scene.times_s[times.start], scene.times_s[times.stop - 1]
-            yield Mover("passes", box, from_s=float(first), until_s=float(last))
+            yield MovingRegion("passes", box, from_s=float(first), until_s=float(last))

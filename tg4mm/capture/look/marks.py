@@ -1,4 +1,4 @@
-"""Which lines may be made of a stronger one: by the codec, or as its multiples."""
+"""Lines that a stronger one may have caused: through the codec, or as its multiples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,10 +7,10 @@ from types import MappingProxyType
 import numpy as np
 from scipy import ndimage
 
+from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.model import LookLine
 from tg4mm.capture.look.scene import PATTERNS, Light
 from tg4mm.capture.look.search import images
-from tg4mm.capture.look.usual import BLOCK
 
 _WEAK = 30.0  # times weaker beside a line: what a codec makes of it
 _LARGER = 2.0  # times the amplitude of a line that others are made of

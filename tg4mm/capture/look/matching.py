@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from tg4mm.capture.look.usual import BLOCK, Usual
+from tg4mm.capture.look.baseline import BLOCK, BaselineMisfit
 from tg4mm.capture.tracking.registration import EDGE, TAPS, refined, whole_offsets
 from tg4mm.capture.tracking.template import Grid
 
@@ -36,7 +36,7 @@ class Patch:
     pictures: list[np.ndarray] = field(default_factory=list)  # [f, h, w]
 
     def keep(self, pictures: np.ndarray) -> None:
-        """Takes the box out of pictures [f, H, W]."""
+        """Keep the box of pictures [f, H, W]."""
         self.pictures.append(pictures[:, self.rows[:, None], self.columns])
 
     @property
@@ -46,7 +46,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Matched:
-    """What some cells show in each of F pictures, as `reading.CellSeries` has it."""
+    """Measurements of some cells in each of F pictures, as in `reading.CellSeries`."""
 
     cells: np.ndarray
     shift: np.ndarray  # [F, C, 2]
@@ -71,10 +71,10 @@ def patches_of(chosen: np.ndarray, grid: Grid, shape: Sequence[int]) -> list[Pat
     return out
 
 
-def matched(patch: Patch, usual: Usual, change: np.ndarray) -> Matched | None:
+def matched(patch: Patch, baseline: BaselineMisfit, change: np.ndarray) -> Matched | None:
     """Cells of a patch that their own motion explains better than a small shift does; None where it moves otherwise.
 
-    usual: of all cells, by small shifts; change [C]: of all cells, the mean square of what no shift explains at all.
+    baseline: of all cells, by small shifts; change [C]: of all cells, the mean square of what no shift explains at all.
     A wheel's rim or a leaf in the wind is like itself now and then at some offset; of what moves as one, many cells are
     so always.
     """
@@ -87,9 +87,9 @@ def matched(patch: Patch, usual: Usual, change: np.ndarray) -> Matched | None:
         return None
     parts = [_cell(pictures, place, patch.size, start) for place in patch.places]
     shift, gain, misfit = (np.stack([part[k] for part in parts], 1) for k in range(3))
-    before, left = usual.typical[patch.cells], np.median(misfit, 0)
-    all_of_it = change[patch.cells] - usual.noise
-    shares = (np.maximum(left - usual.noise, 0) / np.maximum(all_of_it, 1e-9))[all_of_it > usual.noise]
+    before, left = baseline.typical[patch.cells], np.median(misfit, 0)
+    all_of_it = change[patch.cells] - baseline.noise
+    shares = (np.maximum(left - baseline.noise, 0) / np.maximum(all_of_it, 1e-9))[all_of_it > baseline.noise]
     if len(shares) and np.percentile(shares, 25) > _LEFT:
         return None
     own = (left < before) & np.array([part[4] for part in parts])

@@ -12,7 +12,7 @@ Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
 
 @dataclass(frozen=True)
 class Readout:
-    """How long it takes from a picture's first row to its last; below 0: from its last to its first."""
+    """Readout time from a picture's first row to its last; negative: from its last to its first."""
 
     seconds: float
     deviation_s: float
@@ -55,7 +55,7 @@ class LookLine:
 
 
 @dataclass(frozen=True)
-class Mover:
+class MovingRegion:
     """Something that moves or changes by itself, which no small rigid shift explains."""
 
     kind: str  # "moves by itself" all along, or "passes"
@@ -76,7 +76,7 @@ class Tone:
 
 
 @dataclass(frozen=True)
-class Swing:
+class GlobalMotion:
     """The whole picture's motion besides its shift; it is subtracted."""
 
     kind: str  # "zoom" or "roll" about its middle, or "light": its level
@@ -99,7 +99,7 @@ class Found:
     """The result of one pass over a recording of a fixed camera; `record.py` writes and reads it."""
 
     lines: tuple[LookLine, ...]  # the largest amplitude first, marked ones last
-    movers: tuple[Mover, ...]
+    movers: tuple[MovingRegion, ...]
     light: tuple[Tone, ...]
     whole: tuple[Tone, ...]  # of the whole picture, which is the camera's or everything's
     hz: np.ndarray  # [K]
@@ -112,7 +112,7 @@ class Found:
         default=False, kw_only=True
     )  # amplitudes are mostly of pictures other than B
     light_readout: Readout | None = field(default=None, kw_only=True)  # by lamps that flicker
-    swings: tuple[Swing, ...] = field(default=(), kw_only=True)
+    swings: tuple[GlobalMotion, ...] = field(default=(), kw_only=True)
     rows_s: float = field(default=0.0, kw_only=True)  # the readout that phases take into account
 
     @property

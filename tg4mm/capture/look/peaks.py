@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from tg4mm.capture.look.pools import Pool
+from tg4mm.capture.look.pools import AggregationWindow
 from tg4mm.capture.look.spectra import LOG2, spectrum, step
 
 CHANCE = 0.01  # of one false line in a recording
@@ -60,7 +60,7 @@ Spectra = dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 class Candidates:
     """The pools of a recording and the frequencies at which lines are still sought."""
 
-    pools: Sequence[Pool]
+    pools: Sequence[AggregationWindow]
     times_s: np.ndarray  # [F]
     hz: np.ndarray  # [K]
     open: np.ndarray  # [K] bool
@@ -107,7 +107,9 @@ class Candidates:
             return None
         return best[1]
 
-    def _in_window(self, j: int, pool: Pool, rows: slice) -> tuple[int, tuple[float, Peak] | None]:
+    def _in_window(
+        self, j: int, pool: AggregationWindow, rows: slice
+    ) -> tuple[int, tuple[float, Peak] | None]:
         """The number of tests, and the least chance with its peak."""
         times = self.times_s[rows]
         n, share = len(times), len(times) / len(self.times_s)
@@ -150,7 +152,7 @@ def shape_of(peak: Peak, floor: np.ndarray) -> Shape:
     return Shape(columns, weights, weights**2 * noise)
 
 
-def beam_floor(pool: Pool, shape: Shape, row: int) -> float:
+def beam_floor(pool: AggregationWindow, shape: Shape, row: int) -> float:
     """Power of the shape's series where nothing vibrates, at a frequency: its median with the common shape."""
     power = np.abs(pool.amplitudes[:, shape.columns] @ shape.weights) ** 2
     return float(np.median(power[4:]) / LOG2 * np.median(pool.floor[row] / np.median(pool.floor, 0)))

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage, stats
 
+from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.model import Readout
-from tg4mm.capture.look.pools import Pool
+from tg4mm.capture.look.pools import AggregationWindow
 from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
 from tg4mm.capture.look.rows import by_phases
 from tg4mm.capture.look.scene import lacks
 from tg4mm.capture.look.search import Line, Search, images
 from tg4mm.capture.look.spectra import LOG2, spectrum
-from tg4mm.capture.look.usual import BLOCK
 from tg4mm.capture.tracking.template import GAIN_ERROR
 
 RIM = 0.08  # share of an amplitude that is not exact in cells that hold what is behind, too
@@ -65,7 +65,7 @@ class Placed:
 class _Everywhere:
     """A line's coefficients in one pool."""
 
-    pool: Pool
+    pool: AggregationWindow
     fit: np.ndarray  # [2, P, 2] cosine and sine; right and down
     variance: np.ndarray  # [P, 2] of a sample along the pool's axes
     statistic: np.ndarray  # [P]
@@ -198,7 +198,7 @@ class _Placing:
         pool = best[1].pool
         return [self.at[cell] for cell in self._inside(pool, best[2])], pool.size
 
-    def _inside(self, pool: Pool, place: int) -> list[tuple[int, int]]:
+    def _inside(self, pool: AggregationWindow, place: int) -> list[tuple[int, int]]:
         """Rows and columns of the usable cells of a place."""
         row, column = (int(k) for k in pool.corner[place])
         cells = ((row + a, column + b) for a in range(pool.size) for b in range(pool.size))

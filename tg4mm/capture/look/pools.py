@@ -15,7 +15,7 @@ _REDUCED = 1e-6  # of the normal equations' trace, where few pictures are seen
 
 
 @dataclass
-class Pool:
+class AggregationWindow:
     """P places of size × size cells; their motion along two axes of their own, M = 2 P columns."""
 
     size: int  # cells a side
@@ -78,13 +78,13 @@ def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(np.flatnonzero(seen[:, own[0]]), own) for own in groups]
 
 
-def pools_of(scene: Scene) -> list[Pool]:
+def pools_of(scene: Scene) -> list[AggregationWindow]:
     """Pools of all sizes that the picture holds; none where no cell can be used."""
     pools = [_pool(scene, size) for size in SIZES if size <= min(scene.grid.rows, scene.grid.columns)]
     return [pool for pool in pools if len(pool)]
 
 
-def _pool(scene: Scene, size: int) -> Pool:
+def _pool(scene: Scene, size: int) -> AggregationWindow:
     """The information-weighted mean motion of size × size cells at every place where half of them can be used."""
     grid, seen = scene.grid, scene.seen
     frames = len(scene.times_s)
@@ -130,7 +130,7 @@ def _pool(scene: Scene, size: int) -> Pool:
     centre = boxes(size_of * grid.centres())[good] / boxes(size_of)[good]
     corner = np.stack(np.divmod(np.flatnonzero(good), grid.columns - size + 1), 1)
     empty = np.zeros((0, 0))
-    pool = Pool(
+    pool = AggregationWindow(
         *(size, corner, centre, axes, resolved.mean(0), None if gaps is None else gaps.astype(float)),
         *(series, series.copy(), empty, empty, np.zeros(0), np.ones((1, 1))),
     )

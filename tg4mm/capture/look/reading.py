@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from tg4mm.capture.cameras import check_picture_size
+from tg4mm.capture.look.baseline import BaselineMisfit, baseline_of
 from tg4mm.capture.look.matching import Patch, matched, patches_of
-from tg4mm.capture.look.usual import Usual, usual_of
 from tg4mm.capture.tracking.template import Grid, Template
 from tg4mm.core.errors import CaptureError
 
@@ -57,7 +57,7 @@ class CellSeries:
     matched: np.ndarray  # [C] bool: found by whole pixels first (`matching.py`)
 
     def of_pictures(self, which: np.ndarray, times_s: np.ndarray) -> "CellSeries":
-        """Those pictures alone, with these times."""
+        """Return only those pictures, with these times."""
         return replace(
             self,
             times_s=times_s,
@@ -68,9 +68,9 @@ class CellSeries:
         )
 
 
-def usual_in(series: CellSeries) -> Usual:
-    """Return the usual misfit of its cells."""
-    return usual_of(series.misfit, series.covariance, series.grid, series.kinds == INTRA)
+def baseline_in(series: CellSeries) -> BaselineMisfit:
+    """Return the baseline misfit of its cells."""
+    return baseline_of(series.misfit, series.covariance, series.grid, series.kinds == INTRA)
 
 
 def read_cells(
@@ -113,10 +113,10 @@ def read_cells(
     shift, gain, misfit, change = reader.solved()
     covariance, grid = reader.templates[0].covariance, reader.grid
     is_matched = np.zeros(len(grid), bool)
-    usual = usual_of(misfit, covariance, grid, np.array(kinds) == INTRA)
+    baseline = baseline_of(misfit, covariance, grid, np.array(kinds) == INTRA)
     mean_change = change.mean(0)
     for patch in reader.patches:
-        found = matched(patch, usual, mean_change)
+        found = matched(patch, baseline, mean_change)
         if found is not None:
             cells = found.cells
             shift[:, cells], gain[:, cells], misfit[:, cells] = found.shift, found.gain, found.misfit
@@ -161,9 +161,9 @@ class _Reader:
         shift, _, misfit, _ = self.solved()
         covariance = self.templates[0].covariance
         own = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
-        usual = usual_of(misfit, covariance, self.grid, alone)
-        noise = np.sqrt(np.einsum("cii->c", covariance) * usual.typical)
-        return usual.stand_out() | (np.percentile(own, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise))
+        baseline = baseline_of(misfit, covariance, self.grid, alone)
+        noise = np.sqrt(np.einsum("cii->c", covariance) * baseline.typical)
+        return baseline.stand_out() | (np.percentile(own, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise))
 
     def solved(self) -> tuple[np.ndarray, ...]:
         """Shifts [F, C, 2], gains, misfits and changes [F, C]."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture.look.model import Found, LookLine, Mover, Readout, Swing, Tone
+from tg4mm.capture.look.model import Found, GlobalMotion, LookLine, MovingRegion, Readout, Tone
 
 
 def to_record(found: Found) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def from_record(values: Mapping[str, Any]) -> Found:
     ]
     return Found(
         lines=tuple(lines),
-        movers=tuple(Mover(**_tuples(v)) for v in values["movers"]),
+        movers=tuple(MovingRegion(**_tuples(v)) for v in values["movers"]),
         light=tuple(Tone(**v) for v in values["light"]),
         whole=tuple(Tone(**v) for v in values["whole"]),
         hz=np.array(values["hz"]),
@@ -60,7 +60,8 @@ def from_record(values: Mapping[str, Any]) -> Found:
         without_between=values.get("without_between", False),
         light_readout=Readout(**values["light_readout"]) if values.get("light_readout") else None,
         swings=tuple(
-            Swing(**v | {"tones": tuple(Tone(**t) for t in v["tones"])}) for v in values.get("swings", [])
+            GlobalMotion(**v | {"tones": tuple(Tone(**t) for t in v["tones"])})
+            for v in values.get("swings", [])
         ),
         rows_s=values.get("rows_s", 0.0),
     )

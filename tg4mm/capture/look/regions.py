@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from tg4mm.capture.look.baseline import LEAST_INFORMATION
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import LookLine, RegionLook
 from tg4mm.capture.look.reading import MEAN_OF
 from tg4mm.capture.look.scene import Scene
 from tg4mm.capture.look.spectra import without
-from tg4mm.capture.look.usual import LEAST_INFORMATION
 from tg4mm.capture.tracking.template import FROZEN, GAIN_ERROR, false_information
 from tg4mm.core.errors import RegionError
 from tg4mm.core.lines import Line, find_lines

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, usual_in, whole_shift
+from tg4mm.capture.look.baseline import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA, CellSeries, baseline_in, whole_shift
 from tg4mm.capture.look.spectra import step, tones_of
-from tg4mm.capture.look.usual import BLOCK, LEAST_INFORMATION, OTHER, QUANTISED
 from tg4mm.capture.look.zoom import camera_shapes, designs, fitted
 from tg4mm.capture.tracking.template import Grid
 from tg4mm.core.lines import tone
 
-_BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the usual misfit, and deviations of its scatter: a mover's rim
+_BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations of its scatter: a mover's rim
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
@@ -45,7 +45,7 @@ class Light(NamedTuple):
 
 @dataclass(frozen=True)
 class Masks:
-    """Which cells, and when."""
+    """Some cells and the time at which they move."""
 
     core: np.ndarray  # [C] moves by itself: a small rigid shift explains little of it
     moves: np.ndarray  # [C] the same with its rim
@@ -99,10 +99,10 @@ class Scene:
     def left(self) -> np.ndarray:
         """[C]: the share of what changes in a cell that its shift leaves, where that stands out of the noise."""
         series = self.series
-        usual = usual_in(series)
-        left, change = (np.maximum(a.mean(0) - usual.noise, 0) for a in (series.misfit, series.change))
-        above = np.log(usual.typical / usual.noise)
-        stands_out = above > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread)
+        baseline = baseline_in(series)
+        left, change = (np.maximum(a.mean(0) - baseline.noise, 0) for a in (series.misfit, series.change))
+        above = np.log(baseline.typical / baseline.noise)
+        stands_out = above > max(np.log(_BESIDE), _BESIDE_SPREADS * baseline.spread)
         return np.where(stands_out, np.minimum(left / np.maximum(change, 1e-12), 1), 0)
 
     @property
@@ -128,7 +128,7 @@ class Scene:
 
     @property
     def coded_change(self) -> float:
-        """By how much, of its logarithm, a codec may let a small motion grow or fade over the record.
+        """Return how much a codec may let a small motion grow or fade over the record, as a logarithm.
 
         What it lets through varies as it refines pictures; it lacks at most the share of detail that others have.
         """
@@ -146,8 +146,8 @@ class Scene:
 def _period(kind: np.ndarray) -> int:
     """Pictures from one of a kind [F] bool to the next, 0 where that is not regular."""
     steps = np.diff(np.flatnonzero(kind))
-    usual = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
-    return usual if usual and (steps == usual).mean() >= _REGULAR else 0
+    baseline = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
+    return baseline if baseline and (steps == baseline).mean() >= _REGULAR else 0
 
 
 def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> Scene:
@@ -182,17 +182,17 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     edge that covers what is behind it, the terms beyond a shift's series, points between pixels. But that is a share of
     the change that its shift explains, however little noise there is.
     """
-    grid, usual = series.grid, usual_in(series)
-    own_change = np.maximum(series.change.mean(0) - usual.noise, 0)
-    is_other = _is_most(grid, np.maximum(series.misfit.mean(0) - usual.noise, 0), own_change)
-    core, excess = usual.stand_out() & is_other, usual.excess
+    grid, baseline = series.grid, baseline_in(series)
+    own_change = np.maximum(series.change.mean(0) - baseline.noise, 0)
+    is_other = _is_most(grid, np.maximum(series.misfit.mean(0) - baseline.noise, 0), own_change)
+    core, excess = baseline.stand_out() & is_other, baseline.excess
     core = core if edges is None else core & ~edges
     around = ndimage.binary_dilation(grid.picture(core), BLOCK).ravel() & ~series.matched
     typical = typical_by_kind(series)
     relative = series.misfit / typical
-    quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * usual.spread))))
-    informative = quiet & usual.compared
-    unlike = (relative > _usually(relative[:, informative])) & (
+    quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * baseline.spread))))
+    informative = quiet & baseline.compared
+    unlike = (relative > _baseline_ratio(relative[:, informative])) & (
         series.misfit > _of_alone(series, informative)
     )
     unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
@@ -221,7 +221,7 @@ def _of_alone(series: CellSeries, informative: np.ndarray) -> float:
     return middle + 2 * 1.4826 * float(np.median(np.abs(some - middle)))
 
 
-def _usually(relative: np.ndarray) -> np.ndarray:
+def _baseline_ratio(relative: np.ndarray) -> np.ndarray:
     """[F, 1]: what misfits over typical ones [F, C] seldom exceed; more in pictures that are coded otherwise."""
     if not relative.size:
         return np.full((len(relative), 1), 1 + _PASSING * 0.1)
@@ -236,8 +236,8 @@ def typical_by_kind(series: CellSeries) -> np.ndarray:
 
     Where a kind has few pictures, the median of all of them times what most cells then have more or less.
     """
-    usual, out = usual_in(series), np.empty_like(series.misfit)
-    every, compared = usual.typical, usual.compared
+    baseline, out = baseline_in(series), np.empty_like(series.misfit)
+    every, compared = baseline.typical, baseline.compared
     for kind in np.unique(series.kinds):
         rows = series.kinds == kind
         if rows.sum() >= _FEWEST_OF_KIND:
@@ -258,7 +258,7 @@ def _lost(series: CellSeries) -> float:
 
 def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
     """The share of detail that pictures `some` [F] bool lack beside `others`, neither of which is empty."""
-    compared = usual_in(series).compared
+    compared = baseline_in(series).compared
     typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 from tg4mm.capture.look.model import Smallest
 from tg4mm.capture.look.peaks import CHANCE, LOWEST, Candidates, Peak, Shape, Spectra, beam_floor, shape_of
-from tg4mm.capture.look.pools import Pool, pools_of
+from tg4mm.capture.look.pools import AggregationWindow, pools_of
 from tg4mm.capture.look.scene import PATTERNS, Scene
 from tg4mm.capture.look.spectra import spectrum
 from tg4mm.core.lines import Line as Vibration
@@ -254,7 +254,9 @@ def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list
     return [abs((f + rate / 2) % rate - rate / 2) for f in folded]
 
 
-def _statistic(pool: Pool, place: int, row: int, vibration: Vibration, times_s: np.ndarray) -> float:
+def _statistic(
+    pool: AggregationWindow, place: int, row: int, vibration: Vibration, times_s: np.ndarray
+) -> float:
     basis = vibration.columns(times_s)
     both = [2 * place, 2 * place + 1]
     explained = ((np.linalg.qr(basis)[0].T @ pool.residual[:, both]) ** 2).sum(0)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.capture.look.model import LookLine, Swing
+from tg4mm.capture.look.model import GlobalMotion, LookLine
 from tg4mm.capture.look.spectra import without
 
 SHAPES = ("zoom", "roll")
@@ -49,7 +49,7 @@ def camera_shapes(
     shift: np.ndarray,
     nuisance: np.ndarray,
 ) -> tuple[str, ...]:
-    """Those of SHAPES that the whole picture follows. nuisance [F, P]: what courses may hold besides."""
+    """Return the SHAPES that the complete picture follows. nuisance [F, P]: functions of time fitted beside them."""
     design = designs(places, size)
     for _ in range(_STEPS):
         left = shift - np.einsum("cip,kp->kci", design, fitted(design, weights, counts, shift))
@@ -108,7 +108,7 @@ def _lag(series: np.ndarray) -> float:
     return float(series[1:] @ series[:-1] / max(series @ series, 1e-30))
 
 
-def left_of(line: LookLine, swings: Sequence[Swing], duration_s: float) -> str:
+def left_of(line: LookLine, swings: Sequence[GlobalMotion], duration_s: float) -> str:
     """Why a line at a swing's own frequency may be what is left of that; empty: it is stronger, or elsewhere."""
     for swing in swings:
         for tone in swing.tones:
@@ -117,7 +117,7 @@ def left_of(line: LookLine, swings: Sequence[Swing], duration_s: float) -> str:
     return ""
 
 
-def swing_note(swing: Swing, size: tuple[int, int]) -> str:
+def swing_note(swing: GlobalMotion, size: tuple[int, int]) -> str:
     """Describe the whole picture's motion, in pictures of a width and height, and its likely cause."""
     if swing.kind == "light":
         return (

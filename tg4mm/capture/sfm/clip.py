@@ -344,7 +344,7 @@ def suggested_command(path: Path | str) -> str | None:
 
 
 def _check_read(path: Path) -> None:
-    """Raises CaptureError for pictures that are not read, and for a sweep without any: both would go unnoticed."""
+    """Raise CaptureError for pictures that would not be read, and for a sweep without any."""
     sweep = path / SWEEP
     for folder in (path, *(p for p in _entries(path) if p.is_dir())):
         other = next((p for p in _entries(folder) if p.suffix.lower() in UNREAD), None)

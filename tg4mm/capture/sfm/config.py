@@ -130,7 +130,7 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
 
 
 def _given(asked: Any) -> dict[str, Any]:
-    """Without what is None, as where an earlier version did not know it."""
+    """Drop values that are None, as those unknown to an earlier version."""
     return {key: value for key, value in _dict(asked).items() if value is not None}
 
 

@@ -57,7 +57,7 @@ class Sight:
 
     @property
     def angle(self) -> float:
-        """What CLICK_PX is on the plane z = 1."""
+        """CLICK_PX on the plane z = 1."""
         return CLICK_PX / float(self.camera.mean_focal_length())
 
 

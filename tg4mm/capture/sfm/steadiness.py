@@ -277,7 +277,7 @@ def _scatter(shifts: np.ndarray) -> float:
 
 
 class NoveltyMeter:
-    """What is new in each frame of a recording."""
+    """Changes of each frame of a recording against the frames before it."""
 
     def __init__(self) -> None:
         self._recent: deque[np.ndarray] = deque(maxlen=RECENT)

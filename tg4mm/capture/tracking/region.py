@@ -145,7 +145,7 @@ class RowClock:
         return np.stack(each, 1)[:, which]
 
     def products(self, template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `Template.products`, of all F pictures."""
+        """Return `Template.products` of all F pictures."""
         return self.brought(*self.parts_of(template, pictures))
 
     def parts_of(self, template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,7 +169,7 @@ class RowClock:
 
 @dataclass(frozen=True)
 class RegionMotion:
-    """What one region shows in F frames; motions are right, down and counter-clockwise, the last at `radius_px`."""
+    """Measured motion of one region in F frames: right, down and counter-clockwise, the last at `radius_px`."""
 
     centre_px: tuple[float, float]  # right and down
     radius_px: float  # rms distance of its pixels from the centre

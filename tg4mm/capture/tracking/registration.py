@@ -118,7 +118,7 @@ def resampled(pictures: np.ndarray, shift: np.ndarray, inner: Box) -> np.ndarray
 
 
 def spread(series: np.ndarray) -> float:
-    """How far most of a series [F, 2] is from its median, pixels."""
+    """Return the distance of most of a series [F, 2] from its median, pixels."""
     away = np.abs(series - np.nanmedian(series, 0))
     return float(np.nanpercentile(away, 95)) if np.isfinite(away).any() else 0.0
 

@@ -210,7 +210,7 @@ class Template:
 
 
 def _changes(dx: np.ndarray, dy: np.ndarray, turn: Turn | None) -> list[np.ndarray]:
-    """What a picture of slopes [H, W] changes by, moved by a pixel right, down, and turned counter-clockwise."""
+    """Return a picture's changes for a shift by a pixel right, down, and a counter-clockwise turn; slopes [H, W]."""
     if turn is None:
         return [-dx, -dy]
     down, right = np.mgrid[: dx.shape[0], : dx.shape[1]].astype(np.float32) + 0.5

@@ -116,7 +116,7 @@ class _Look:
         return self._highest(sums.transpose(1, 0, 2), (envelopes**2).sum(0), shapes)
 
     def beginning(self) -> Candidate:
-        """What begins at the first sample of a block, a period or more after the record's, and decays or lasts."""
+        """Return the best line that begins a period or more into the record, at the first sample of a block."""
         t, best = self.t, Candidate(Shape(0.0), 0.0)
         edges = np.unique(np.linspace(0, len(t), _BLOCKS + 1).astype(int))
         rates = np.array(_DECAYS) / float(np.ptp(t))

@@ -1,4 +1,4 @@
-"""How much of the motion least squares leaves out because the Jacobian is wrong: two tests and one correction.
+"""Attenuation of least squares by errors of the Jacobian: two tests and one correction.
 
 With an error in the regressor, least squares gives too small an answer (attenuation: Fuller, Measurement Error Models,
 1987, §1.1), and its own residual does not show it. The Jacobian's fine detail is wrong: few or noisy pictures leave
@@ -39,7 +39,7 @@ _AT_ONCE = 4  # fields whose flow is in memory together
 
 @dataclass(frozen=True)
 class Gain:
-    """What to multiply the fields by; 1 where nothing is known of it."""
+    """Factor that corrects the fields; 1 if unknown."""
 
     ratio: float = 1.0  # of the scene, 1 to 3
     deviation: float = 0.0  # of the ratio, by its two halves
@@ -101,7 +101,7 @@ class PictureGain:
     seen: float = 0.0  # ⟨P, y⟩
 
     def add(self, problem: Problem, v: int, fields: np.ndarray, targets: np.ndarray) -> None:
-        """View v, and the fields [R, N, 6] that were fitted to its targets [ρ, H, W, 3]."""
+        """Add view v with the fields [R, N, 6] that were fitted to its targets [ρ, H, W, 3]."""
         view, buffers = problem.views[v], Buffers()
         # not the filmed picture's: texture that the scene lacks is in the targets, but in no J m
         down, right = np.gradient(view.over_white, axis=(0, 1))
@@ -115,7 +115,7 @@ class PictureGain:
 
     @property
     def ratio(self) -> float:
-        """By how much the motion should be larger; 1 where no view says so."""
+        """Return the factor by which the motion should be larger; 1 without evidence."""
         return self.seen / self.along if self.along > 0 else 1.0
 
     def squares(self, fields: np.ndarray) -> np.ndarray:

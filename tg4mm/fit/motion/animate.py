@@ -75,7 +75,7 @@ def _check_number(gaussians: Gaussians, motion: ModalMotion) -> None:
 def _with_appearance(
     gaussians: Gaussians, motion: ModalMotion, gains: np.ndarray, fields: Tensor | None
 ) -> Gaussians:
-    """With the appearance whose `fields` lie on the Gaussians' device."""
+    """Add the appearance whose `fields` are on the Gaussians' device."""
     if motion.appearance is None or fields is None:
         return gaussians
     coefficients = torch.from_numpy(motion.appearance.coefficients(gains)).to(gaussians.sh)

@@ -1,4 +1,4 @@
-"""Appearance: what motion leaves of the target images, as changes of the Gaussians' colour.
+"""Appearance: the residual of the motion in the target images, as changes of the Gaussians' colour.
 
 Two folds of the cameras are fitted, as for the motion, and their mean is multiplied by its reliability around each
 Gaussian: gloss and shadows change in places. A component whose reliability is less than a half altogether holds noise,
@@ -193,7 +193,7 @@ def _laplacian(graph: Graph) -> csr_matrix:
 
 @dataclass(frozen=True)
 class MotionResidual:
-    """What motion leaves of target images, of R components."""
+    """Residual of the target images of R components after the motion."""
 
     problem: Problem
     pictures: np.ndarray  # [V, …, H, W, 3]

@@ -25,7 +25,7 @@ _RULES = {
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
+    """Settings of the motion fit. Weights are relative to the images' mean information about a Gaussian."""
 
     components: int = setting(
         16, "largest number of functions of time; fewer if the others are noise", "functions of time"
@@ -118,7 +118,7 @@ def asked_band(text: str, fps: float = FASTEST) -> tuple[float, float] | None:
 
 
 def more_iterations(n_gaussians: int) -> float:
-    """How many times as many iterations so many Gaussians take as up to 16,000, 1 or more.
+    """Return the factor of iterations for so many Gaussians relative to 16,000, at least 1.
 
     The coarse level of the preconditioner has the same number of aggregates for all scenes; the more Gaussians an
     aggregate has, the more iterations its own shape takes.

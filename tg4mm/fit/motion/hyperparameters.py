@@ -1,4 +1,4 @@
-"""What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
+"""Hyperparameters: components of noise, weights of pixels, and the smoothness of the motion.
 
 Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. The
 energy of such components gives every pixel's noise: shadows and gloss of a renderer, dark places of a sensor. Pixels
@@ -49,14 +49,14 @@ _AT_ONCE = 8  # components that share a pass over the views
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What was found out from the pictures before the fit."""
+    """Hyperparameters estimated from the pictures before the fit."""
 
     is_noise: np.ndarray  # [R] bool, temporal components
     smoothness_weight: float
 
     @property
     def signal(self) -> np.ndarray:
-        """Which components are fitted."""
+        """Return the components that are fitted."""
         return np.flatnonzero(~self.is_noise)
 
 

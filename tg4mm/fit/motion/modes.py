@@ -1,4 +1,4 @@
-"""What the motion stage gives: modal motion, one complex displacement and rotation (phasor) per Gaussian and frequency.
+"""Modal motion, the motion stage's result: one complex displacement and rotation per Gaussian and frequency.
 
 Appearance that changes with the motion (gloss, shadows, reflections) goes with it in the same modes.
 """
@@ -155,7 +155,7 @@ def _rows(motion: ModalMotion, some: slice) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MotionFit:
-    """What `fit_motion` gives: the scene at rest, its motion, its uncertainty, and the limits of the capture."""
+    """Result of `fit_motion`: the scene at rest, its motion, its uncertainty, and the limits of the capture."""
 
     gaussians: Gaussians  # at rest; others than those given where large motion made them sharper
     motion: ModalMotion  # displacement and rotation phasors of every Gaussian

@@ -1,4 +1,4 @@
-"""How the pictures of one pose show motion: which part of it, and when (docs/method.md, "Observation model").
+"""Observation model of one pose: visible motion and row times (docs/method.md, "Observation model").
 
 Of fields x the pictures show A x = (1 − Q Qᵀ W) J x: the Jacobian, less what nuisance explains. What pictures say of
 fields is Aᵀ W. Of a rolling shutter each row of a picture is read a little after the row above: it is the picture of
@@ -18,7 +18,7 @@ from tg4mm.fit.motion.observations import PosedFrames
 
 @dataclass(frozen=True)
 class ObservationModel:
-    """What one pose's pictures show of motion, and when they were taken."""
+    """Linear map from motion to the pictures of one pose, with their times."""
 
     frames: PosedFrames
     view: ViewJacobian
@@ -30,7 +30,7 @@ class ObservationModel:
     def of(
         frames: PosedFrames, nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None = None
     ) -> "ObservationModel":
-        """With the active columns of the `nuisance` about the mean picture [H, W, 3] projected out."""
+        """Project out the active columns of the `nuisance` about the mean picture [H, W, 3]."""
         projection = Projection.of(nuisance, mean, weights) if nuisance.active.any() else None
         return ObservationModel(frames, nuisance.view, projection, weights)
 

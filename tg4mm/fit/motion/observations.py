@@ -1,4 +1,4 @@
-"""What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model").
+"""Input of the motion stage: posed cameras, their pictures and times (docs/method.md, "Observation model").
 
 Of a recording it reads what lies where motion may be, and of a long one fewer, larger pixels: the stage's time and its
 temporary files grow with pixels times pictures. Displacements of less than a pixel can be read from pictures whose
@@ -53,7 +53,7 @@ class PosedFrames:
     low_pass: float = EPS2D  # square pixels, of the picture that Gaussians make
 
     def through(self, window: Window, height: int) -> "PosedFrames":
-        """As a window on the pictures, `height` pixels high, shows them: averaging squares widens what is drawn."""
+        """Return the frames seen through a window on pictures `height` pixels high; averaging widens Gaussians."""
         k, rows = window.factor, window.rows * window.factor
         middle = (window.top + rows / 2) / height - 0.5
         return replace(
@@ -81,9 +81,9 @@ class Observations:
     n_timesteps: int
     is_whole: bool  # no other pictures made the scene at rest
     codec_period: int | None = None  # frames, of the video's compression
-    counts: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that count; None: all
+    valid_mask: np.ndarray | None = None  # [V, H, W] bool: pixels of each pose that are used; None: all
     # [2L, T] cosine and sine of vibrations that single regions showed, of synchronous cameras; None: not looked for
-    courses: np.ndarray | None = None
+    time_courses: np.ndarray | None = None
     steady_hz: tuple[float, ...] = ()  # of those that neither begin nor ring down: each is a mode
     factor: int = 1  # pixels of the recording along a side of one of these
     is_part: bool = False  # of the recording's pictures: the scene reaches beyond
@@ -140,30 +140,30 @@ def observe(
             stacklevel=2,
         )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
-    counts = _counts(capture, frames) if capture.masks else None
+    valid = _valid_mask(capture, frames) if capture.masks else None
     factor = 1
     if window is not None:
         frames = [f.through(window, capture.height) for f in frames]
-        counts = None if counts is None else np.stack([window.all_of(c) for c in counts])
+        valid = None if valid is None else np.stack([window.all_of(v) for v in valid])
         images, factor = images.through(window), window.factor
     found = Observations(
         capture.kind, clock, frames, images, capture.fps, capture.n_timesteps, is_whole,
-        codec_period(capture.root), counts, factor=factor, is_part=window is not None,
+        codec_period(capture.root), valid, factor=factor, is_part=window is not None,
     )  # fmt: skip
-    return found if counts is None or clock == Clock.moving else held(found, ~counts)
+    return found if valid is None or clock == Clock.moving else masked(found, ~valid)
 
 
-def _counts(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
+def _valid_mask(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
     """[V, H, W] bool: the pixels that count in all pictures of a pose."""
-    counts = np.ones((len(frames), capture.height, capture.width), bool)
+    valid = np.ones((len(frames), capture.height, capture.width), bool)
     for v, own in enumerate(frames):
         for row in own.rows.tolist():
             if (mask := mask_of(capture, row)) is not None:
-                counts[v] &= mask
-    return counts
+                valid[v] &= mask
+    return valid
 
 
-def held(observations: Observations, masks: np.ndarray) -> Observations:
+def masked(observations: Observations, masks: np.ndarray) -> Observations:
     """Fixed cameras whose masked pixels [V, H, W] bool, which do not count, stay as in each one's first picture."""
     of_row = {int(row): v for v, frames in enumerate(observations.frames) for row in frames.rows}
     first = tuple(int(frames.rows[0]) for frames in observations.frames)
@@ -320,7 +320,7 @@ def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None =
 
 
 def note_on(capture: Capture, images: ImageStack | FilePictures, window: Window) -> str:
-    """What a window that averages costs: by how much standard deviations grow.
+    """Return a note on the growth of standard deviations by averaging pixels.
 
     Motion is resolved by slopes of the picture. Averaging k² pixels makes independent noise k times smaller and slopes
     per pixel k times larger, where the texture is coarse. Slopes are separated from noise by the product of two means

@@ -146,8 +146,8 @@ def select_hyperparameters(
 
     is_noise = checkpoint(Step.noise, noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
-    if (counts := model.observations.counts) is not None:
-        weights = counts.astype(np.float32) if weights is None else weights * counts
+    if (valid := model.observations.valid_mask) is not None:
+        weights = valid.astype(np.float32) if weights is None else weights * valid
     weighted = replace(model, problem=model.problem.changed(pixel_weights=weights))
 
     def smoothness() -> Arrays:
@@ -187,7 +187,7 @@ def _linear_fit(
 
 
 def _by_the_pictures(model: TemporalModel, p: int, fields: np.ndarray, some: slice) -> Iterator[np.ndarray]:
-    """What the mean picture shows of motion beyond what the scene at rest does, the instrument (`Correction`)."""
+    """Return the motion that only the mean picture shows, the instrument (`Correction`)."""
     problem = model.problem
     return (
         -false_changes(problem.views[v], model.targets.mean[v], fields[some]) for v in model.folds[p].views
@@ -224,7 +224,7 @@ def _estimate(
     rows: list[int],
     targets: Iterable[np.ndarray],
 ) -> MotionEstimate:
-    """With the residual of some views' target images [ρ, H, W, 3]; where a flat capture lies is known."""
+    """Collect the estimate with the residual of some views' target images [ρ, H, W, 3]."""
     problem, frames, gain = model.problem, model.observations.frames, PictureGain()
 
     def residuals() -> Iterator[np.ndarray]:
@@ -242,7 +242,7 @@ def _estimate(
 def _uncertainty(
     model: TemporalModel, hyper: Hyperparameters, estimate: MotionEstimate, gradients: np.ndarray
 ) -> Uncertainty | None:
-    """By two folds of the data; of few cameras with what they do not show."""
+    """Estimate the uncertainty from two folds of the data; for few cameras also of unseen motion."""
     problem = model.problem
     if len(estimate.folds) < 2:
         return None
@@ -307,7 +307,7 @@ def _result(
 
 
 def without_motion(model: TemporalModel) -> MotionFit:
-    """Where no frequency stands out of the noise, or the two halves of the data agree on no motion."""
+    """Return the fit of a model in which no frequency stands out, or the halves of the data disagree."""
     empty = np.zeros((0, len(model.gaussians), 3), np.complex64)
     motion = ModalMotion(np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps)
     note = "no frequency stands out of the noise: the run holds no motion"

@@ -24,7 +24,7 @@ _WITHIN = 0.99  # part of the Gaussians that counts for the scene's extent
 
 @dataclass(frozen=True)
 class MovedPictures:
-    """What there is to compare with: K states of T timesteps in V cameras."""
+    """Pictures of K states of T timesteps in V cameras."""
 
     cameras: Sequence[PosedView]
     pictures: np.ndarray  # [V, K, H, W, 3] float32 over white, `room`
@@ -88,7 +88,7 @@ def _compare(adam: ParameterAdam, seen: MovedPictures, v: int, k: int, device: s
 
 
 def _parameters(gaussians: Gaussians) -> dict[str, Tensor]:
-    """What `activate` makes these Gaussians of."""
+    """Return the parameters of these Gaussians, the inverse of `activate`."""
     opacities = gaussians.opacities.clamp(_SOLID, 1 - _SOLID)
     return {
         "means": gaussians.means,

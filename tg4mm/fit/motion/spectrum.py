@@ -105,7 +105,7 @@ def modes_of(
 
 
 def _with_known(sinusoids: "Sinusoids", cycles: np.ndarray, n_timesteps: int) -> "Sinusoids":
-    """With further frequencies, each that is far enough from those that there are and from half the frame rate."""
+    """Add frequencies that are far enough from the present ones and from half the frame rate."""
     for own in cycles:
         ends = np.append(sinusoids.cycles, n_timesteps / 2)
         if own >= 1 - _ON_BIN and np.abs(ends - own).min() >= _APART:
@@ -116,7 +116,7 @@ def _with_known(sinusoids: "Sinusoids", cycles: np.ndarray, n_timesteps: int) ->
 def _with_band(
     sinusoids: "Sinusoids", series: np.ndarray, clock: "Clock", fps: float, band: tuple[float, float]
 ) -> "Sinusoids":
-    """With the tone of series [R, F] in the band (Hz), where no bin and no sinusoid lies in it."""
+    """Add the tone of series [R, F] in the band (Hz), if it contains no bin and no sinusoid."""
     n_timesteps = clock.length
     hz = np.append(sinusoids.cycles, np.arange(1, n_timesteps // 2 + 1)) * fps / n_timesteps
     if ((hz >= band[0]) & (hz <= band[1])).any():

@@ -47,7 +47,7 @@ def reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def wiener_shrink(folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What fields [P, R, N, 6] of one fold or of two halves agree on: [R, N, 6], and gains [R]."""
+    """Return the fields [R, N, 6] on which one fold or two halves [P, R, N, 6] agree, and gains [R]."""
     if len(folds) == 1:
         return folds[0], np.ones(folds.shape[1], np.float32)
     mean = (folds[0] + folds[1]) / 2

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.core.memory import mapped_zeros, release
-from tg4mm.fit.motion.nuisance.first_look import FirstLook
+from tg4mm.fit.motion.nuisance.fixed_cameras import PictureSums
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observation_model import project
 from tg4mm.fit.motion.observations import Observations, watched
@@ -23,7 +23,7 @@ _IMAGES = 4  # of one view that are worked on together
 
 @dataclass(frozen=True)
 class TargetImages:
-    """What V views saw of R functions of time. Where C_v is the identity, Ψ_v is the basis."""
+    """Products of V views' pictures with R functions of time. If C_v is the identity, Ψ_v is the basis."""
 
     # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
     basis: np.ndarray
@@ -42,7 +42,7 @@ class TargetImages:
 
 
 def projected(
-    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], bases: Sequence[np.ndarray]
+    observations: Observations, sums: PictureSums, nuisances: Sequence[Nuisance], bases: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Every view's products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left.
 
@@ -53,17 +53,17 @@ def projected(
     total = np.stack(
         [
             t - n.energy(m, c)
-            for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
+            for t, n, m, c in zip(sums.total, nuisances, sums.mean, sums.columns, strict=True)
         ]
     )
     for v, frames, pictures in watched("pictures, second pass", observations):
         basis = bases[v]
         for rows, strip in pictures:
-            strip -= look.mean[v, rows]
+            strip -= sums.mean[v, rows]
             images[v, :, rows] = project(frames, height, rows, strip, basis)
         for first in range(0, len(basis), _IMAGES):
             some = slice(first, first + _IMAGES)
-            images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
+            images[v, some] = without(nuisances[v], sums.mean[v], images[v, some])
             for image in images[v, some]:
                 total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
             release(images)

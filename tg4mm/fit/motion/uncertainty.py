@@ -1,4 +1,4 @@
-"""How uncertain the motion of every Gaussian is: noise, what the pictures do not show, and errors that all views share.
+"""Uncertainty of every Gaussian's motion: noise, motion that the pictures do not show, and errors shared by all views.
 
 Noise. Two folds of the data differ by it.
 
@@ -74,7 +74,7 @@ def unseen_motion(
     n_draws: int = DRAWS,
     iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, float]:
-    """What the pictures do not show of the displacement, and how many coordinates of one component they do show.
+    """Return the covariance of the displacement that the pictures do not show, and the degrees of freedom they show.
 
     For the operator of one uncoupled field and all R fields x [R, 4N, 3] that were found: covariance [N, 3, 3] float32,
     scene units squared, mean over T timesteps.
@@ -158,7 +158,7 @@ def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MotionEstimate:
-    """What a fit found, as far as uncertainty asks for it."""
+    """The results of a fit that its uncertainty depends on."""
 
     folds: np.ndarray  # [2, R, N, 6]
     fields: np.ndarray  # [R, N, 6], what is kept of their mean
@@ -183,7 +183,7 @@ class Uncertainty:
 def split_half_uncertainty(
     estimate: MotionEstimate, n_timesteps: int, unseen: np.ndarray | None = None
 ) -> Uncertainty:
-    """From two folds of the data, the residual of both, and what the pictures do not show.
+    """Estimate from two folds of the data, the residual of both, and the motion that the pictures do not show.
 
     unseen [N, 3, 3]: covariance of draws of motion, mean over time (`unseen_motion`); None: it was not drawn.
     """
@@ -202,7 +202,7 @@ def split_half_uncertainty(
 
 
 def with_ground(uncertainty: Uncertainty, squares: np.ndarray | None, n_timesteps: int) -> Uncertainty:
-    """With what it means that another part may stand still: squares [N] of the fields' error (`nuisance/poses.py`)."""
+    """Add the error if another part is at rest: squares [N] of the fields' error (`nuisance/poses.py`)."""
     if squares is None:
         return uncertainty
     old = uncertainty.arrays
@@ -216,7 +216,7 @@ def with_ground(uncertainty: Uncertainty, squares: np.ndarray | None, n_timestep
 def few_view_uncertainty(
     estimate: MotionEstimate, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
 ) -> Uncertainty:
-    """As `split_half_uncertainty`, with what few cameras do not show; of one camera also along its line of sight."""
+    """`split_half_uncertainty` plus the motion that few cameras do not show; for one camera also along its sight."""
     with progress("uncertainty", ITERATIONS, "iterations") as update:
         unseen, freedom = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
     difference = (estimate.folds[0] - estimate.folds[1])[..., :3]

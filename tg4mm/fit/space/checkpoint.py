@@ -1,4 +1,4 @@
-"""What an unfinished space stage may be continued from; all else is refused before anything is computed with it."""
+"""Validation of an unfinished space stage's checkpoint, before anything is computed with it."""
 
 import hashlib
 import json

@@ -25,7 +25,7 @@ _RULES = {
 
 @dataclass(frozen=True)
 class SpaceConfig:
-    """How the static Gaussians are fitted. Learning rates and their decay: `parameters.py`."""
+    """Settings of the static Gaussians' fit. Learning rates and their decay: `parameters.py`."""
 
     iterations: int = setting(
         0,

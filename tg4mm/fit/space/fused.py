@@ -40,7 +40,7 @@ class FusedAdam(ParameterRows):
         self.parameters = _named(self.values)
 
     def replace(self, gone: Tensor, added: dict[str, Tensor]) -> None:
-        """As for all optimisers, but rows that stay are not touched."""
+        """Replace rows as all optimisers do, without touching the others."""
         n, more = len(self.values[0]), len(added["logits"]) - len(gone)
         if more < 0:
             super().replace(gone, added)
@@ -95,7 +95,7 @@ def _named(arrays: tuple[np.ndarray, ...]) -> dict[str, Tensor]:
 
 
 def filled(target: np.ndarray, image: np.ndarray, transmittance: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """A target [H, W, 3] with what is rendered where it is NaN, so that there is nothing to be gained there."""
+    """Return a target [H, W, 3] with the rendered picture where it is NaN, so that it has no gradient there."""
     is_masked = np.isnan(target[..., 0])
     if not is_masked.any():
         return target

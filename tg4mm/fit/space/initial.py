@@ -1,4 +1,4 @@
-"""Where the first Gaussians stand: points3d.ply, SfM, the masks' visual hull, or the cameras' common space."""
+"""Initial positions of Gaussians: points3d.ply, SfM, the masks' visual hull, or the cameras' common space."""
 
 import math
 import warnings

@@ -58,7 +58,7 @@ def _activate_rows(log_scales, logits, scales, opacities):
 
 @kernel(parallel=True)
 def activate(log_scales, logits, scales, opacities):
-    """What the free parameters stand for: scales [N, 3] and opacities [N]."""
+    """Activate the free parameters: scales [N, 3] and opacities [N]."""
     n = len(logits)
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
@@ -97,7 +97,7 @@ def scratch_shape(coefficients: int) -> tuple[int, int]:
 
 @kernel(parallel=True)
 def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
-    """From the sums of pairs (kernels/layout.py) to the next parameters; those and Adam's moments are changed in place.
+    """Step parameters and Adam's moments in place, from the sums of pairs (kernels/layout.py).
 
     values, ms, vs: (means [N, 3], quats [N, 4], log_scales [N, 3], logits [N], sh [N, K, 3]) and their moments.
     active: (scales, opacities), written anew. view: (degree, packed camera, width, height) of the picture. `v_splats`

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.duplicates import OFF
-from tg4mm.capture.look import Look, LookLine, Mover
+from tg4mm.capture.look import Look, LookLine, MovingRegion
 from tg4mm.capture.look.peaks import LOWEST
 from tg4mm.capture.look.record import to_record
 from tg4mm.capture.look.rows import row_note
@@ -225,7 +225,7 @@ def _at(line: LookLine) -> str:
     return f"({line.centre_px[0]:.0f}, {line.centre_px[1]:.0f})"
 
 
-def _mover(mover: Mover) -> str:
+def _mover(mover: MovingRegion) -> str:
     left, upper, right, lower = mover.box
     where = f"({left}, {upper}) to ({right}, {lower})"
     if mover.kind == "passes":

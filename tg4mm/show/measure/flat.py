@@ -137,8 +137,8 @@ def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -
         out = np.where(shown > 0.5 * shown.max(), shown, 0).clip(0, 1).astype(np.float32)
     while 0 < (out > 0).sum() < min(_FEWEST_PIXELS, out.size):
         out = np.maximum(out, binary_dilation(out > 0).astype(np.float32))
-    if scene.observations.counts is not None:
-        out = out * scene.observations.counts[0]
+    if scene.observations.valid_mask is not None:
+        out = out * scene.observations.valid_mask[0]
     if not out.any():
         raise MeasureError(f"sensor {sensor}: holds no pixel that counts")
     return out

@@ -25,7 +25,7 @@ from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.fit.motion.large.registration import mean_pictures
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.first_look import FixedCameras, look_at, rest_views
+from tg4mm.fit.motion.nuisance.fixed_cameras import FixedCameras, prepare_fixed_cameras, rest_views
 from tg4mm.fit.motion.nuisance.poses import corrected_poses, left_of, pictures_of
 from tg4mm.fit.motion.nuisance.projection import COLUMNS, EXPOSURE, Nuisance, nuisances_of, without
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
@@ -307,7 +307,7 @@ class _Fixed:
 
     def _look(self) -> FixedCameras:
         """Look at the pictures as the motion stage does: shake, exposure, mean pictures."""
-        return look_at(
+        return prepare_fixed_cameras(
             self.gaussians, self.observations, self.fit.config, "cpu", no_checkpoint, refines=False
         )
 
@@ -323,7 +323,7 @@ class _Fixed:
             return self.observations, mean_pictures(self.observations), active, []
         found = self._look()
         active = np.stack([n.active for n in found.nuisances])
-        return found.observations, found.look.mean, active, found.notes
+        return found.observations, found.sums.mean, active, found.notes
 
     def _views(
         self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray

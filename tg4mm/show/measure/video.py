@@ -23,7 +23,7 @@ from tg4mm.core.memory import mapped_zeros
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
-from tg4mm.fit.motion.nuisance.first_look import BlockShifts
+from tg4mm.fit.motion.nuisance.fixed_cameras import BlockShifts
 from tg4mm.fit.motion.observations import Observations, PosedFrames
 from tg4mm.show.measure.scene import GreyPictures, ModalFields, Prepared, SharedClock
 from tg4mm.show.measure.sensors import MeasureError

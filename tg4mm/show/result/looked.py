@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tg4mm.capture import Capture
-from tg4mm.capture.look import Found, LookLine, Mover
+from tg4mm.capture.look import Found, LookLine, MovingRegion
 from tg4mm.capture.look.rows import row_note
 from tg4mm.capture.look.zoom import swing_note
 from tg4mm.capture.scene import is_coded, video_file
@@ -116,7 +116,7 @@ def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
     return out + [note for note in [row_note(found)] if note]
 
 
-def _moves(mover: Mover) -> str:
+def _moves(mover: MovingRegion) -> str:
     left, upper, right, lower = mover.box
     where = f"between pixels ({left}, {upper}) and ({right}, {lower})"
     if mover.kind == "passes":

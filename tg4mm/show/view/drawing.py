@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from tg4mm.capture.look.baseline import LEAST_INFORMATION, QUANTISED
 from tg4mm.capture.look.reading import CELL
-from tg4mm.capture.look.usual import LEAST_INFORMATION, QUANTISED
 from tg4mm.capture.tracking.template import FROZEN, Grid, Template, false_information
 from tg4mm.core.errors import RegionError
 from tg4mm.core.regions import POINT_RADIUS, Pixel, Region, Regions, Scale

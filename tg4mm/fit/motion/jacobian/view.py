@@ -110,7 +110,7 @@ class ViewJacobian:
         return d_images
 
     def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
-        """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
+        """Add Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
         bins, n_motions, buffers = self.bins, len(pictures), buffers or Buffers()
         v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         blend_cotangents(self._blended, np.ascontiguousarray(pictures), v_pairs)
@@ -123,7 +123,7 @@ class ViewJacobian:
         v_motions: np.ndarray,
         buffers: Buffers | None = None,
     ) -> None:
-        """Adds Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
+        """Add Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
         bins, n_motions, buffers = self.bins, len(motions), buffers or Buffers()
         d_splats = buffers.take("d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
@@ -155,7 +155,7 @@ class ViewJacobian:
         return own + [getattr(self.bins, name) for name in _OF_BINS]
 
     def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
-        """Adds to `v_motions` [R, N, DOF] the cotangents of tile–Gaussian pairs [P, R, 8]."""
+        """Add the cotangents of tile–Gaussian pairs [P, R, 8] to `v_motions` [R, N, DOF]."""
         vjp_rows(self.packed, self._rows, self.bins.gaussian_start, self.bins.pair_slot, v_pairs, v_motions)
 
 

@@ -29,7 +29,7 @@ from tg4mm.fit.motion.config import more_iterations
 from tg4mm.fit.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.fit.motion.jacobian.view import VIEW_BYTES, ViewJacobian, pixels_moved, view_jacobian
 from tg4mm.fit.motion.large import iterated
-from tg4mm.fit.motion.nuisance.first_look import rest_views
+from tg4mm.fit.motion.nuisance.fixed_cameras import rest_views
 from tg4mm.fit.motion.nuisance.projection import Nuisance, projections_of
 from tg4mm.fit.motion.observations import Observations, PosedFrames, strips
 from tg4mm.fit.motion.refine import MovedPictures, refine_rest_scene
@@ -97,7 +97,7 @@ def states_of(
 
 
 def most_states(n_views: int, size: tuple[int, int]) -> int:
-    """How many states' pictures of `n_views` cameras of (width, height) fit in `PICTURE_BYTES`: 3 to `MOST`."""
+    """Return the number of states, 3 to `MOST`, whose pictures of `n_views` cameras fit in `PICTURE_BYTES`."""
     return int(np.clip(PICTURE_BYTES // (12 * n_views * size[0] * size[1]), 3, MOST))
 
 
@@ -151,12 +151,12 @@ class StateObservations:
         return StateObservations(observations.frames, states, pictures, changes_within)
 
     def moved(self, fields: np.ndarray) -> MovedPictures:
-        """With the motion of fields [R, N, 6]."""
+        """Return the pictures with the motion of fields [R, N, 6]."""
         motions = np.tensordot(self.states.gains, fields, 1).astype(np.float32)
         return MovedPictures(self.cameras, self.pictures, motions, self.states.of)
 
     def residuals(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[np.ndarray, Errors]:
-        """[V, K, H, W, 3]: pictures less what is rendered, each less its mean over time; and how much that is."""
+        """Return pictures less the rendered ones, each less its mean over time, [V, K, H, W, 3], and their squares."""
         out = rendered(gaussians, self.moved(fields), device)
         share = (self.states.count / self.states.count.sum()).astype(np.float32)
         total = changes = 0.0
@@ -193,7 +193,7 @@ class StateObservations:
 
 
 def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
-    """Adds matrix [R, K] times pictures [K, H, W, 3] to images [R, H, W, 3], some rows of them at a time."""
+    """Add matrix [R, K] times pictures [K, H, W, 3] to images [R, H, W, 3], some rows at a time."""
     matrix = matrix.astype(np.float32)
     for top in range(0, images.shape[1], _ROWS):
         rows = slice(top, top + _ROWS)
@@ -202,7 +202,7 @@ def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
 
 @torch.no_grad()
 def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarray:
-    """[V, K, H, W, 3] float32 (`mapped_zeros`): what cameras see of the Gaussians moved to every state, over white."""
+    """Render the Gaussians moved to every state, over white: [V, K, H, W, 3] float32 (`mapped_zeros`)."""
     height, width = seen.pictures.shape[2:4]
     there, out = gaussians.to(device), mapped_zeros(seen.pictures.shape)
     cameras = [[torch.from_numpy(a).to(device) for a in (c.viewmat, c.K)] for c in seen.cameras]
@@ -294,7 +294,7 @@ def _root(products: np.ndarray) -> np.ndarray:
 
 
 def linear_px(n_views: int) -> float:
-    """Pixels from which on motion is iterated: few cameras do not tell where things lie, which costs more.
+    """Return the motion in pixels above which it is iterated: few cameras do not determine depth, which costs more.
 
     Of a vibration of a pixels a texture of wavelength w shows 1 − (π a / w)² / 2: at w = 3 .73 of 0.7 px, .93 of 0.35.
     """
@@ -303,7 +303,7 @@ def linear_px(n_views: int) -> float:
 
 @dataclass(frozen=True)
 class GaussNewtonState:
-    """What an iteration starts from."""
+    """Start of an iteration."""
 
     gaussians: Gaussians
     fold_fields: np.ndarray  # [P, R, N, 6] of each fold
@@ -323,7 +323,7 @@ class GaussNewtonState:
 
 
 def used_components(is_noise: np.ndarray) -> np.ndarray:
-    """Which temporal components are fitted: those of the linear fit, and as many others and one, or eight in all.
+    """Return the temporal components to fit: those of the linear fit and as many others plus one, or eight in all.
 
     Pictures saturate where things move far, so that the first component is not quite what the motion does in time; the
     rest of that is in weaker ones. What is noise there after all fades by its reliability; but what moves and
@@ -334,10 +334,10 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
 
 
 class GaussNewton:
-    """What all iterations share: pictures of states, components, folds, settings."""
+    """Data shared by all iterations: pictures of states, components, folds, settings."""
 
     def __init__(self, model: TemporalModel, hyper: Hyperparameters, linear_fields: np.ndarray) -> None:
-        """From the linear fit's fields [P, R', N, 6]."""
+        """Start from the linear fit's fields [P, R', N, 6]."""
         self.used = used_components(hyper.is_noise)
         self.at_rest, self.targets, self.folds = model.problem, model.targets, model.folds
         self.basis, linear = self.targets.basis[self.used], np.flatnonzero(~hyper.is_noise[self.used])
@@ -447,9 +447,9 @@ def gauss_newton(
     judged: Sequence[int],
     checkpoint: Checkpoint,
 ) -> tuple[TemporalModel, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
-    """From the linear fit's fields [P, R', N, 6] on.
+    """Iterate from the linear fit's fields [P, R', N, 6].
 
-    Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
+    Return the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
     target images of the `judged` views, and figures for the log.
     """
     loop, problem = GaussNewton(model, hyper, folds), model.problem

@@ -108,7 +108,7 @@ def put_back(
 
 
 def _reach(some: np.ndarray) -> slice:
-    """From the first to the last that is true."""
+    """Return the slice from the first true entry to the last."""
     where = np.flatnonzero(some)
     return slice(int(where[0]), int(where[-1]) + 1) if len(where) else slice(0, 0)
 

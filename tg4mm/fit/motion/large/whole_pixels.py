@@ -133,7 +133,7 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
         view = view_jacobian(gaussians, frames, observations.size)
         flow = np.ascontiguousarray(optical_flow(view, fields, Buffers())[..., :2])
         pictures = put_back(observations.pictures, frames, flow, basis)
-        return replace(observations, pictures=pictures, courses=basis)
+        return replace(observations, pictures=pictures, time_courses=basis)
 
     def sharper() -> Arrays:
         mean = mean_pictures(displaced(gaussians, fields))[0]

@@ -1,1 +1,1 @@
-"""What changes a whole picture from frame to frame and is no motion of the scene: exposure and the camera's pose."""
+"""Changes of complete pictures that are not motion of the scene: exposure and the camera's pose."""

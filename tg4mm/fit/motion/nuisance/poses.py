@@ -76,8 +76,8 @@ def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
     """[H, W, 3] float32 of every frame, over white; NaN where it does not count."""
     for v, frame in enumerate(observations.frames):
         picture = next(whole_pictures(observations, frame.rows))[0]
-        if observations.counts is not None:
-            picture[~observations.counts[v]] = np.nan
+        if observations.valid_mask is not None:
+            picture[~observations.valid_mask[v]] = np.nan
         yield picture
 
 

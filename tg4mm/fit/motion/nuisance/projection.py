@@ -1,4 +1,4 @@
-"""What changes a whole picture from frame to frame and is no motion of the scene: exposure, and the camera's own pose.
+"""Changes of complete pictures that are not motion of the scene: exposure and the camera's pose.
 
 Per frame and to first order P n, with twelve columns P of one view: gain and offset of each colour channel (automatic
 exposure, white balance, flicker of the light) and six of the pose (a camera that shakes). The coefficients n are of no
@@ -194,7 +194,7 @@ class Projection:
         return self.root.T @ (self.adjoint_columns.reshape(len(self.root), -1) @ motion.ravel())
 
     def correct(self, motions: np.ndarray, v_motions: np.ndarray) -> None:
-        """Takes L Lᵀ of motions [R, N, 6] off `v_motions`: Jᵀ W J becomes the projected operator."""
+        """Subtract L Lᵀ of motions [R, N, 6] from `v_motions`: Jᵀ W J becomes the projected operator."""
         flat = self.adjoint_columns.reshape(len(self.adjoint_columns), -1)
         products = motions.reshape(len(motions), -1) @ flat.T
         v_motions -= (products @ flat).reshape(v_motions.shape)

@@ -102,7 +102,7 @@ class CpuOperator:
         return replace(self, graph=graph)
 
     def mixed(self, k: int, fields: np.ndarray) -> np.ndarray:
-        """What view k's target images show of fields [R, N, 6]: [ρ, N, 6]."""
+        """Return fields [R, N, 6] as view k's target images show them, [ρ, N, 6]."""
         if self.mixing is None:
             return np.ascontiguousarray(fields)
         return np.tensordot(self.mixing[k], fields, 1)
@@ -118,7 +118,7 @@ class CpuOperator:
         return motions if self.support is None else motions * self.support[..., None]
 
     def add_view(self, k: int, motions: np.ndarray, v_motions: np.ndarray) -> None:
-        """Adds C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of view k to `v_motions`, both [S, R, N, 6] of S systems."""
+        """Add C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of view k to `v_motions`, both [S, R, N, 6] of S systems."""
         shown = motions if self.mixing is None else np.stack([self.mixed(k, own) for own in motions])
         flat, alone = shown.reshape(-1, *shown.shape[2:]), self.mixing is None and self.projections is None
         out = v_motions.reshape(flat.shape) if alone else np.zeros_like(flat)
@@ -171,7 +171,7 @@ class SharedPass:
         return False
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
-        """As of each operator, one below the other."""
+        """Concatenate the right-hand sides of all operators."""
         gathered = self.operators[0].gathered(pictures)
         return np.stack(
             [o.preconditioner.from_field(o.graph.from_motion(v)) for o in self.operators for v in gathered]

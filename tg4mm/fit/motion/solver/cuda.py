@@ -65,7 +65,7 @@ class DeviceViewJacobian:
         return out.reshape(height, width, 3)
 
     def vjp(self, picture: Tensor, v_motion: Tensor) -> None:
-        """Adds Jᵀ p of a picture [H, W, 3] to `v_motion` [N, DOF]."""
+        """Add Jᵀ p of a picture [H, W, 3] to `v_motion` [N, DOF]."""
         flat = picture.reshape(-1, 3)
         sums = torch.zeros(len(self.rows), 8, device=picture.device)
         for some in self._chunks():

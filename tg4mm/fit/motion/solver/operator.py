@@ -1,4 +1,4 @@
-"""What the solver asks of a motion problem; the CPU and a torch device each implement it.
+"""Interface between the solver and a motion problem, implemented for the CPU and for torch devices.
 
 Find R fields x_r [4N, 3], displacement and its gradient, that explain the target images of V views. They minimise
 
@@ -40,7 +40,7 @@ class Fold:
 
 
 class System(Protocol):
-    """What conjugate gradients ask of symmetric positive equations in θ [R, …]."""
+    """Symmetric positive equations in θ [R, …] for conjugate gradients."""
 
     @property
     def is_coupled(self) -> bool:
@@ -70,7 +70,7 @@ class Operator(System, Protocol):
         """θ -> x [R, 4N, 3] float32: displacement and its gradient."""
 
     def prior_products(self, x: np.ndarray) -> Array:
-        """What the prior alone adds to `products` of the θ of fields x [R, 4N, 3]."""
+        """Return the prior's part of `products` for fields x [R, 4N, 3]."""
 
     def misfit(self, fields: np.ndarray, pictures: Iterable[np.ndarray]) -> float:
         """The weighted squares that fields [R, N, 6] leave of target images."""

@@ -124,7 +124,7 @@ def _tentative(means: np.ndarray, spacing: float) -> bsr_matrix:
 
 
 def _split(means: np.ndarray) -> list[np.ndarray]:
-    """By a k-d tree, halved along the longest side: at most `MOST` regions of `_LEAST` Gaussians or more, or one."""
+    """Split by a k-d tree along the longest side: at most `MOST` regions of `_LEAST` Gaussians or more, or one."""
     regions = [np.arange(len(means))]
     while 2 * len(regions) <= MOST and len(regions[0]) >= 2 * _LEAST:
         halves = []
@@ -170,7 +170,7 @@ class DiagonalEstimate:
 
     @staticmethod
     def of(aggregates: Aggregates, probes: np.ndarray) -> "DiagonalEstimate":
-        """From `probe` [probes, N, 6].
+        """Estimate the diagonal from `probe` [probes, N, 6].
 
         Neighbours share pixels, so JᵀWJ has entries off the diagonal, and on most coarse fields it is two to three
         times its diagonal's part. That factor is estimated from the same probes.

@@ -46,14 +46,14 @@ class Problem:
     def of(
         views: Sequence[ViewJacobian], gaussians: Gaussians, config: MotionConfig, device: str
     ) -> "Problem":
-        """With the graph of the Gaussians' neighbours."""
+        """Build the problem with the graph of the Gaussians' neighbours."""
         means = gaussians.means.numpy()
         axes = rotation_matrices(gaussians.quats).numpy()
         graph = build_graph(means, axes, gaussians.scales.numpy())
         return Problem(views, gaussians, graph, aggregate(graph, means), config, device)
 
     def changed(self, **fields: Any) -> "Problem":
-        """With other fields. What was made with the old ones is let go, but for the views on a device."""
+        """Replace fields. Cached results are dropped, but for the views on a device."""
         kept = {k: v for k, v in self._kept.items() if k == "device_views" and "views" not in fields}
         return replace(self, **fields, _kept=kept)
 

@@ -50,7 +50,7 @@ class TemporalModel(ABC):
 
     @property
     def n_frames(self) -> int:
-        """How many one camera's record holds."""
+        """Number of frames in one camera's record."""
         return self.observations.n_timesteps
 
     def images(self, v: int) -> np.ndarray:
@@ -63,7 +63,7 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> "TemporalModel":
-        """With what the functions of time still lack: which are fitted, or every camera's phases."""
+        """Complete the functions of time: choose the fitted ones, or find every camera's phases."""
 
     @property
     def first_iterations(self) -> int:
@@ -79,7 +79,7 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def settled(self, folds: np.ndarray) -> "tuple[TemporalModel, np.ndarray]":
-        """The motion in fields [P, R, N, 6] of the folds, and the model with its functions of time alone.
+        """Return the model with its functions of time only, and the motion in fields [P, R, N, 6] of the folds.
 
         Functions that are no motion are let go, and what the cameras leave open is settled.
         """
@@ -90,7 +90,7 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def pixels_moved(self, fields: np.ndarray) -> float:
-        """How far fields [R, N, 6] move what is seen, pixels."""
+        """Return the visible motion of fields [R, N, 6], pixels."""
 
     @abstractmethod
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:

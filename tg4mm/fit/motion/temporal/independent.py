@@ -21,7 +21,7 @@ from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, no_checkpoint
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.linear_fit import LinearFit
-from tg4mm.fit.motion.nuisance.first_look import FirstLook, look_at
+from tg4mm.fit.motion.nuisance.fixed_cameras import PictureSums, prepare_fixed_cameras
 from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.solver.operator import Fold
@@ -29,10 +29,10 @@ from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import constant_and_trend, sinusoids
 from tg4mm.fit.motion.split_half import folds_of, wiener_shrink
 from tg4mm.fit.motion.targets import TargetImages, projected
-from tg4mm.fit.motion.temporal.steady import (
+from tg4mm.fit.motion.temporal.sinusoidal import (
     LEAST,
     RegionSeries,
-    Steady,
+    SinusoidalModel,
     frequencies_of,
     frequency_figures,
     no_targets,
@@ -46,7 +46,7 @@ _REGION_ALTERNATIONS = 40
 
 
 @dataclass(frozen=True)
-class IndependentClocks(Steady):
+class IndependentClocks(SinusoidalModel):
     """`TemporalModel` of cameras whose clocks, or starts of the vibration, differ."""
 
     unphased: Sequence[np.ndarray]  # C_v for phases of 0
@@ -62,7 +62,7 @@ class IndependentClocks(Steady):
         checkpoint: Checkpoint,
     ) -> "IndependentClocks":
         """Frequencies from region shifts, sinusoids of these, and phases from region shifts."""
-        seen = look_at(gaussians, observations, config, device, checkpoint)
+        seen = prepare_fixed_cameras(gaussians, observations, config, device, checkpoint)
         observations = seen.observations
         problem = seen.problem(config, device)
         series = region_series(seen, problem, checkpoint)
@@ -71,7 +71,7 @@ class IndependentClocks(Steady):
         targets, mixing = no_targets(observations), list[np.ndarray]()
         phases = np.zeros((len(series), 0))
         if len(frequencies.hz):
-            targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, frequencies.hz)
+            targets, mixing = sinusoid_targets(observations, seen.sums, seen.nuisances, frequencies.hz)
             phases = region_phases(series, frequencies.hz, config.seed)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         model = IndependentClocks(
@@ -144,7 +144,7 @@ def scale_of(observations: Observations) -> float:
 
 
 def sinusoid_targets(
-    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], freqs_hz: np.ndarray
+    observations: Observations, sums: PictureSums, nuisances: Sequence[Nuisance], freqs_hz: np.ndarray
 ) -> tuple[TargetImages, list[np.ndarray]]:
     """Cosines and sines of K frequencies in every camera's own time, with a constant and a trend taken out; and C_v.
 
@@ -153,12 +153,12 @@ def sinusoid_targets(
     """
     frames, scale = observations.frames, scale_of(observations)
     bases, mixing = zip(*(_orthonormal(f.times_s, freqs_hz, scale) for f in frames), strict=True)
-    images, residual = projected(observations, look, nuisances, bases)
+    images, residual = projected(observations, sums, nuisances, bases)
     shared = sinusoids(np.arange(observations.n_timesteps) / observations.fps, freqs_hz) * scale
     energy = np.zeros(observations.n_timesteps)
     energy[: 2 * len(freqs_hz)] = np.sort((images.astype(np.float64) ** 2).sum((0, 2, 3, 4)))[::-1]
     rank = round(float(np.mean([len(f.rows) for f in frames]))) - 2
-    return TargetImages(shared, energy, images, residual, max(rank, 1), look.mean), list(mixing)
+    return TargetImages(shared, energy, images, residual, max(rank, 1), sums.mean), list(mixing)
 
 
 def _orthonormal(times_s: np.ndarray, freqs_hz: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -31,10 +31,10 @@ from tg4mm.fit.motion.solver.operator import Fold
 from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.fit.motion.spectrum import polynomials, sinusoids
 from tg4mm.fit.motion.split_half import folds_of
-from tg4mm.fit.motion.temporal.steady import (
+from tg4mm.fit.motion.temporal.sinusoidal import (
     Frequencies,
     RegionSeries,
-    Steady,
+    SinusoidalModel,
     frequencies_of,
     frequency_figures,
     labels_of,
@@ -57,7 +57,7 @@ _ALL = np.ones(12, bool)
 
 
 @dataclass(frozen=True)
-class MovingCamera(Steady):
+class MovingCamera(SinusoidalModel):
     """`TemporalModel` of one camera that moves."""
 
     if_halves_disagree: ClassVar[str] = "use a fixed camera and a sweep (docs/capture-guide.md, tripod)"
@@ -120,7 +120,7 @@ class MovingCamera(Steady):
         return self
 
     def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
-        """With the background still, each frequency by itself."""
+        """Return fields in which the background is at rest, for each frequency."""
         means, seen = self.gaussians.means.numpy(), self.path.seen
         pairs = [
             with_still_background(fields[k : k + 2], means, seen)
@@ -130,7 +130,7 @@ class MovingCamera(Steady):
         return np.concatenate(pairs).reshape(folds.shape)
 
     def support(self, folds: np.ndarray) -> np.ndarray:
-        """What moves by a quarter of the largest amplitude or more, for each frequency; slow functions where any does.
+        """Return what moves by a quarter of the largest amplitude or more, for each frequency; any for slow functions.
 
         With the pose projected out the first fit spreads motion over what stands still. Where that is held still,
         it determines the poses, and the amplitude is correct.
@@ -188,7 +188,7 @@ class MovingCamera(Steady):
 
 
 def _not_told(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.ndarray) -> list[str]:
-    """What is said of frequencies [K] whose motion may be the camera's own; those that were asked for stay."""
+    """Return notes on frequencies [K] whose motion may be the camera's; those in the requested band stay."""
     out = []
     for some, what in (
         (~is_determined & ~is_asked, ", which the run therefore leaves out"),

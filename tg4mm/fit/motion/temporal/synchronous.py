@@ -23,7 +23,7 @@ from tg4mm.fit.motion.hyperparameters import Hyperparameters
 from tg4mm.fit.motion.jacobian.view import pixels_moved
 from tg4mm.fit.motion.mode_selection import peaks
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
-from tg4mm.fit.motion.nuisance.first_look import FirstLook, look_at
+from tg4mm.fit.motion.nuisance.fixed_cameras import PictureSums, prepare_fixed_cameras
 from tg4mm.fit.motion.nuisance.projection import Nuisance
 from tg4mm.fit.motion.observations import Observations
 from tg4mm.fit.motion.solver.operator import Fold
@@ -99,7 +99,7 @@ def _strongest(gram: np.ndarray, times_s: np.ndarray) -> np.ndarray:
 
 
 def _standing_out(gram: np.ndarray, pixels: float) -> tuple[int, float]:
-    """How many components stand out of the noise, and by how much energy."""
+    """Return the number of components that stand out of the noise, and their energy."""
     energy = falling_energy(gram)
     rank = rank_of(energy)
     if rank < _RANK_FOR_NOISE:
@@ -115,7 +115,7 @@ def falling_energy(gram: np.ndarray) -> np.ndarray:
 
 
 def rank_of(energy: np.ndarray) -> int:
-    """How many components of falling `energy` [T] are more than rounding; the last is empty, its mean is taken out."""
+    """Return the number of components of falling `energy` [T] above rounding; the last, the mean's, is empty."""
     return int((energy[:-1] > _ROUNDING * energy[0]).sum())
 
 
@@ -131,7 +131,7 @@ def orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
 
 
 def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0, least: int = 1) -> int:
-    """How many components stand out of rounding and noise: `energy` [T] falling. At least `least`.
+    """Return the number of components of falling `energy` [T] above rounding and noise, at least `least`.
 
     Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
     where pictures repeat (`rank` are not). So its level is that of the weakest quarter of the others. Fewer than seven
@@ -165,9 +165,9 @@ class Synchronous(TemporalModel):
         device: str,
         checkpoint: Checkpoint,
     ) -> "Synchronous":
-        """What the cameras saw, less what is no motion of the scene, in few components."""
-        seen = look_at(gaussians, observations, config, device, checkpoint)
-        targets = principal_components(seen.observations, seen.look, seen.nuisances, config)
+        """Reduce the pictures, without nuisance, to few components."""
+        seen = prepare_fixed_cameras(gaussians, observations, config, device, checkpoint)
+        targets = principal_components(seen.observations, seen.sums, seen.nuisances, config)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         return Synchronous(
             seen.gaussians, seen.observations, seen.problem(config, device), targets, folds, config,
@@ -224,19 +224,20 @@ class Synchronous(TemporalModel):
 
 
 def principal_components(
-    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], config: MotionConfig
+    observations: Observations, sums: PictureSums, nuisances: Sequence[Nuisance], config: MotionConfig
 ) -> TargetImages:
     """Time courses of vibrations, and principal components of what the changes of all synchronous cameras hold besides.
 
-    The courses are known (`Observations.courses`) or sinusoids that stand out of the noise. A vibration of a small part
-    of a large picture is no principal component: there the noise of all pixels is stronger. Of the components there
-    are at most as many as the settings say. What the active nuisance columns explain of a frame is taken out first.
+    The courses are known (`Observations.time_courses`) or sinusoids that stand out of the noise. A vibration of a small
+    part of a large picture is no principal component: there the noise of all pixels is stronger. Of the components
+    there are at most as many as the settings say. What the active nuisance columns explain of a frame is taken out
+    first.
     """
-    gram = np.zeros_like(look.grams[0])
+    gram = np.zeros_like(sums.grams[0])
     for v, nuisance in enumerate(nuisances):
-        gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
-    pixels = effective_pixels(look.total)
-    courses = observations.courses
+        gram += sums.grams[v] - nuisance.explained_gram(sums.mean[v], sums.columns[v])
+    pixels = effective_pixels(sums.total)
+    courses = observations.time_courses
     if courses is None and config.sinusoids and not observations.is_flat:
         courses = sinusoidal_courses(gram, pixels, observations.frames[0].times_s)
     known = orthonormal(courses, gram)
@@ -254,7 +255,7 @@ def principal_components(
         )
     basis = np.concatenate([known, vectors[: min(count, most)]])
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
-    images, residual = projected(observations, look, nuisances, [basis] * len(look.grams))
+    images, residual = projected(observations, sums, nuisances, [basis] * len(sums.grams))
     n_known = len(known)
     energy = np.concatenate([known_energy, energy[: len(energy) - n_known]])
-    return TargetImages(basis, energy, images, residual, max(rank, 1) + n_known, look.mean, n_known)
+    return TargetImages(basis, energy, images, residual, max(rank, 1) + n_known, sums.mean, n_known)

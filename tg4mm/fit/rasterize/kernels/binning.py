@@ -1,4 +1,4 @@
-"""Which tile sees which Gaussian: depth order, exact ellipse-tile overlap, one list per tile.
+"""Binning of Gaussians to tiles: depth order, exact ellipse-tile overlap, one list per tile.
 
 Everything is a stable counting sort over fixed chunks, so the lists do not depend on the number of threads. Tile
 extents are found sixteen Gaussians at a time, a lane each, by row of tiles: an ellipse cut by a band of pixels is

@@ -75,7 +75,7 @@ _OF_BLOCK = _BATCH * PIXELS // 8
 
 @inlined
 def begin_blocks(state, nothing):
-    """Nothing met yet. nothing: a vector of zeros and one of ones, in registers."""
+    """Reset the state. nothing: a vector of zeros and one of ones, in registers."""
     zero, one = nothing
     for k in range(BLOCKS):
         place = int64(k * STRIDE)
@@ -87,7 +87,7 @@ def begin_blocks(state, nothing):
 
 @inlined
 def write_tile(state, x0, y0, frame, image, transmittance):
-    """A tile's state to the picture [H · W · FEATURES] and the transmittance [H · W]."""
+    """Write a tile's state to the picture [H · W · FEATURES] and the transmittance [H · W]."""
     width, height = frame
     rows, columns = min(TILE, height - y0), min(TILE, width - x0)
     if rows == TILE and columns == TILE:
@@ -200,7 +200,7 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
 
 @inlined
 def _note_seen(by_block, count, reached):
-    """From the pairs in which each block is seen to the blocks in which each pair is seen."""
+    """Convert the pairs seen in each block to the blocks in which each pair is seen."""
     # Only now: what has just been written in small pieces cannot be read as a whole until it is in the cache.
     for k in range(BLOCKS):
         masks = by_block + _MASKS + k * _OF_BLOCK

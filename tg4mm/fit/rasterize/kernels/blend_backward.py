@@ -95,7 +95,7 @@ def _list_seen(reached, first, last, items):
 
 @inlined
 def _precompute_alphas(count, items, batch, faintest, held, kept):
-    """The alphas of all items, for `_pair_sums`.
+    """Compute the alphas of all items, for `_pair_sums`.
 
     There they would be half of a long chain of operations that wait for each other, of which the processor can hold two
     blocks' worth: it would wait most of the time.
@@ -113,7 +113,7 @@ def _precompute_alphas(count, items, batch, faintest, held, kept):
 
 @inlined
 def _read(state, x0, y0, frame, pictures):
-    """A tile's state, nothing met yet, from the flat pictures and their gradients."""
+    """Load the initial state of a tile from the flat pictures and their gradients."""
     width, height = frame
     image, transmittance, v_image, v_transmittance = pictures
     rows, columns = min(TILE, height - y0), min(TILE, width - x0)
@@ -281,7 +281,7 @@ def blend_backward(
     alpha_min: float = ALPHA_MIN,
     reached: np.ndarray | None = None,
 ) -> None:
-    """What every (tile, Gaussian) pair gives to the gradient, to `pair_sums` [P, SPLAT_WIDTH] as in layout.py.
+    """Write each (tile, Gaussian) pair's part of the gradient to `pair_sums` [P, SPLAT_WIDTH], as in layout.py.
 
     v_image [H, W, FEATURES] and v_transmittance [H, W] are the loss's gradients by what blend_forward wrote. Without
     its `reached` every Gaussian is looked for in all blocks of its tiles: the same gradients, several times slower.

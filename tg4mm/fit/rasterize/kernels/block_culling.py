@@ -75,7 +75,7 @@ def room(size):
 
 @inlined
 def _mask_of(size, n, k):
-    """Where the mask of block k of the Gaussians n … n + 15 lies, in 16 bits from the beginning of a batch."""
+    """Return the position of block k's mask for the Gaussians n … n + 15, in 16-bit units of a batch."""
     return 2 * (_PLANES + _OWN) * size + n // LANES * BLOCKS + k
 
 
@@ -179,14 +179,14 @@ def fill_batch(splats, pair_gaussian, first, last, end, size, origin, lanes, fai
 
 @inlined
 def reaching(batch, size, n, words):
-    """Which of the Gaussians n … n + 31 of a tested batch may reach each block: BLOCKS times 32 bits, to an address."""
+    """Write which of the Gaussians n … n + 31 of a tested batch may reach each block: BLOCKS times 32 bits."""
     for k in range(0, BLOCKS, LANES):
         store(words, int64(k), two_halves(batch, _mask_of(size, n, k), _mask_of(size, n + LANES, k)))
 
 
 @inlined
 def by_gaussian(words, count, reached):
-    """From BLOCKS words, a bit a Gaussian (`reaching`), to `count` <= 32 words, a bit a block; addresses of both."""
+    """Transpose BLOCKS words with a bit a Gaussian (`reaching`) to `count` <= 32 words with a bit a block."""
     for k in range(0, BLOCKS, LANES):
         some = shifted(load(words, int64(k)), uint32(2 * LANES - count))
         for n in range(count):
@@ -197,7 +197,7 @@ def by_gaussian(words, count, reached):
 
 @inlined
 def row_of(batch, size, n):
-    """Where the n-th Gaussian of a batch begins in `splats`."""
+    """Return the start of a batch's n-th Gaussian in `splats`."""
     return int64(integer(batch, _ROW * size + n))
 
 
@@ -237,7 +237,7 @@ def batch_room(blocks=BLOCKS):
 
 @inlined
 def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, batch, count=0):
-    """What every change needs from the blocks that Gaussian i, n-th of its batch, reaches; and the next transmittance.
+    """Compute weights and slopes in the blocks that Gaussian i, n-th of its batch, reaches; update transmittance.
 
     `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
     are there then, and the blocks still live.

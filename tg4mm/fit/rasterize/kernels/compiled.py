@@ -32,7 +32,7 @@ _SOURCES = _digest()
 
 
 class _Notice(event.Listener):
-    """Says at the first compilation that it will take a while, and no more."""
+    """Log once, at the first compilation, that it takes a while."""
 
     def __init__(self) -> None:
         self._said = False

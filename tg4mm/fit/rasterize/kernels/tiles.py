@@ -1,4 +1,4 @@
-"""What all kernels that blend tiles share: where pixels lie, how a Gaussian's alphas come about, who takes which tile.
+"""Shared parts of the kernels that blend tiles: pixel positions, a Gaussian's alphas, distribution of tiles.
 
 A tile is cut into blocks, a block one vector of pixels: 4 × 4 with AVX-512, elsewhere 4 × 2 (`pixels` of
 `simd/vector.py`). A kernel keeps a row of planes for each block, its state:

@@ -169,7 +169,7 @@ load_block = load_fours if pixels == vector else load_two_fours  # of a picture 
 
 @intrinsic
 def store_fours(typingctx, array, index, stride, value):
-    """What `load_fours` or `load_block` reads."""
+    """Store what `load_fours` or `load_block` reads."""
 
     def codegen(context, builder, sig, args):
         for k, at in enumerate(_fours(context, builder, sig, args, args[3].type.count // 4)):

@@ -308,7 +308,7 @@ def two_halves(typingctx, at, low, high):
 
 @intrinsic
 def not_empty(typingctx, at, index):
-    """Which of 32 masks of pixels, from the index-th of an address on, are not empty: an integer, a bit a mask."""
+    """Return which of 32 masks of pixels, from the index-th of an address on, are not empty: a bit a mask."""
 
     def codegen(context, builder, sig, args):
         bits = ir.IntType(PIXELS)

@@ -26,7 +26,7 @@ from tg4mm.fit.motion.config import MotionConfig, asked_band
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import pixels_moved
 from tg4mm.fit.motion.modes import ModalMotion
-from tg4mm.fit.motion.nuisance.first_look import FixedCameras
+from tg4mm.fit.motion.nuisance.fixed_cameras import FixedCameras
 from tg4mm.fit.motion.observation_model import ObservationModel
 from tg4mm.fit.motion.observations import Observations, PosedFrames, whole_pictures
 from tg4mm.fit.motion.solver.preconditioner import Aggregates
@@ -216,7 +216,7 @@ class RegionSeries:
 
     @staticmethod
     def restored(times_s: np.ndarray, arrays: Arrays) -> "RegionSeries":
-        """From what `arrays` gave."""
+        """Return the series of a checkpoint's arrays."""
         return RegionSeries(times_s, arrays["sides"], arrays["normals"], arrays["axes"])
 
     def whitened(self) -> np.ndarray:
@@ -249,7 +249,7 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
 
             def compute(v: int = v, frames: PosedFrames = frames) -> Arrays:
                 pictures = whole_pictures(seen.observations, frames.rows)
-                return shift_series(seen.model(v), labels, (p - seen.look.mean[v] for p in pictures)).arrays()
+                return shift_series(seen.model(v), labels, (p - seen.sums.mean[v] for p in pictures)).arrays()
 
             out.append(RegionSeries.restored(frames.times_s, checkpoint(Step.regions.numbered(v), compute)))
             update(v + 1)
@@ -308,7 +308,7 @@ def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Steady(TemporalModel):
+class SinusoidalModel(TemporalModel):
     """Functions 2k and 2k + 1 of time are cosine and −sine of frequency k; further ones are no motion."""
 
     frequencies: Frequencies
@@ -348,14 +348,14 @@ class Steady(TemporalModel):
         return folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:
-        """By the strongest frequency."""
+        """Return the motion of the strongest frequency, pixels."""
         return float(np.hypot(*pixels_moved(self.problem.views, fields[:2, :, :3] * np.float32(self.scale))))
 
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
         return self.hz
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
-        """By ascending frequency."""
+        """Return the modes by ascending frequency."""
         values = (self.scale * (fields[0::2] + 1j * fields[1::2])).astype(np.complex64)
         order = np.argsort(self.hz)
         of_time = self.observations.fps, self.observations.n_timesteps
@@ -371,7 +371,7 @@ def frequencies_of(
     lowest_hz: float,
     config: MotionConfig,
 ) -> tuple[Frequencies, dict[str, Any]]:
-    """From all clocks' region shifts, from two periods in the record (or `lowest_hz`) to half the frame rate.
+    """Find frequencies in all clocks' region shifts, from two periods (or `lowest_hz`) to half the frame rate.
 
     Those whose power is at least `least` times that of the noise. In the band that was asked for there is always one:
     where none stands out, that of the tone there (`core/lines/band.py`). Also return its relative error for the log.
@@ -417,7 +417,7 @@ def frequency_figures(frequencies: Frequencies) -> dict[str, Any]:
 
 
 def no_targets(observations: Observations) -> TargetImages:
-    """Where there is no function of time."""
+    """Return target images of no function of time."""
     n, (width, height) = len(observations.frames), observations.size
     nothing = np.zeros((n, 0, height, width, 3), np.float32)
     basis, blank = np.zeros((0, observations.n_timesteps)), np.zeros((n, height, width), np.float32)

@@ -1,4 +1,4 @@
-"""Which cells' misfits are usual in a picture, and which stand out."""
+"""The baseline of cells' misfits in a picture, and the cells that stand out."""
 
 from dataclasses import dataclass
 
@@ -11,34 +11,37 @@ QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
 LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture is not informative
 OTHER = 0.5  # of the change beyond noise that a shift leaves: edges of what vibrates .1 to .5, wheels, leaves .6 to 1
 BLOCK = np.ones((3, 3))
-_CORE, _CORE_SPREADS = 2.5, 6  # times the usual misfit, and deviations of the cells' scatter: what stands out
+_CORE, _CORE_SPREADS = (
+    2.5,
+    6,
+)  # times the baseline misfit, and deviations of the cells' scatter: what stands out
 
 
 @dataclass(frozen=True)
-class Usual:
-    """Cells' typical misfits beside what is usual."""
+class BaselineMisfit:
+    """Cells' typical misfits beside the baseline."""
 
     typical: np.ndarray  # [C] grey levels²
-    compared: np.ndarray  # [C] bool: cells that tell what is usual
+    compared: np.ndarray  # [C] bool: cells that define the baseline
     level: float  # grey levels²
     spread: float  # of the logarithm
     noise: float  # grey levels²: the same of what moves, which a codec cannot take from the picture before
 
     @property
     def excess(self) -> np.ndarray:
-        """[C]: logarithm of the typical misfit over the usual one."""
+        """[C]: logarithm of the typical misfit over the baseline one."""
         return np.asarray(np.log(self.typical / self.level))
 
     def stand_out(self, typical: np.ndarray | None = None) -> np.ndarray:
-        """Bool: misfits that are far from usual, the cells' own [C] if none are given."""
+        """Bool: misfits that are far from baseline, the cells' own [C] if none are given."""
         excess = self.excess if typical is None else np.log(typical / self.level)
         return np.asarray(excess > max(np.log(_CORE), _CORE_SPREADS * self.spread))
 
 
-def usual_of(
+def baseline_of(
     misfit: np.ndarray, covariance: np.ndarray, grid: Grid, alone: np.ndarray | None = None
-) -> Usual:
-    """Return the usual misfit from misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
+) -> BaselineMisfit:
+    """Return the baseline misfit from misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
 
     alone [F] bool: pictures that a codec predicts from no other. They hold the noise and the error of the codec's
     quantiser; of the others so does what moves, while what rests is taken from the picture before.
@@ -48,11 +51,11 @@ def usual_of(
     level = float(np.median(typical[compared]))
     spread = 1.4826 * float(np.median(np.abs(np.log(typical[compared] / level))))
     noise = float(np.median(misfit[alone][:, compared])) if alone is not None and alone.any() else level
-    return Usual(typical, compared, level, spread, max(level, noise))
+    return BaselineMisfit(typical, compared, level, spread, max(level, noise))
 
 
 def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.ndarray:
-    """[C] bool: cells whose typical misfits [C] tell what is usual: all, or those that tell a shift if most are plain.
+    """[C] bool: cells whose typical misfits [C] define the baseline: all, or the textured ones if most are plain.
 
     Most cells of a picture with an overexposed or rendered background hold no noise but rounding, which says nothing of
     the others'.

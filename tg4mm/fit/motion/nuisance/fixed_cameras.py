@@ -221,15 +221,15 @@ def _solved(gram: np.ndarray, side: np.ndarray, active: np.ndarray) -> np.ndarra
 
 
 @dataclass(frozen=True)
-class FirstLook:
+class PictureSums:
     """Sums over one pass through the pictures of fixed cameras."""
 
     grams: list[np.ndarray]  # V of [F, F]: products of the changes of a camera's frames
     total: np.ndarray  # [V, H, W] energy of the changes, mean over channels
     mean: np.ndarray  # [V, H, W, 3]
     columns: list[np.ndarray]  # V of [12, F]: products of the nuisance columns with the changes
-    sums: PoseSums | None  # of the columns, where each camera's own shake is looked for
-    half: PoseSums | None  # the same over half of the pixels
+    pose_sums: PoseSums | None  # of the columns, where each camera's own shake is looked for
+    pose_half: PoseSums | None  # the same over half of the pixels
     shake: tuple[float, bool]  # of the cameras: pixels (rms), and whether it is one
 
 
@@ -240,22 +240,22 @@ class FixedCameras:
     gaussians: Gaussians
     observations: Observations
     views: list[ViewJacobian]
-    look: FirstLook
+    sums: PictureSums
     nuisances: list[Nuisance]
     figures: dict[str, Any]
     notes: list[str]
 
     def model(self, v: int) -> ObservationModel:
-        """What camera v shows, its pixels all of weight 1."""
-        return ObservationModel.of(self.observations.frames[v], self.nuisances[v], self.look.mean[v])
+        """Return the observation model of camera v, all pixels of weight 1."""
+        return ObservationModel.of(self.observations.frames[v], self.nuisances[v], self.sums.mean[v])
 
     def problem(self, config: MotionConfig, device: str) -> Problem:
         """The motion problem that they pose."""
         problem = Problem.of(self.views, self.gaussians, config, device)
-        return replace(problem, nuisances=self.nuisances, means=self.look.mean)
+        return replace(problem, nuisances=self.nuisances, means=self.sums.mean)
 
 
-def look_at(
+def prepare_fixed_cameras(
     gaussians: Gaussians,
     observations: Observations,
     config: MotionConfig,
@@ -269,7 +269,7 @@ def look_at(
     Raises RunError where no camera sees a Gaussian.
     """
     views = rest_views(gaussians, observations)
-    seen, shake_px = _looked_at(observations, views, gaussians, config)
+    seen, shake_px = _read_once(observations, views, gaussians, config)
     if not shake_px:
         return seen
     gaussians, observations, shake_px = stabilised(
@@ -277,10 +277,10 @@ def look_at(
     )
     views, active = rest_views(gaussians, observations), seen.nuisances[0].active
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), active)
-    look = first_look(observations, nuisances)
+    sums = picture_sums(observations, nuisances)
     shake_px *= observations.factor
     figures, notes = seen.figures | {"shake_px": round(shake_px, 4)}, _notes(observations, active, shake_px)
-    return FixedCameras(gaussians, observations, views, look, nuisances, figures, notes)
+    return FixedCameras(gaussians, observations, views, sums, nuisances, figures, notes)
 
 
 def rest_views(gaussians: Gaussians, observations: Observations) -> list[ViewJacobian]:
@@ -293,7 +293,7 @@ def rest_views(gaussians: Gaussians, observations: Observations) -> list[ViewJac
     return views
 
 
-def _looked_at(
+def _read_once(
     observations: Observations, views: list[ViewJacobian], gaussians: Gaussians, config: MotionConfig
 ) -> tuple[FixedCameras, float]:
     """After one pass; and the cameras' shake (pixels, rms), 0 where they do not."""
@@ -305,16 +305,16 @@ def _looked_at(
     possible[POSE] = looks or config.nuisance == "all"
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), possible)
     board = chessboard(observations.size) if looks and several else None
-    look = first_look(observations, nuisances, looks and observations.is_opaque, board)
-    gain, offset, share = exposure(nuisances, list(look.mean), look.columns, look.grams)
+    sums = picture_sums(observations, nuisances, looks and observations.is_opaque, board)
+    gain, offset, share = exposure(nuisances, list(sums.mean), sums.columns, sums.grams)
     figures: dict[str, Any] = {
         "exposure_gain_percent": round(gain, 4),
         "exposure_offset_percent": round(offset, 4),
         "exposure_share": round(share, 6),
     }
-    pixels, is_shaking = look.shake
-    if look.sums is not None and look.half is not None:
-        pixels, own = own_rotations(observations.frames, look.sums, look.half)
+    pixels, is_shaking = sums.shake
+    if sums.pose_sums is not None and sums.pose_half is not None:
+        pixels, own = own_rotations(observations.frames, sums.pose_sums, sums.pose_half)
         is_shaking = pixels > LEAST_PX and own > _OWN_SHARE and (is_shaking or not observations.is_opaque)
         figures["shake_own_share"] = round(own, 4)
     active = possible.copy()
@@ -329,15 +329,15 @@ def _looked_at(
     shake_px = pixels if is_shaking else 0.0
     chosen = [replace(n, active=active) for n in nuisances]
     notes = _notes(observations, active, shake_px * observations.factor)
-    return FixedCameras(gaussians, observations, views, look, chosen, figures, notes), shake_px
+    return FixedCameras(gaussians, observations, views, sums, chosen, figures, notes), shake_px
 
 
-def first_look(
+def picture_sums(
     observations: Observations,
     nuisances: Sequence[Nuisance],
     looks_for_shake: bool = False,
     board: np.ndarray | None = None,
-) -> FirstLook:
+) -> PictureSums:
     """One pass through the pictures. Of the nuisances' pose columns only active ones have products, else 0.
 
     board [H, W] of 0 and 1: which pixels are one half of them; None: no sums over halves.
@@ -377,7 +377,7 @@ def first_look(
     pixels = float(np.sqrt(np.mean([p**2 for p, _ in shakes]))) if shakes else 0.0
     shake = pixels, bool(shakes and np.mean([s for _, s in shakes]) > 0.5)
     sums = None if board is None else PoseSums(column_grams, columns)
-    return FirstLook(grams, total, mean, columns, sums, None if board is None else half, shake)
+    return PictureSums(grams, total, mean, columns, sums, None if board is None else half, shake)
 
 
 def _column_gram(nuisance: Nuisance, mean: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
