@@ -1,14 +1,13 @@
 """Share of a small motion that survives a video's compression, by a blind test with a known motion.
 
-A codec skips what changes too little, so that it is a low-pass over time: of .02 pixels at a third of the frame rate a
-fifth may be left. What it leaves depends on the texture, the noise, the rate, the amplitude and the encoder. So the
-mean picture, moved in each region by a tone of the measured frequency, direction and amplitude, with noise as strong as
-in the key frames, goes through the encoder that the file names, with the settings that it wrote there, and is measured
-again, two times: the second tone is as large as the first gain says that the motion was, and lasts as long as its
-standard error asks for.
+A codec skips changes that are too small, so it is a low-pass over time: of 0.02 pixels at a third of the frame rate, a
+fifth may remain. The remainder depends on texture, noise, rate, amplitude and encoder. So the mean picture is moved in
+each region by a tone of the measured frequency, direction and amplitude, with noise as strong as in the key frames,
+encoded as the file says, and measured again, twice: the second tone has the amplitude that follows from the first gain,
+and lasts as long as its standard error requires.
 
-Nothing is fitted. Where the file names no encoder that is here, what the pictures themselves show decides: a region
-whose pixels hardly ever repeat and whose noise is as fresh in each frame lost nothing; of any other a mark says so.
+Nothing is fitted. If the file names no available encoder, the pictures decide: a region whose pixels hardly ever repeat
+and whose noise is new in each frame has lost nothing; any other is marked.
 """
 
 from collections.abc import Sequence

@@ -1,12 +1,12 @@
-"""The place of a line, its amplitude there, and the amplitude's ±.
+"""Region and amplitude of a line, with the amplitude's standard deviation.
 
-From the place with the largest sure amplitude the region grows over cells that agree with its amplitude and not with
-rest. Cells on its rim hold some of what is behind and are left out where others remain. The region is one sensor: its
-series gives the amplitude and, by what stays beside the line, the ±.
+From the place with the largest certain amplitude, the region grows over cells that agree with this amplitude rather
+than with rest. Cells on its rim contain some background, and are left out where others remain. The region is one
+sensor: its series gives the amplitude, and the residual beside the line its standard deviation.
 
-What the codec takes: pictures of kind B keep 1 − .8 τ ± .6 τ of a small motion, τ being the share of detail that they
-lack; where P pictures lack detail beside I pictures, .4 of that share may be gone from the amplitude. Both factors are
-calibrated on random films (`benchmarks/calibration`).
+Loss by the codec: B-frames keep 1 − 0.8 τ ± 0.6 τ of a small motion, where τ is their missing share of detail; if
+P-frames lack detail beside I-frames, 0.4 of that share may be missing from the amplitude. Both factors are calibrated
+on random films (`benchmarks/calibration`).
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,8 @@
-"""Lines, the strongest first: each tested strictly, taken off every cell, and the rest searched again.
+"""Search for lines, the strongest first: each is tested strictly and subtracted from every cell before the next search.
 
-A false-discovery rate over points (Benjamini-Hochberg) would let false lines in beside a strong one, whose many
-discoveries pay for them. So the strongest place and frequency is tested by itself (Bonferroni over all places and
-frequencies), must explain its own neighbourhood in frequency, and must be seen beside its strongest cell too.
+A false-discovery rate over points (Benjamini-Hochberg) would admit false lines beside a strong one with many
+discoveries. So the strongest place and frequency is tested alone (Bonferroni over all places and frequencies), must
+explain its neighbourhood in frequency, and must be visible beside its strongest cell.
 """
 
 from collections.abc import Iterable

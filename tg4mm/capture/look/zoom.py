@@ -1,9 +1,8 @@
-"""The camera's own zoom and roll: what the whole picture does about its middle, beside its shift.
+"""Zoom and roll of the camera: motion of the complete picture about its middle, beside its shift.
 
-A lens that focuses scales the picture (focus breathing); a camera that turns about its sight rolls it. Either has one
-course over the whole picture, which a thing that vibrates has not. So it is one where every quarter of the picture
-follows the course that the three others tell: a regression whose slope is one, and nought where only noise or one thing
-moves.
+A lens that focuses scales the picture (focus breathing); a camera that turns about its optical axis rolls it. Either
+has one time course over the complete picture, unlike a vibrating object: every quarter of the picture follows the time
+course of the three others, so that a regression has slope one; it is zero if there is only noise or one moving object.
 """
 
 from collections.abc import Sequence

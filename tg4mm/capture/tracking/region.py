@@ -1,8 +1,8 @@
-"""The measuring instrument: the motion of regions in the pictures of one fixed camera, with what it is known by.
+"""The measuring instrument: motion of regions in the pictures of one fixed camera, with its uncertainty.
 
-Each region is measured as a rigid body against its mean picture (`template.py`), in two halves of its pixels apart: the
-difference of the halves gives the noise. Motion beyond a third of a pixel is iterated (`registration.py`). Rows that
-are read one after another are brought to the time at which the region as a whole is read.
+Each region is measured as a rigid body against its mean picture (`template.py`), separately in two halves of its
+pixels, whose difference gives the noise. Motion beyond a third of a pixel is iterated (`registration.py`). With a
+rolling shutter, rows are brought to the time at which the region as a whole is read.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from tg4mm.capture.tracking.bands import bands_of
 from tg4mm.capture.tracking.registration import EDGE, ROUNDS, TAPS, Box, offsets_within, refined, spread
+from tg4mm.capture.tracking.row_times import bands_of
 from tg4mm.capture.tracking.template import Solved, Template, Turn
 from tg4mm.core.even_clock import later
 from tg4mm.core.memory import mapped_zeros

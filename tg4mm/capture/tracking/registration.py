@@ -1,8 +1,8 @@
-"""Motion that is not small: frames are registered to each other, and their mean taken anew, until little is left.
+"""Registration for larger motion: frames are aligned to their mean, which is taken again, until little is left.
 
-The mean of frames that move by more than a third of a pixel is blurred, and no small shift explains what they show. So
-whole offsets are sought first where the motion may exceed a pixel (least squares over every offset within reach); then
-the frames are resampled at the motion found so far, and `template.Template` gives what is left against their mean.
+The mean of frames that move by more than a third of a pixel is blurred, and no small shift explains the differences. So
+where the motion may exceed a pixel, integer offsets are found first (least squares over every offset in range); then
+the frames are resampled by the motion found so far, and `template.Template` gives the rest against their mean.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Appearance: the residual of the motion in the target images, as changes of the Gaussians' colour.
 
 Two folds of the cameras are fitted, as for the motion, and their mean is multiplied by its reliability around each
-Gaussian: gloss and shadows change in places. A component whose reliability is less than a half altogether holds noise,
-or no appearance, and is dropped, after one iteration if it shows by then.
+Gaussian: gloss and shadows change locally. A component with an overall reliability below one half is noise, or has no
+appearance, and is dropped, after one iteration if it shows by then.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

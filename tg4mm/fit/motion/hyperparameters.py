@@ -1,16 +1,14 @@
 """Hyperparameters: components of noise, weights of pixels, and the smoothness of the motion.
 
-Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. The
-energy of such components gives every pixel's noise: shadows and gloss of a renderer, dark places of a sensor. Pixels
-count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
-average one.
+Noise. A temporal component is noise if two folds of the data do not agree on its field after a few iterations. The
+energy of such components gives every pixel's noise: shadows and gloss of a renderer, dark parts of a sensor. Pixels are
+weighted by the inverse of their variance plus the mean variance, so that no weight exceeds twice the average.
 
-Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
-of magnitude. So the strongest component is fitted to one fold with weights of the prior a factor of 5.6 apart, for a
-few iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). The
-range is extended where the error still falls at its end, and the error is interpolated in between. Errors of the model
-(edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest weight that
-explains nearly as much.
+Smoothness. The range over which motion is alike, and the noise, differ between scenes by orders of magnitude. So the
+strongest component is fitted to one fold with prior weights in steps of a factor of 5.6, for a few iterations, and
+judged by its prediction of the other fold, whose noise it has not seen (cross-validation). The range is extended while
+the error falls at its end, and the error is interpolated in between. Errors of the model (edges, shading) are alike in
+both folds and favour weights that are too small; hence the largest weight that explains nearly as much is used.
 """
 
 from collections.abc import Iterable, Sequence

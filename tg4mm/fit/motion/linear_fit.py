@@ -1,8 +1,8 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. Appearance that goes with the motion is then taken from the residual
+The first pass explains the target images. Appearance that goes with the motion is then estimated from the residual
 (`appearance.py`), and edges of the prior that two folds find strained are reweighted, both only if the motion is small.
-The second pass solves for the difference that this makes: A δ = b − A x − Jᵀ W (appearance). Together they take the
+The second pass solves for the resulting difference: A δ = b − A x − Jᵀ W (appearance). Together they take the
 iterations of one fit.
 """
 

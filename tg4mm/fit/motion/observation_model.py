@@ -1,14 +1,15 @@
 """Observation model of one pose: visible motion and row times (docs/method.md, "Observation model").
 
-Of fields x the pictures show A x = (1 − Q Qᵀ W) J x: the Jacobian, less what nuisance explains. What pictures say of
-fields is Aᵀ W. Of a rolling shutter each row of a picture is read a little after the row above: it is the picture of
-another moment, so its changes are multiplied with the functions of time at that moment. Nothing else needs to know.
+Fields x change the pictures by A x = (1 − Q Qᵀ W) J x: the Jacobian without the part that nuisance explains. Aᵀ W maps
+image residuals back to fields. With a rolling shutter each row is read at its own time, so its changes are multiplied
+with the functions of time at that moment. No other part of the fit depends on row times.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tg4mm.capture.tracking.row_times import row_delays
 from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
@@ -77,6 +78,6 @@ def project(
     if not frames.readout_s:
         flat = functions.astype(np.float32) @ strip.reshape(len(strip), -1)
         return flat.reshape(len(functions), *strip.shape[1:])
-    delays = frames.readout_s * ((np.arange(rows.start, rows.stop) + 0.5) / height - 0.5)
+    delays = row_delays(frames.readout_s, np.arange(rows.start, rows.stop), height)
     each = (later(frames.times_s, functions, d).astype(np.float32) for d in delays)
     return np.stack([np.tensordot(f, strip[:, k], 1) for k, f in enumerate(each)], axis=1)

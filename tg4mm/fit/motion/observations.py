@@ -1,8 +1,8 @@
 """Input of the motion stage: posed cameras, their pictures and times (docs/method.md, "Observation model").
 
-Of a recording it reads what lies where motion may be, and of a long one fewer, larger pixels: the stage's time and its
-temporary files grow with pixels times pictures. Displacements of less than a pixel can be read from pictures whose
-squares of pixels are averaged, as long as their texture is coarse enough; what is lost is reported.
+Only the part of a recording where motion may be is read, and of a long recording fewer, larger pixels: time and
+temporary files of the stage grow with pixels times pictures. Displacements of less than a pixel can be estimated from
+averaged pixels if the texture is coarse enough; the loss is reported.
 """
 
 import warnings

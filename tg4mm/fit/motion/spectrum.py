@@ -1,12 +1,12 @@
-"""The spectrum of a motion: temporal components and their fields to modes, one phasor per Gaussian and frequency.
+"""Spectrum of a motion: from temporal components and their fields to modes, one phasor per Gaussian and frequency.
 
-A capture seldom holds whole periods. Then a sinusoid leaks into all bins of a Fourier transform, so a band around it
-holds only a part, and the mean over time is not the motion's zero. A trend leaks likewise. So the components are fitted
-by sinusoids, a constant and, where it helps, a slow trend; their frequencies are the lines of `tg4mm.core.lines`. Where
-bins do as well (whole periods, or nothing tonal) there are none.
+A capture seldom contains an integer number of periods. Then a sinusoid leaks into all bins of a Fourier transform, so a
+band around it contains only a part, and the mean over time is not the motion's zero. A trend leaks likewise. So the
+components are fitted by sinusoids, a constant and, where it helps, a slow trend; the frequencies are lines of
+`tg4mm.core.lines`. Where bins describe the motion as well, no sinusoids are used.
 
-Sinusoids are fitted at the times of the frames, which need not be even: phones drop frames. Bins are of the even clock
-that such times lie on; what sinusoids leave is interpolated to it.
+Sinusoids are fitted at the times of the frames, which need not be even: phones drop frames. Bins belong to the even
+clock of these times, on which the residual of the sinusoids is interpolated.
 """
 
 from collections.abc import Sequence

@@ -1,12 +1,12 @@
-"""Folds of the observations, and what two of them agree on: components of noise fade, every Gaussian gets a deviation.
+"""Folds of the observations and their agreement: noise is attenuated, and every Gaussian gets a standard deviation.
 
-Noise is independent between halves of the data, motion is the same in both. So the data are fitted in two halves, the
-prior half as strong in each. Where the halves' fields a and b agree, their mean u is kept; where they do not, it is
-drawn to zero by the gain that brings it nearest to the truth on average (Wiener's): Σ a·b / Σ |u|², one for each
-temporal component. What the prior does wrong is wrong alike in both halves and stays.
+Noise is independent between halves of the data, motion is the same in both. So the data are fitted in two halves, with
+half of the prior's weight each. Where the halves' fields a and b agree, their mean u is kept; where they do not, it is
+reduced by the gain with the least mean error (Wiener): Σ a·b / Σ |u|², one for each temporal component. Errors of the
+prior are alike in both halves and remain.
 
 Six cameras or more are halved by camera. Fewer are halved by pixels, in squares as on a chessboard, so that noise and
-what a video codec leaves (macroblocks of 16 pixels) are independent. A moving camera's frames are halved by time.
+traces of a codec (macroblocks of 16 pixels) are independent. A moving camera's frames are halved by time.
 """
 
 import numpy as np

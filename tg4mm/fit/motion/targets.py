@@ -1,10 +1,10 @@
-"""Target images: per view a few images, each the product of the view's pictures with a function of time.
+"""Target images: a few images per view, each the product of the view's pictures with a function of time.
 
-Displacements of less than a pixel change a picture in proportion, so that all frames of a fixed camera say no more than
-their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
-projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
-displacement field for each of R shared functions of time and C_v, the mixing matrix (`Problem.mixing`), says how these
-look in Ψ_v. Which functions: `temporal/`.
+Displacements of less than a pixel change a picture in proportion, so the frames of a fixed camera contain no more
+information than their products with the functions of time of the motion. With Ψ_v the orthonormal functions on which
+view v is projected, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x): x is one
+displacement field for each of R shared functions of time, and the mixing matrix C_v (`Problem.mixing`) expresses these
+in Ψ_v. `temporal/` chooses the functions.
 """
 
 from collections.abc import Sequence

@@ -1,21 +1,21 @@
 """Uncertainty of every Gaussian's motion: noise, motion that the pictures do not show, and errors shared by all views.
 
-Noise. Two folds of the data differ by it.
+Noise is the difference of two folds of the data.
 
-What the pictures do not show. A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹
-(σ² JᵀJ + τ² P) A⁻¹, A = JᵀJ + P. The first part is noise. The second is motion of which the prior made nothing: along
-the sight of a single camera, behind an edge. It is drawn: motion edge by edge from the prior (`stiffness_root`), and
-each draw is solved for as the motion was (perturb and MAP: Papandreou & Yuille 2010). How large motion is, τ², is read
-off the fit: x·P x is τ² times the number of coordinates that the pictures do show, tr A⁻¹JᵀJ (MacKay 1992), and that
-number is found with noise of variance 1. So unseen motion is taken to be as large and as smooth as the seen. With few
-cameras the draws are solved for to a smaller residual than the motion itself: stopped early they would say that what
-hardly changes the pictures is known. With many a few iterations suffice (after 8 and after 30 the draws agreed to 3 %).
+Unseen motion. A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹ (σ² JᵀJ + τ² P)
+A⁻¹, A = JᵀJ + P. The first part is noise. The second is motion that the prior suppresses: along the optical axis of a
+single camera, behind an edge. It is sampled: motion is drawn from the prior edge by edge (`stiffness_root`), and each
+draw is solved for like the motion (perturb and MAP: Papandreou & Yuille 2010). The size of motion, τ², follows from the
+fit: x·P x is τ² times the number of coordinates that the pictures show, tr A⁻¹JᵀJ (MacKay 1992), which is estimated
+with noise of variance 1. So unseen motion is assumed to be as large and as smooth as the seen. With few cameras the
+draws are solved to a smaller residual than the motion: if stopped early, directions that hardly change the pictures
+would seem known. With many, a few iterations suffice (after 8 and after 30 the draws agreed to 3 %).
 
-Errors that all cameras share. The residual of the pictures: noise hardly adds up over a block of pixels, errors of the
-model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part of it
-is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that at a
-joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
-calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
+Errors shared by all cameras. First, the residual of the pictures: noise averages out over a block of pixels, errors of
+the model do not, and that block's mean over the slope of the picture is a possible displacement; a small part of it is
+real. Second, the variation of the motion between neighbouring Gaussians: the prior has them move alike, so at a joint,
+an edge or a contact it guesses on which side motion ends. The weights of both were calibrated on generated scenes with
+known motion (docs/method.md, "Uncertainty").
 """
 
 import math

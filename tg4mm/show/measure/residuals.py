@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.pictures import over_white
-from tg4mm.capture.tracking.bands import bands_of
+from tg4mm.capture.tracking.row_times import bands_of
 from tg4mm.core.even_clock import later
 from tg4mm.fit.motion.jacobian.view import ViewJacobian
 from tg4mm.fit.motion.nuisance.projection import Nuisance, without

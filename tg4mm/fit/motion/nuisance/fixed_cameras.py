@@ -1,16 +1,16 @@
-"""One pass through the pictures of fixed cameras, and the nuisance columns that they need.
+"""Preparation of fixed cameras: one pass through their pictures, and the nuisance columns that they need.
 
-Which columns: as the settings say, or as the pictures show. Pictures with a background are a real camera's: their
-exposure is always taken out, and a shake is looked for. Of a cut-out object no part is known to stand still: its
-exposure is taken out where it shows, and a shake is looked for only where several synchronous cameras can disagree.
+The columns are those of the settings, or what the pictures need. Pictures with a background come from a real camera:
+their exposure is always removed, and they are tested for shake. A cut-out object has no part that is known to be at
+rest: its exposure is removed if it shows, and only several synchronous cameras can be tested for shake.
 
-To find a shake the picture is cut into 8 × 8 blocks. Each block's shift in every frame is the least-squares solution of
-its pixels by the picture's slopes (Lucas & Kanade 1981). A camera that shakes moves every block, by a shift, a roll and
-a zoom of the whole picture; a scene that moves before a fixed camera leaves some blocks where they are. So the blocks
-that move least decide: they must move by more than noise, and by what one shift, roll and zoom makes of all of them.
+For that test the picture is cut into 8 × 8 blocks. Each block's shift in every frame is the least-squares solution of
+its pixels by the picture's slopes (Lucas & Kanade 1981). A shaking camera moves every block, by a shift, a roll and a
+zoom of the complete picture; a scene that moves before a fixed camera leaves some blocks at rest. So the blocks that
+move least decide: they must move by more than noise, and as one shift, roll and zoom of all blocks does.
 
-A scene that moves as a whole looks the same to one camera. Several that film at the same times tell the two apart: one
-rigid motion of the scene, six numbers for each timestep, must look right in all of them (`own_rotations`).
+A scene that moves as a whole looks the same to one camera. Several cameras with the same times distinguish the two: one
+rigid motion of the scene, six numbers for each timestep, must explain all of them (`own_rotations`).
 """
 
 from collections.abc import Iterator, Sequence

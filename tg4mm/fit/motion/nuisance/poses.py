@@ -1,15 +1,15 @@
-"""The poses of a moving camera: corrected on the scene at rest, and what its path says of which part stands still.
+"""Poses of a moving camera: their correction on the scene at rest, and which part of the scene its path shows at rest.
 
-Poses and the scene at rest are refined in turn. To fields that explain a moving camera's pictures any rigid motion of
-the whole scene may be added, since its unknown poses take it off. So a vibration has two readings: what was found moves
-and the rest stands still; or what was found to move stands still, and the rest moves the other way. By each the camera
-runs along another path: its poses, less what least squares makes of the vibration. The two differ by a line at the
-vibration's frequency, and a hand has none: its spectrum there is like that around. By the path's Fourier coefficients
-[6] around the frequency both readings have a likelihood: that of the coefficient at the frequency, with the line or
-without, of unknown covariance (Student's t of complex vectors). Before the path is looked at the ground is equally
-likely to be at any place that is seen: the second reading has the probability that is the share of what moves. Where a
-hand shakes at the frequency as much as the scene, that share alone is left. A line that the path has by the likelier
-reading too is a rigid motion that the fields lack, or hold too much.
+Poses and the scene at rest are refined in turn. Any rigid motion of the complete scene may be added to the fields that
+explain a moving camera's pictures, since the unknown poses compensate it. So a vibration has two readings: the part
+that was found to move does, and the rest is at rest; or that part is at rest, and the rest moves in the opposite
+direction. Each implies another path of the camera: its poses, less the vibration's part by least squares. The two paths
+differ by a line at the vibration's frequency, which a hand does not have: its spectrum there is as around. From the
+path's Fourier coefficients [6] around the frequency follows the likelihood of each reading: that of the coefficient at
+the frequency, with the line or without, for unknown covariance (Student's t of complex vectors). The prior probability
+of the second reading is the share of the visible scene that moves. If a hand shakes at the frequency as much as the
+scene, only that prior remains. A line in the path of the likelier reading is a rigid motion that the fields lack, or
+have too much of.
 """
 
 from collections.abc import Iterator, Sequence

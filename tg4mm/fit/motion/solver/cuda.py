@@ -1,15 +1,14 @@
 """The motion problem on a torch device: the same Jacobian, as a list of pixel–Gaussian contributions.
 
-gsplat has no forward mode, and its cut-off of small alphas is compiled in at 1/255, which makes faint Gaussians
-respond too weakly (`jacobian/view.py`); a difference of two renders would not be the transpose of its backward pass.
-But the problem is linearised at rest once: every contribution of a Gaussian to a pixel has one weight (what
-the Gaussian's colour does there) and one slope (what its exponent does), which stay the same through all
-iterations. The CPU kernels project and sort each view once; the contributions are listed on the device, and from
-then on nothing is rendered and nothing leaves the device but the sums of a step of conjugate gradients.
+gsplat has no forward mode, and its cut-off of small alphas is compiled in at 1/255, which makes faint Gaussians respond
+too weakly (`jacobian/view.py`); a difference of two renders would not be the transpose of its backward pass. But the
+problem is linearised at rest only once: every contribution of a Gaussian to a pixel has one weight (the effect of the
+Gaussian's colour) and one slope (the effect of its exponent), which are constant over all iterations. The CPU kernels
+project and sort each view once; the contributions are listed on the device. From then on nothing is rendered, and only
+the sums of a step of conjugate gradients leave the device.
 
-Weights and slopes are kept in float16 on CUDA, sums are taken in float32: both directions read the same rounded
-numbers, so the operator stays symmetric, and 5e-4 on single entries is far below the noise of the images. A
-contribution takes 16 bytes then.
+Weights and slopes are float16 on CUDA, sums are float32: both directions read the same rounded numbers, so the operator
+stays symmetric, and 5e-4 on single entries is far below the noise of the images. A contribution takes 16 bytes.
 """
 
 import copy

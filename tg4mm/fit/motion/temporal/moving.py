@@ -1,13 +1,12 @@
 """A camera that moves all the time: every frame is a view with its own pose, Jacobian and nuisance.
 
-The scene at rest is first refined on all frames: in turn each frame's pose and exposure are corrected, by least
-squares of its residual on the nuisance columns, and the Gaussians are fitted to all frames. The residual of a frame
-is then motion, noise, and what the scene at rest still gets wrong. The last changes slowly with the
-viewpoint. So the functions of time that are fitted hold, besides the sinusoids, a constant and slow polynomials, whose
-fields are let go.
+The scene at rest is first refined on all frames: in turn, each frame's pose and exposure are corrected by least squares
+of its residual on the nuisance columns, and the Gaussians are fitted to all frames. The residual of a frame is then
+motion, noise, and errors of the scene at rest. These errors change slowly with the viewpoint. So besides the sinusoids,
+a constant and slow polynomials are fitted, and their fields discarded.
 
-Motion common to the complete picture cannot be distinguished from the camera's: of all motions that
-explain the frames, the one is taken in which most of the scene stands still.
+Motion common to the complete picture cannot be distinguished from the camera's: of all motions that explain the frames,
+the one is chosen in which most of the scene is at rest.
 """
 
 from collections.abc import Sequence
@@ -266,4 +265,4 @@ def _series(
         models = [ObservationModel(*own) for own in each]
         return moving_camera_series(models, (np.array(own[0]) for own in residuals), labels).arrays()
 
-    return RegionSeries.restored(times, checkpoint(Step.regions, compute))
+    return RegionSeries(times, **checkpoint(Step.regions, compute))

@@ -1,14 +1,14 @@
-"""A steady vibration, as cameras with clocks of their own and a moving camera see it: a few sinusoids.
+"""Vibration as a few sinusoids, for cameras with independent clocks and for a moving camera.
 
-Every frequency has two fields, of its cosine and its sine. Frequencies are found first, from how regions of Gaussians
-shift in the pictures. A region's shift along the picture's rows and columns in one frame is the least-squares solution
-of that frame's change through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E,
-shift = A⁻¹ b with E the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of
-the pictures.
+Every frequency has two fields, of its cosine and its sine. Frequencies are found first, from the shifts of regions of
+Gaussians in the pictures. A region's shift along the picture's rows and columns in one frame is the least-squares
+solution of that frame's change through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region,
+A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E the camera's right and down axes. Nothing is smoothed over space or time, so its
+noise is that of the pictures.
 
-Least-squares spectra (Lomb 1976, Scargle 1982) of every region's shift, each in units of its own noise, are averaged
-over regions and clocks. A peak that stands out of the other frequencies is a frequency; its sinusoids are fitted to all
-series and taken out, and the next is looked for in the residual. All frequencies found are then refined together.
+Least-squares spectra (Lomb 1976, Scargle 1982) of every region's shift, each in units of its noise, are averaged over
+regions and clocks. A peak that stands out of the other frequencies is a frequency; its sinusoids are fitted to all
+series and subtracted, and the residual is searched for the next. All frequencies are then refined together.
 """
 
 from collections.abc import Iterable, Sequence
@@ -211,13 +211,8 @@ class RegionSeries:
     axes: np.ndarray  # [F or 1, 2, 3] right and down, unit vectors in the world
 
     def arrays(self) -> Arrays:
-        """For a checkpoint."""
+        """Return the arrays of a checkpoint: all but the times."""
         return {"sides": self.sides, "normals": self.normals, "axes": self.axes}
-
-    @staticmethod
-    def restored(times_s: np.ndarray, arrays: Arrays) -> "RegionSeries":
-        """Return the series of a checkpoint's arrays."""
-        return RegionSeries(times_s, arrays["sides"], arrays["normals"], arrays["axes"])
 
     def whitened(self) -> np.ndarray:
         """[F, 2G]: A^(-1/2) b, whose noise is that of one pixel, alike for all regions; 0 where nothing is seen."""
@@ -251,7 +246,7 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
                 pictures = whole_pictures(seen.observations, frames.rows)
                 return shift_series(seen.model(v), labels, (p - seen.sums.mean[v] for p in pictures)).arrays()
 
-            out.append(RegionSeries.restored(frames.times_s, checkpoint(Step.regions.numbered(v), compute)))
+            out.append(RegionSeries(frames.times_s, **checkpoint(Step.regions.numbered(v), compute)))
             update(v + 1)
     return out
 
@@ -297,7 +292,7 @@ def moving_camera_series(
             times_s.append(own.times_s)
             model.release()
             update(k + 1)
-    return RegionSeries.restored(np.concatenate(times_s), concatenated(each))
+    return RegionSeries(np.concatenate(times_s), **concatenated(each))
 
 
 def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -1,12 +1,12 @@
-"""Fixed cameras on one clock: time separates from space, one field for each function of time.
+"""Fixed cameras on one clock: time and space separate, with one field for each function of time.
 
 The functions are sinusoids and principal components of the products G [T, T] of all changes of all cameras together.
 C_v is the identity, so that the fields can be solved for one by one.
 
-In noise a principal component is only partly the course of a vibration: it is the direction in T dimensions in which
-motion and noise together are largest, and the same motion a quarter of a period later is a weaker one, which noise may
-hide. A sinusoid has one frequency, that all frames determine, and its cosine and sine hold every phase. So where a
-sinusoid stands out, these two are taken, and components are for what is left.
+With noise a principal component is only partly the time course of a vibration: it is the direction in T dimensions in
+which motion and noise together are largest, and the same motion a quarter of a period later is a weaker component,
+which noise may hide. A sinusoid has one frequency, determined by all frames, and its cosine and sine contain every
+phase. So where a sinusoid stands out, it is used, and components represent the rest.
 """
 
 import warnings
