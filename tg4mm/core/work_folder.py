@@ -1,11 +1,11 @@
-"""A folder that belongs to one request: made for it, gone on with for the same one, refused to any other.
+"""A folder that belongs to one request: created for it, resumed for the same request, refused to any other.
 
-What was asked for stands in a JSON file of the folder, its record. Files of unfinished work lie beside it under
-temporary names; a kill loses what was not finished, and nothing else. Needs Python's own library alone, and for the
-lock the package filelock: inside Blender's own Python, which lacks it, nothing is held.
+The request is stored in a JSON file of the folder, its record. Files of unfinished work are beside it under temporary
+names; a kill loses only unfinished work. Needs only Python's standard library, and the package filelock for the lock:
+inside Blender's own Python, which lacks it, nothing is locked.
 
-`run_steps` fills such a folder one step after another: finished steps are skipped, what depends on a changed one is
-made anew. `Checkpoint` saves a run's unfinished stage now and then, beside the seconds that it has taken.
+`run_steps` fills such a folder step by step: finished steps are skipped, steps that depend on a changed one are
+repeated. `Checkpoint` saves a run's unfinished stage from time to time, with the seconds that it has taken.
 """
 
 import json

@@ -1,15 +1,15 @@
 """Global shifts of the picture over a recording: whether the camera was fixed, and when it was knocked.
 
 The shift of a frame from the first one is found by phase correlation (Kuglin & Hines 1975) on a reduced grey picture
-and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority. Where
-it is not, as with a bridge before the sky, the blocks show it too: a camera that is knocked takes nearly all along.
+and refined by Lucas–Kanade (1981) on blocks, whose median is used: moving objects are a minority. Where they are not,
+as with a bridge before the sky, the blocks show it: a knocked camera moves nearly all of them.
 
-A frozen picture, or a recording that hardly changes at all, is distinguished from the effects of the codec. A sensor's
-noise and a scene's motion change blocks of the picture in nearly every frame. A codec that is fed one picture changes
-it at its key frames, refines it after them, and goes back and forth between its kinds of frames, to pictures that were
-there a moment before. So a block counts as new where it is unlike each of the last RECENT frames. Light that flickers
-changes a still picture from frame to frame and comes back too. A picture whose brightness changes is not frozen; and a
-run of it is found only in a recording in which more than the light changes otherwise.
+A frozen picture, or a recording that hardly changes, is distinguished from effects of the codec. A sensor's noise and a
+scene's motion change blocks of the picture in nearly every frame. For a frozen picture, a codec changes blocks at key
+frames, refines them after these, and alternates between its kinds of frames, back to earlier pictures. So a block is
+new if it differs from each of the last RECENT frames. Flickering light changes a still picture from frame to frame and
+returns too. A picture whose brightness changes is not frozen; and a frozen run is only found in a recording in which
+more than the light changes otherwise.
 """
 
 from collections import deque

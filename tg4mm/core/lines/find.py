@@ -1,9 +1,9 @@
 """Detection of lines: one after the other, each tested, all fitted together.
 
-A line enters as the simplest that does: steady; decaying or growing where that explains more, by a likelihood-ratio
-test; beginning in the record where that does. So what rings down is one line, not several steady ones beside each
-other. Where a stronger line lies near, a change of that (`modulation.py`) competes with a new line. Two that are nearer
-than 1 / duration need a test of their own. Of a long record, an accelerometer's, lines are the peaks of its spectrum.
+A line enters as the simplest adequate model: steady; decaying or growing if that explains more, by a likelihood-ratio
+test; beginning in the record if that does. So a decaying vibration is one line instead of several steady ones. Near a
+stronger line, a modulation of that line (`modulation.py`) competes with a new line. Two lines nearer than 1 / duration
+need a separate test. In a long record, such as an accelerometer's, lines are the peaks of its spectrum.
 """
 
 from collections.abc import Sequence

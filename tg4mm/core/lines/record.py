@@ -1,7 +1,7 @@
-"""A line of a spectrum, the record it is fitted to, and what a fit says in the values' own units.
+"""Lines of a spectrum, the record to which they are fitted, and the result in units of the values.
 
-Noise is what the fit leaves around each line, no less than what the caller knows of it, and need not be white:
-deviations are the sandwich's, (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ (White 1980), with Σ by the residual's smoothed periodogram.
+Noise is the residual of the fit around each line, at least the noise known to the caller, and need not be white:
+deviations are the sandwich estimate (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ (White 1980), with Σ from the residual's smoothed periodogram.
 """
 
 from collections.abc import Sequence

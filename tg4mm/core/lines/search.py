@@ -1,17 +1,16 @@
-"""Find candidates for the next line: matched filters of every frequency, decay and beginning, over the noise level.
+"""Candidates for the next line: matched filters of every frequency, decay and beginning, over the noise level.
 
-A filter's statistic Σ_d |Σ_t r_d e exp(−iωt)|² / (S_d Σ_t e²) is of exponentially distributed parts, one for each
-component, where there is noise alone. Of all that stand out the one with most power is taken: a strong line's leakage
-stands out, too.
+For noise alone a filter's statistic Σ_d |Σ_t r_d e exp(−iωt)|² / (S_d Σ_t e²) is a sum of exponentially distributed
+parts, one for each component. Of all significant candidates the one with most power is chosen, since the leakage of a
+strong line is significant too.
 
-Pictures that a video codec predicts from both sides lose small motion, so a line's numbers are the others'. A codec
-stores them more coarsely than those that it predicts forward. What they lose differs from frame to frame and with the
-motion's size: amplitudes come out too small, a line gets sidebands and a false decay. A loss that is as large as the
-deviation cannot be seen: a test of it has less power than the bias needs to spoil the number. So frequency, decay and
-phasor of a line are those of the other pictures wherever these can tell it; lines are looked for in all.
+B-frames of a video lose small motion: a codec stores them more coarsely than P-frames. The loss varies between frames
+and with the motion's size: amplitudes are too small, a line gets sidebands and a false decay. A loss as large as the
+deviation cannot be detected: the bias matters before a test has the power to find it. So frequency, decay and phasor of
+a line come from the other frames wherever these resolve it; lines are searched for in all frames.
 
-Each line is also tested for having another phasor in those pictures, by the noise of the others. Where one has, a
-weaker line that looks like it in the other pictures is its sideband, and what the others do not show is none.
+Each line is also tested for a different phasor in B-frames, by the noise of the others. If one differs, a weaker line
+that looks like it in the other frames is its sideband, and lines that the others do not show are discarded.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""Adaptive density control: Gaussians go where the error is, within a fixed budget.
+"""Adaptive density control: Gaussians are added where the error is, within a fixed budget.
 
-[3DGS] splits where the view-space gradient is large. Here a Gaussian's chance to be split is its share of the
-picture's error since the last time (`view.py`), which finds thin structures whose gradients cancel; those that
-have faded or grown past the scene are removed and their places given to new ones.
+[3DGS] splits where the view-space gradient is large. Here a Gaussian's chance to be split is its share of the picture's
+error since the last time (`view.py`), which finds thin structures whose gradients cancel; Gaussians that have faded or
+grown past the scene are removed and replaced by new ones.
 """
 
 import torch

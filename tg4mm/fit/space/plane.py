@@ -1,8 +1,8 @@
-"""The scene of a camera that never moves and of which nothing else is known: its mean picture, as Gaussians on a plane.
+"""The scene of a single camera that never moves: its mean picture, as Gaussians on a plane.
 
-A quadtree's cells, fine where the picture has detail, are discs at distance 1: with places and sizes given the picture
-is linear in the colours, found by conjugate gradients. Discs let part of the coarser ones below shine through: of
-opaque ones the slope, which motion is read from, is wrong, and gaps open where they move apart.
+The cells of a quadtree, fine where the picture has detail, become discs at distance 1: with given positions and sizes
+the picture is linear in the colours, which are found by conjugate gradients. Discs let part of the coarser ones below
+shine through: opaque ones would have a wrong slope, from which motion is estimated, and gaps where they move apart.
 """
 
 import time

@@ -1,7 +1,7 @@
-"""One training view: the picture, and each Gaussian's share of its error once the loss went backward.
+"""One training view: the picture, and each Gaussian's share of its error after the backward pass.
 
-The share of Gaussian i is Σ over pixels of blending weight × error: the gradient of Σ error · (a channel that is
-zero on every Gaussian) by that channel. The CPU kernels blend four channels anyway, so it costs nothing there.
+The share of Gaussian i is Σ over pixels of blending weight × error: the gradient of Σ error · (a channel that is zero
+on every Gaussian) by that channel. The CPU kernels blend four channels anyway, so it costs nothing there.
 """
 
 from collections.abc import Callable

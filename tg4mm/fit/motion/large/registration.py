@@ -16,6 +16,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, Step, arrays_of, gaussians_of
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.large.resampling import RegisteredPictures
+from tg4mm.fit.motion.nuisance.projection import exposure_columns
 from tg4mm.fit.motion.observations import Observations, PosedFrames, strips
 from tg4mm.fit.motion.refine import refine_at_rest
 
@@ -117,7 +118,7 @@ def _step(
     [F, 6] known so far leave unexplained.
     """
     frames = observations.frames[0]
-    columns = np.concatenate([_exposure_columns(mean), _rotation_columns(mean, frames.K)])
+    columns = np.concatenate([exposure_columns(mean), _rotation_columns(mean, frames.K)])
     weighted = columns * weights[..., None]
     products = np.zeros((len(columns), len(frames.rows)))
     new, energy = np.empty_like(mean), np.empty(mean.shape[:2], np.float32)
@@ -132,14 +133,6 @@ def _step(
     scale = np.sqrt(np.diag(gram)) + 1e-12
     gram = gram / np.outer(scale, scale) + _RIDGE * np.eye(len(columns))
     return (np.linalg.solve(gram, products / scale[:, None]) / scale[:, None]).T, new, energy
-
-
-def _exposure_columns(mean: np.ndarray) -> np.ndarray:
-    """[6, H, W, 3]: gain and offset of each channel."""
-    out = np.zeros((6, *mean.shape), np.float32)
-    for c in range(3):
-        out[c, ..., c], out[3 + c, ..., c] = mean[..., c], 1
-    return out
 
 
 def _rotation_columns(mean: np.ndarray, K: np.ndarray) -> np.ndarray:

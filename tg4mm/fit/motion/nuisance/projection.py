@@ -54,15 +54,10 @@ class Nuisance:
     def columns(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
         """[k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""
         active = self.active if active is None else active
-        out = np.zeros((int(active.sum()), *mean.shape), np.float32)
-        for k, column in enumerate(np.flatnonzero(active)):
-            if column < 3:
-                out[k, ..., column] = mean[..., column]
-            elif column < 6:
-                out[k, ..., column - 3] = 1
-            else:
-                out[k] = self.pose[column - 6]
-        return out
+        exposure = exposure_columns(mean)[active[EXPOSURE]]
+        if not active[POSE].any():
+            return exposure
+        return np.concatenate([exposure, self.pose[active[POSE]]])
 
     def gram(
         self, mean: np.ndarray, active: np.ndarray | None = None, mask: np.ndarray | None = None
@@ -92,6 +87,14 @@ class Nuisance:
     def coefficients(self, mean: np.ndarray, products: np.ndarray, active: np.ndarray) -> np.ndarray:
         """[k, F]: the least-squares n of F frames."""
         return pseudo_inverse(self.gram(mean, active)) @ products[active]
+
+
+def exposure_columns(mean: np.ndarray) -> np.ndarray:
+    """[6, H, W, 3] float32: gain and offset of each channel for a mean picture [H, W, 3]."""
+    out = np.zeros((6, *mean.shape), np.float32)
+    for c in range(3):
+        out[c, ..., c], out[3 + c, ..., c] = mean[..., c], 1
+    return out
 
 
 def nuisances_of(

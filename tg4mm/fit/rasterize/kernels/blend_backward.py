@@ -1,10 +1,10 @@
-"""The gradient of compositing, also front to back. Blocks, tiles and threads as in `tiles.py`.
+"""Gradient of compositing, also front to back. Blocks, tiles and threads as in `tiles.py`.
 
-The gradient of a contribution needs the light that comes from behind it. Instead of walking back to front, this pass
-starts from the finished image and takes each contribution away as it meets it, so both passes run the same recurrence
-and nothing but the image is kept between them, and where each pair was seen.
+The gradient of a contribution needs the light from behind it. Instead of going back to front, this pass starts from the
+finished image and subtracts each contribution, so that both passes run the same recurrence and only the image and the
+blocks in which each pair was seen are kept between them.
 
-Here a Gaussian's blocks follow each other: its sums stay in registers, the pixels' state lies in memory.
+Here a Gaussian's blocks follow each other: its sums stay in registers, the pixels' state is in memory.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated, operator"

@@ -1,12 +1,12 @@
-"""Block culling: which blocks of a tile each Gaussian may reach, and what the linearised picture needs of these blocks.
+"""Block culling: the blocks of a tile that each Gaussian may reach, and its numbers for blending in these blocks.
 
-Before its pixels, blending needs a handful of numbers of a Gaussian and the blocks its ellipse may reach. With a lane a
-block each of these numbers would have to be broadcast first. Here sixteen records are transposed instead, a lane a
-Gaussian, and a block's result is a mask of Gaussians, which is what a loop over blocks wants.
+Blending needs a few numbers of a Gaussian and the blocks that its ellipse may reach. With a lane for each block, each
+number would have to be broadcast first. Here sixteen records are transposed instead, a lane for each Gaussian, and a
+block's result is a mask of Gaussians, as a loop over blocks needs it.
 
 A batch is a table in memory: planes as long as the batch, a number a Gaussian; then a vector a Gaussian; then, for
-every sixteen Gaussians, masks of 16 bits, one a block. `weights` gives blending weights and their derivatives by the
-exponent; `linearised.py` says what these numbers are for.
+every sixteen Gaussians, masks of 16 bits, one a block. `weights` computes blending weights and their derivatives by the
+exponent, for `linearised.py`.
 """
 
 # mypy: disable-error-code="call-arg, operator, var-annotated"
