@@ -56,7 +56,7 @@ def codec_losses(
     quick: bool = False,
     without_between: bool = False,
 ) -> list[list[Loss]]:
-    """Measure what compression lets through of each region's tones.
+    """Measure the share of each region's tones that survives compression.
 
     The film is encoded twice for each set of regions that do not overlap.
 
@@ -66,11 +66,11 @@ def codec_losses(
         tones: of each region.
         fps: pictures per second that frequencies refer to; None: the file's own.
         start_s: seconds of the file that come before.
-        repeats: frames from there on that show the picture before them again.
+        repeats: duplicate frames, counted from start_s.
         seed: of the noise that is added to the tones.
-        quick: in seconds: a region whose own pictures say that nothing is lost is not tested, the others are with a
-            few frames; of larger pictures nothing but that is asked.
-        without_between: the amplitudes were measured without B frames, and so are the test's.
+        quick: take seconds only: regions whose pictures show no loss are not tested, others with a few frames; larger
+            pictures are not tested at all.
+        without_between: measure the test's amplitudes without B-frames, as the given ones were.
 
     Raises Tg4mmError for a region of another size than the picture.
     """
@@ -181,7 +181,7 @@ def _apart(rows: Sequence[int], masks: Sequence[np.ndarray]) -> list[list[int]]:
 def before_compression(amplitude: float, deviation: float, loss: Loss | None) -> tuple[float, float]:
     """Divide an amplitude and its deviation by the gain found by the test; same units as given.
 
-    A marked one stays as it was measured: the true amplitude is larger by an amount that is not known.
+    A marked amplitude is left as measured: the true one is larger by an unknown amount.
     """
     if loss is None or loss.why:
         return amplitude, deviation

@@ -33,7 +33,7 @@ _LOSSLESS = {"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "magicyuv", "l
 
 @dataclass(frozen=True)
 class Probe:
-    """A stretch of a video as its decoder hands it out."""
+    """A part of a video as decoded."""
 
     # [F, 3 H / 2, W] uint8, or uint16 of 10 bits, brightness and below it both colours, not turned
     planes: np.ndarray
@@ -52,7 +52,7 @@ class Probe:
 
     @property
     def pixels(self) -> str:
-        """FFmpeg's name of their format."""
+        """Name of the pixel format in FFmpeg."""
         return "yuv420p" if self.planes.dtype == np.uint8 else "yuv420p10le"
 
 
@@ -103,13 +103,13 @@ def through(
 
 
 def _box_of(mask: np.ndarray) -> Box:
-    """The rows and columns in which a mask is not 0."""
+    """Return the rows and columns in which a mask is not 0."""
     rows, columns = (np.flatnonzero((mask > _TRACE).any(axis)) for axis in (1, 0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The regions with what is around them and in no other."""
+    """Return the regions with their surroundings that belong to no other."""
     wide = [maximum_filter(mask, 2 * _AROUND_PX + 1) for mask in masks]
     every = np.max(masks, axis=0)
     return [np.where(every > 0, mask, own).astype(np.float32) for mask, own in zip(masks, wide, strict=True)]
@@ -149,7 +149,7 @@ def _encode(path: Path, made: Probe, pictures: Iterable[np.ndarray]) -> None:
 
 
 def _decoded(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Luma [F, H, W] as it is stored, and [F] bool: B frames."""
+    """Luma [F, H, W] as it is stored, and [F] bool: B-frames."""
     with av_module().open(file_url(path)) as container:
         frames = [
             (f.to_ndarray()[: f.height], int(f.pict_type) == BETWEEN) for f in container.decode(video=0)
@@ -230,9 +230,9 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
 
 
 def is_lossless(path: Path) -> bool:
-    """Whether a video's compression keeps every pixel: by its codec, or by what x264 and x265 wrote into the file.
+    """Return whether a video is lossless, by its codec or by the settings of x264 and x265 in the file.
 
-    False where it cannot be read: who reads it says why.
+    False for an unreadable file: reading it reports the error.
     """
     av = av_module()
     try:
@@ -250,7 +250,7 @@ def is_lossless(path: Path) -> bool:
 
 
 def _encoder(codec: str, settings: str) -> str:
-    """The library that made it, where it says so and is here."""
+    """Return the library that encoded the video, if named and available."""
     for name, made, library in (("x264", "h264", "libx264"), ("x265", "hevc", "libx265")):
         if name in settings[:200] and codec == made and library in av_module().codecs_available:
             return library
@@ -264,7 +264,7 @@ def _settings(text: str) -> dict[str, str]:
 
 
 def rate_options(made: Probe) -> dict[str, str]:
-    """Encoder options under which it would make a video of the same quality and kinds of frames."""
+    """Return encoder options that reproduce the quality and the frame kinds."""
     own = made.settings
     options = {key: own[key] for key in _OPTIONS if key in own}
     control = own.get("rc", "")
@@ -283,7 +283,7 @@ def rate_options(made: Probe) -> dict[str, str]:
 
 
 def codec_period(is_between: np.ndarray) -> int | None:
-    """The distance of two frames that are predicted forward, if nearly all have one; is_between [T]: all others."""
+    """Return the distance between P-frames if nearly all have one; is_between [T]: B-frames."""
     steps = np.diff(np.flatnonzero(~is_between))
     if not len(steps):
         return None

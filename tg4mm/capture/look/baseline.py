@@ -43,8 +43,8 @@ def baseline_of(
 ) -> BaselineMisfit:
     """Return the baseline misfit from misfits [F, C] and the covariances [C, 2, 2] of shifts for a misfit of 1.
 
-    alone [F] bool: pictures that a codec predicts from no other. They hold the noise and the error of the codec's
-    quantiser; of the others so does what moves, while what rests is taken from the picture before.
+    alone [F] bool: key frames. They contain noise and the quantiser's error; other frames only where something moves,
+    since parts at rest are copied from the frame before.
     """
     typical = np.maximum(np.median(misfit, 0), QUANTISED)
     compared = _compared(typical, covariance, grid)
@@ -57,8 +57,7 @@ def baseline_of(
 def _compared(typical: np.ndarray, covariance: np.ndarray, grid: Grid) -> np.ndarray:
     """[C] bool: cells whose typical misfits [C] define the baseline: all, or the textured ones if most are plain.
 
-    Most cells of a picture with an overexposed or rendered background hold no noise but rounding, which says nothing of
-    the others'.
+    Most cells of a picture with an overexposed or rendered background have no noise but rounding, unlike the others.
     """
     if np.median(typical) > QUANTISED:
         return np.ones(len(typical), bool)

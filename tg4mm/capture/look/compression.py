@@ -15,7 +15,7 @@ _DECAYING = 2 / 3  # of its first amplitude: the mean of an exponential decay, w
 def with_losses(
     found: Found, video: Path, fps: float, start_s: float = 0.0, repeats: Sequence[int] = ()
 ) -> tuple[LookLine, ...]:
-    """The lines, those without a mark with what compression let through of them (`codec_losses` says how)."""
+    """Return the lines, those without a mark corrected for compression (`codec_losses`)."""
     lines = found.vibrations
     if not lines:
         return found.lines

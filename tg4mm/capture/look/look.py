@@ -32,7 +32,7 @@ _MOST = 0.6  # of all cells: then those that move as much as the others are,
 _AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
 _FEW = 3  # cells across a region
 _ITS_RIM = 2  # cells from an edge, whose neighbours are left out, to the nearest that is used
-_LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is said
+_LIGHT_S, _LIGHT = 0.3, 0.02  # seconds that a level is the median of, and a change of it that is reported
 _LEAST_STILL = 0.15  # of the usable cells that a background needs
 _APART = 2.0  # times the resolution, from a frequency to its mirror image at half the rate
 _CLIPPED, _CLIPPED_SHARE = 250, 0.02  # grey levels that are clipped but for noise; share of a cell's pixels
@@ -47,10 +47,10 @@ def look(
 ) -> Look:
     """Find vibrations, independently moving objects and changes of light in a recording of a fixed camera.
 
-    video: a video, or a folder of numbered pictures. fps: pictures a second, where the file's own times are not the
-    recording's (slow motion); a folder needs it. window: the part of a video that is looked at. regions: drawn ones,
-    whose lines are estimated one by one. keep_duplicates: duplicate frames are not looked for. Raises CaptureError
-    where it cannot be decoded or is too short, RegionError for a region without texture.
+    video: a video, or a folder of numbered pictures. fps: frames per second, if the file's times are not the
+    recording's (slow motion); required for a folder. window: the part of a video to analyse. regions: drawn regions,
+    whose lines are estimated separately. keep_duplicates: do not search for duplicate frames. Raises CaptureError if
+    the video cannot be decoded or is too short, RegionError for a region without texture.
     """
     path = Path(video)
     drawn = () if regions is None else regions.regions
@@ -115,9 +115,9 @@ def _clipped(series: CellSeries) -> np.ndarray:
 
 
 def _edges(search: Search) -> np.ndarray:
-    """[C] bool: cells that seem to move by themselves, at the frequency of a line beside them or at twice that.
+    """[C] bool: cells that seem to move independently, at the frequency of a line beside them or at twice that.
 
-    They show the edge of what vibrates: it covers and uncovers what is behind, once or twice a period.
+    They show the edge of a vibrating object, which covers and uncovers the background once or twice a period.
     """
     scene, out = search.scene, np.zeros(len(search.scene.grid), bool)
     if not search.lines or not scene.masks.core.any():
@@ -139,7 +139,7 @@ def _edges(search: Search) -> np.ndarray:
 
 
 def _moved(search: Search) -> np.ndarray:
-    """[P] bool: cells that a line moves otherwise than most cells."""
+    """[P] bool: cells that a line moves differently from most cells."""
     pool, moved = search.pools[0], np.zeros(len(search.pools[0]), bool)
     for line in search.lines:
         fit = pool.in_picture(line.plain[0])
@@ -155,7 +155,7 @@ def _moved(search: Search) -> np.ndarray:
 
 
 def _lines(search: Search, line: Line) -> list[LookLine]:
-    """Return a line's rows: the place where it is largest, then parts that move at its frequency in another way."""
+    """Return a line's entries: where it is largest, then parts that move differently at its frequency."""
     reported = _reported(search, line)
     return [_line(search, line, reported, where) for where in placed(search, line)]
 
@@ -183,9 +183,9 @@ def _line(search: Search, line: Line, reported: CoreLine, where: Placed) -> Look
 
 
 def _reported(search: Search, line: Line) -> CoreLine:
-    """Return the line with all tests of `tg4mm.core.lines`; a steady one where the codec may have made its change.
+    """Return the line with all tests of `tg4mm.core.lines`; a steady one if the codec may have caused its change.
 
-    A decay is taken from the pictures that keep small motion, as what others lose would pass for damping.
+    A decay is estimated from frames that keep small motion: the loss of the others would look like damping.
     """
     own, scene = line.vibration, search.scene
     series, seen = search.series_of(line)
@@ -203,7 +203,7 @@ def _reported(search: Search, line: Line) -> CoreLine:
 
 
 def _is_off_mirror(hz: float, times_s: np.ndarray, duration_s: float) -> bool:
-    """Whether frames at some times resolve a frequency from its mirror image about half their rate."""
+    """Return whether frames at these times resolve a frequency from its mirror image about half their rate."""
     rate = 1 / float(np.median(np.diff(times_s)))
     apart = abs((2 * hz + rate / 2) % rate - rate / 2)
     return bool(apart > _APART / duration_s)
@@ -254,11 +254,11 @@ def swings_of(scene: Scene) -> Iterator[GlobalMotion]:
         yield GlobalMotion("light", float(np.expm1(np.ptp(smooth))), float(scene.times_s[at]), ())
 
 
-_FEWEST, _LONGEST = 8, 2  # cells × pictures of something that passes, and pictures it takes at least
+_FEWEST, _LONGEST = 8, 2  # cells × frames of a passing object, and frames that it takes at least
 
 
 def movers_of(scene: Scene) -> tuple[MovingRegion, ...]:
-    """Wheels, leaves and the like, then what passes."""
+    """Return independently moving regions, such as wheels and leaves, then passing objects."""
     return (*_all_along(scene), *_passing(scene))
 
 
@@ -271,7 +271,7 @@ def _all_along(scene: Scene) -> Iterator[MovingRegion]:
 
 
 def _by_themselves(scene: Scene) -> Iterator[tuple[np.ndarray, list[tuple[float, float, float]]]]:
-    """Cells [C] bool beside each other that move by themselves, and the lines of their brightness and misfit."""
+    """Yield connected cells [C] bool that move independently, and the lines of their brightness and misfit."""
     labels, _ = ndimage.label(scene.grid.picture(scene.masks.core), BLOCK)
     for k in range(1, labels.max() + 1):
         cells = (labels == k).ravel()

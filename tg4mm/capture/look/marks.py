@@ -35,8 +35,9 @@ def marked(
 ) -> list[LookLine]:
     """Return the lines, each marked with the reason why it may be an artefact.
 
-    patterns: of the codec's kinds of pictures; none: it makes no line of another. taken_off: frequencies in Hz of what
-    is taken off the shifts, with all that the record does not tell apart from it, and whose they are. light: its lines.
+    patterns: periods of the codec's frame kinds; none: it makes no line of another. taken_off: frequencies in Hz that
+    were removed from the shifts, with everything the record does not resolve from them, and their origin. light: its
+    lines.
     clipped [rows, columns] bool: cells with clipped highlights.
     """
     marks = [_mark(line, lines, rate, duration_s, patterns, taken_off) for line in lines]
@@ -47,7 +48,7 @@ def marked(
 def _beside_light(
     line: LookLine, light: Sequence[Light], duration_s: float, clipped: np.ndarray | None
 ) -> LookLine:
-    """Return the line, its ± with the apparent motion by light of its frequency, marked if light may be all of it."""
+    """Add the apparent motion by light of its frequency to the line's ±; mark it if light may explain all of it."""
     is_clipped = clipped is not None and bool((line.region & clipped).any())
     for lamp in light:
         if abs(lamp.hz - line.hz) < 1 / duration_s:
@@ -108,7 +109,7 @@ def _mark(
 
 
 def _beside_taken(line: LookLine, taken_off: Mapping[float, str], duration_s: float) -> str:
-    """Return the mark of a line at a frequency that is taken off the shifts; empty: it is at none."""
+    """Return the mark of a line at a frequency that was removed from the shifts; empty if there is none."""
     for hz, whose in taken_off.items():
         if abs(hz - line.hz) < 1 / duration_s:
             return f"nearer to {whose} {hz:.4g} Hz than the record resolves"

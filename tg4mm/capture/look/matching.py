@@ -26,7 +26,7 @@ _FAR_PX = 0.5  # more has come to no rest
 
 @dataclass
 class Patch:
-    """Cells beside each other, and the pixels around them of every picture."""
+    """Connected cells and the pixels around them in every picture."""
 
     cells: np.ndarray  # indices
     places: np.ndarray  # [C, 2] upper left corners in the box, pixels down and right
@@ -72,11 +72,11 @@ def patches_of(chosen: np.ndarray, grid: Grid, shape: Sequence[int]) -> list[Pat
 
 
 def matched(patch: Patch, baseline: BaselineMisfit, change: np.ndarray) -> Matched | None:
-    """Cells of a patch that their own motion explains better than a small shift does; None where it moves otherwise.
+    """Return the cells of a patch that its motion explains better than a small shift; None if it moves otherwise.
 
     baseline: of all cells, by small shifts; change [C]: of all cells, the mean square of what no shift explains at all.
-    A wheel's rim or a leaf in the wind is like itself now and then at some offset; of what moves as one, many cells are
-    so always.
+    A wheel's rim or a leaf in the wind resembles itself at some offset from time to time; if a patch moves as one, many
+    cells always do.
     """
     pictures = np.concatenate(patch.pictures)
     inside = np.zeros(pictures.shape[1:], np.float32)

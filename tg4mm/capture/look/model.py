@@ -21,7 +21,7 @@ class Readout:
 
 @dataclass(frozen=True)
 class LookLine:
-    """One vibration: how fast, how much, where."""
+    """One vibration: frequency, amplitude, region."""
 
     hz: float
     hz_deviation: float
@@ -56,7 +56,7 @@ class LookLine:
 
 @dataclass(frozen=True)
 class MovingRegion:
-    """Something that moves or changes by itself, which no small rigid shift explains."""
+    """An independently moving or changing region, which no small rigid shift explains."""
 
     kind: str  # "moves by itself" all along, or "passes"
     box: Box
@@ -77,7 +77,7 @@ class Tone:
 
 @dataclass(frozen=True)
 class GlobalMotion:
-    """The whole picture's motion besides its shift; it is subtracted."""
+    """Motion of the complete picture beside its shift, which is subtracted."""
 
     kind: str  # "zoom" or "roll" about its middle, or "light": its level
     largest: float  # pixels in the corners from their median; of light, relative, from its least to its most
@@ -87,7 +87,7 @@ class GlobalMotion:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The amplitude from which a steady vibration of something that large is found; compression may take more."""
+    """The smallest detectable amplitude of a steady vibration of a region of this size; compression may raise it."""
 
     across_px: int
     amplitude_px: float  # along the better known direction; median over places and frequencies
@@ -121,7 +121,7 @@ class Found:
         return tuple(line for line in self.lines if not line.mark)
 
     def mask(self) -> np.ndarray:
-        """[H, W] bool: the pixels of what moves by itself."""
+        """[H, W] bool: the pixels of independently moving regions."""
         return self.pixels(self.moves_by_itself)
 
     def pixels(self, cells: np.ndarray) -> np.ndarray:
@@ -135,7 +135,7 @@ class Found:
 
 @dataclass(frozen=True)
 class RegionLook:
-    """A region that was drawn: the lines of its mean shift, and what texture it has."""
+    """A drawn region: the lines of its mean shift, and its texture."""
 
     region: Region
     lines: tuple[LookLine, ...]  # by falling strength

@@ -23,7 +23,7 @@ _UNDERFLOW = 1e-250
 
 @dataclass(frozen=True)
 class Peak:
-    """A place of a pool and a frequency there."""
+    """A position in an aggregation window and a frequency there."""
 
     pool: int
     place: int
@@ -68,7 +68,7 @@ class Candidates:
     spectra: Spectra = field(default_factory=dict)  # of windows: kept by who changes the residuals
 
     def strongest(self) -> Peak | None:
-        """Return the most significant peak, if noise makes one like it in at most one of a hundred recordings."""
+        """Return the most significant peak, if noise causes such a peak in at most one of a hundred recordings."""
         return self._of_record() or self._of_windows()
 
     def _of_record(self) -> Peak | None:
@@ -153,6 +153,6 @@ def shape_of(peak: Peak, floor: np.ndarray) -> Shape:
 
 
 def beam_floor(pool: AggregationWindow, shape: Shape, row: int) -> float:
-    """Power of the shape's series where nothing vibrates, at a frequency: its median with the common shape."""
+    """Return the noise power of the shape's series at a frequency: its median with the common shape."""
     power = np.abs(pool.amplitudes[:, shape.columns] @ shape.weights) ** 2
     return float(np.median(power[4:]) / LOG2 * np.median(pool.floor[row] / np.median(pool.floor, 0)))

@@ -34,8 +34,8 @@ _FILLED = 0.6  # share of pictures in which a seed is seen
 _ALIKE = 13.3  # χ² of 4 degrees of freedom, 1 %
 _GROWS = 4  # times
 _SEEN = 0.04  # of the region's information squared that a picture must have
-_KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
-_PREDICTED = 0.4  # of P pictures' lack of detail
+_KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B-frames keep: 1 − .8 τ, ± .6 τ
+_PREDICTED = 0.4  # of P-frames' lack of detail
 _READOUT_CELLS, _READOUT_STATISTIC = 5, 25.0
 _OTHERWISE = np.deg2rad(30)  # in direction or phase: a part that moves otherwise
 _REAL = 2.0  # deviations of a part's amplitude
@@ -78,10 +78,10 @@ def cell_numbers(search: Search) -> np.ndarray:
 
 
 def placed(search: Search, line: Line) -> list[Placed]:
-    """Region, amplitude and readout of a line, and those of parts that move at its frequency in another way.
+    """Return region, amplitude and readout of a line, then of parts that move differently at its frequency.
 
-    Cells that clearly show the line fall into parts that do not touch. A part is a row of its own where its direction
-    or its phase (but for half a period) clearly differs by more than 30° from that of each part before it.
+    Cells that clearly show the line form parts that do not touch. A part is listed separately if its direction or phase
+    (modulo half a period) clearly differs by more than 30° from that of each part before it.
     """
     placing = _Placing(search, line)
     out = [placing.placed()]
@@ -117,7 +117,7 @@ def _differs(search: Search, line: Line, part: Placed, other: Placed) -> bool:
 
 
 class _Placing:
-    """Finds the place of a line; inside [P] bool: among some cells alone."""
+    """Search for the region of a line; inside [P] bool: among these cells only."""
 
     def __init__(self, search: Search, line: Line, inside: np.ndarray | None = None) -> None:
         self.search, self.line = search, line
@@ -134,7 +134,7 @@ class _Placing:
             self._keep(inside)
 
     def _keep(self, inside: np.ndarray) -> None:
-        """Leave out the places that reach beyond some cells [P] bool."""
+        """Leave out the positions that extend beyond some cells [P] bool."""
         outside = np.zeros((self.search.scene.grid.rows, self.search.scene.grid.columns), bool)
         outside[tuple(self.cells.pool.corner[~inside].T)] = True
         for each in self.all:
@@ -171,8 +171,8 @@ class _Placing:
     def _seed(self) -> tuple[list[int], int]:
         """Return the cells of the sure place of largest amplitude less two deviations, and its cells a side.
 
-        A deviation includes half of what the amplitude exceeds those of the cells around by: the largest of many
-        places is otherwise one that is wrong.
+        A deviation includes half of the excess over the amplitudes of the cells around: the largest of many places
+        would otherwise often be wrong.
         """
         best_of = [float(e.statistic.max()) for e in self.all]
         surest = self.all[int(np.argmax(best_of))]
@@ -229,7 +229,7 @@ class _Placing:
         return [self.at.get((row + a, column + b)) for a, b in reach]
 
     def _beside(self, cells: list[int], common: np.ndarray) -> float | None:
-        """Return the largest amplitude, px, of the cells around some which move rather like them than rest; or None."""
+        """Return the largest amplitude, px, of neighbours that move alike rather than rest; None without any."""
         around = {n for cell in cells for n in self._neighbours(cell, _AROUND) if n is not None}
         alike = [n for n in around.difference(cells) if self._shows(n) and self._moves(n, common)]
         inverse, zero = np.linalg.inv(self.products), np.zeros((2, 2))
@@ -250,7 +250,7 @@ class _Placing:
         return np.array(sorted(grown))
 
     def _inner(self, region: np.ndarray) -> tuple[np.ndarray, bool]:
-        """The cells of which no neighbour rests; all, and True, if there are none."""
+        """Return the cells without a neighbour at rest; all, and True, if there are none."""
         common, beside = self._common(region), ((0, 1), (1, 0), (0, -1), (-1, 0))
         inner = [
             cell
@@ -274,7 +274,7 @@ class _Placing:
         return out, enough
 
     def _noise(self, series: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """[2, 2] covariance of a sample, of white noise as strong as what is beside the line."""
+        """[2, 2] covariance of a sample of white noise as strong as the noise beside the line."""
         search = self.search
         fit = np.linalg.lstsq(self.basis[seen], series[seen], rcond=None)[0]
         hz, amplitudes = spectrum((series - self.basis @ fit) * seen[:, None], search.times)
@@ -319,7 +319,7 @@ class _Placing:
         return amplitude, float(np.hypot(noise_px, relative * amplitude)), direction, phase, noise_px
 
     def _predicted_lack(self) -> float:
-        """The share of detail that P pictures lack beside I pictures."""
+        """The share of detail that P-frames lack beside I-frames."""
         series = self.search.scene.series
         intra, forward = series.kinds == INTRA, series.kinds == FORWARD
         if not intra.any() or not forward.any():

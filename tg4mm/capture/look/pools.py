@@ -46,7 +46,7 @@ class AggregationWindow:
         return np.asarray(ratio.reshape(len(ratio), -1, 2).sum(2))
 
     def fitted(self, columns: np.ndarray, series: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
-        """Coefficients [B, m] of columns [F, B] in series [F, m], the pool's columns `which` (None: all)."""
+        """Return coefficients [B, m] of columns [F, B] in series [F, m], the window's columns `which` (None: all)."""
         fit = np.linalg.pinv(columns, rcond=_RANK * max(columns.shape)) @ series
         if self.seen is None:
             return np.asarray(fit)
@@ -68,7 +68,7 @@ class AggregationWindow:
 
 
 def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Columns of `seen` [F, m] with gaps, by the pictures that they are seen in: these pictures, and the columns."""
+    """Group the columns of `seen` [F, m] with gaps by the frames in which they are seen."""
     gaps = np.flatnonzero(seen.min(0) == 0)
     if not len(gaps):
         return []
@@ -79,7 +79,7 @@ def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def pools_of(scene: Scene) -> list[AggregationWindow]:
-    """Pools of all sizes that the picture holds; none where no cell can be used."""
+    """Return windows of all sizes that fit into the picture; none if no cell is usable."""
     pools = [_pool(scene, size) for size in SIZES if size <= min(scene.grid.rows, scene.grid.columns)]
     return [pool for pool in pools if len(pool)]
 

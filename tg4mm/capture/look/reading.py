@@ -219,7 +219,7 @@ def _at_once(pixels: int) -> int:
 def _mean_without(
     pictures: np.ndarray, mean: np.ndarray, unlike: np.ndarray, passed: np.ndarray, grid: Grid
 ) -> np.ndarray:
-    """The mean picture, cells that are passed of those pictures alone that are not unlike the others."""
+    """Return the mean picture; cells that something passes use only the frames without it."""
     mean, size = mean.copy(), grid.size
     for cell in np.flatnonzero(passed):
         row, column = (int(k) * size for k in divmod(cell, grid.columns))
@@ -239,7 +239,7 @@ def whole_shift(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def knocks(whole: np.ndarray) -> list[int]:
-    """Pictures at which the whole picture's shift [F, 2] steps for good by more than half a pixel."""
+    """Return the frames at which the complete picture's shift [F, 2] steps permanently by more than half a pixel."""
     found: list[int] = []
 
     def search(first: int, stop: int) -> None:

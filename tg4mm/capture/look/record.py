@@ -10,7 +10,7 @@ from tg4mm.capture.look.model import Found, GlobalMotion, LookLine, MovingRegion
 
 
 def to_record(found: Found) -> dict[str, Any]:
-    """Lists, numbers and texts; grids of cells as the numbers of those that are true."""
+    """Convert to lists, numbers and texts; grids of cells become the numbers of those that are true."""
     return {
         "lines": [
             asdict(line) | {"cells": _numbers(line.cells), "region": _numbers(line.region)}
@@ -34,7 +34,7 @@ def to_record(found: Found) -> dict[str, Any]:
 
 
 def from_record(values: Mapping[str, Any]) -> Found:
-    """Return the result that `to_record` was given."""
+    """Convert back from `to_record`."""
     rows, columns = values["grid"]
 
     def grid(numbers: list[int]) -> np.ndarray:

@@ -40,7 +40,7 @@ def read_recording(
     small_cells: bool = False,
     keep_duplicates: bool = False,
 ) -> tuple[CellSeries, tuple[int, ...]]:
-    """Cells' series of a video or of a folder of pictures, and the duplicate frames that were left out.
+    """Read the cells' series of a video or a folder of pictures, and the duplicate frames that were left out.
 
     fps: pictures a second; None: the video's own. window: of a video alone. small_cells: in large pictures, too.
     The times are those at which the other pictures were taken. keep_duplicates: none are looked for. Raises
@@ -67,7 +67,7 @@ def read_recording(
 def taken(
     path: Path, stamps_s: np.ndarray, fps: float | None, meter: DuplicateMeter | None
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
-    """Find when a video's pictures were taken, and which repeat the one before.
+    """Return the times of a video's pictures, and which repeat the one before.
 
     Args:
         path: the video.
@@ -100,7 +100,7 @@ def _expected(info: VideoInfo, window: Window) -> int:
 def video_pictures(path: Path, fps: float | None = None, window: Window = WHOLE) -> Iterator[Picture]:
     """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
 
-    Of a lossless one, what a picture is predicted from leaves no trace: each counts as one that stands by itself.
+    In a lossless video prediction leaves no trace: every frame counts as coded alone.
 
     Raises CaptureError where it cannot be decoded.
     """

@@ -28,7 +28,7 @@ _LEAST_S = 0.004  # rolling shutters take 8 to 25 ms; less may be phases of the 
 
 
 def by_phases(angles: np.ndarray, weights: np.ndarray, heights: np.ndarray, hz: float) -> Readout | None:
-    """The readout that makes the phases of cells [C] alike, radians, half turns apart or not; None if none is likelier.
+    """Return the readout that makes the phases of cells [C] alike, modulo half a turn; None if none is likelier.
 
     weights [C]: 1 / variance of an angle. heights [C]: 0 at the upper edge, 1 at the lower.
     """
@@ -43,7 +43,7 @@ def by_phases(angles: np.ndarray, weights: np.ndarray, heights: np.ndarray, hz: 
         return None
 
     def fitted(own: np.ndarray) -> tuple[float, float, float]:
-        """Seconds; their variance by the weights; χ² a degree of freedom."""
+        """Return seconds, their variance by the weights, and χ² per degree of freedom."""
         left = turned[own] * np.exp(-4j * np.pi * hz * tried[best] * heights[own])
         off = np.angle(left * np.conj(left.sum())) / 2
         columns = np.stack([np.ones(len(off)), 2 * np.pi * hz * heights[own]], 1)
@@ -60,7 +60,7 @@ def by_phases(angles: np.ndarray, weights: np.ndarray, heights: np.ndarray, hz: 
 
 
 def by_light(rows: np.ndarray, times_s: np.ndarray) -> Readout | None:
-    """The readout that turns the flicker of lamps from row to row; None where no such flicker stands out.
+    """Return the readout from the phase of lamp flicker over rows; None if no flicker stands out.
 
     rows [F, H]: mean grey levels of every row.
     """

@@ -18,7 +18,7 @@ _BESIDE, _BESIDE_SPREADS = 1.5, 3  # times the baseline misfit, and deviations o
 _PASSING = 6  # deviations of a cell's own misfit over time
 _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
-_LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
+_LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
 PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
@@ -55,7 +55,7 @@ class Masks:
 
 @dataclass(frozen=True)
 class Scene:
-    """Cells' shifts with their information, and what is to be taken off them."""
+    """Cells' shifts with their information, nuisance and background."""
 
     series: CellSeries
     masks: Masks
@@ -63,10 +63,10 @@ class Scene:
     information: np.ndarray  # [C, 2, 2] px⁻² of a picture's shift
     nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
     light: list[Light]
-    lost: float  # share of detail that B pictures lack
+    lost: float  # share of detail that B-frames lack
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
-    shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, taken off `own`
+    shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, subtracted from `own`
     courses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [F, m] theirs, px in the corners
 
     @property
@@ -92,12 +92,12 @@ class Scene:
 
     @property
     def between(self) -> np.ndarray:
-        """[F] bool: B pictures."""
+        """[F] bool: B-frames."""
         return np.asarray(self.series.kinds == BETWEEN)
 
     @cached_property
     def left(self) -> np.ndarray:
-        """[C]: the share of what changes in a cell that its shift leaves, where that stands out of the noise."""
+        """[C]: the share of a cell's change that its shift leaves, where that stands out of the noise."""
         series = self.series
         baseline = baseline_in(series)
         left, change = (np.maximum(a.mean(0) - baseline.noise, 0) for a in (series.misfit, series.change))
@@ -107,9 +107,9 @@ class Scene:
 
     @property
     def patterns(self) -> tuple[int, ...]:
-        """Pictures after which their kinds repeat: the distance of key frames too, where it is short and regular.
+        """Periods of the frames' kinds; that of key frames too, if it is short and regular.
 
-        None where every picture stands by itself.
+        Empty if every frame is coded alone.
         """
         if (self.series.kinds == INTRA).all():
             return ()
@@ -121,7 +121,7 @@ class Scene:
 
     @property
     def taken_off(self) -> dict[float, str]:
-        """Frequencies of what is taken off the shifts, and whose they are: B pictures' turns', bands' of light."""
+        """Frequencies that are removed from the shifts, with their origin: the order of B-frames, or bands of light."""
         period = _period(~self.between) if self.between.any() else 0
         turns = {k / (period * self.dt): "the codec's turns at" for k in range(1, period // 2 + 1)}
         return turns | {line.hz: "the light's" for line in self.light if line.is_banded}
@@ -130,7 +130,7 @@ class Scene:
     def coded_change(self) -> float:
         """Return how much a codec may let a small motion grow or fade over the record, as a logarithm.
 
-        What it lets through varies as it refines pictures; it lacks at most the share of detail that others have.
+        The loss varies as it refines pictures, and is at most the missing share of detail.
         """
         kinds = self.series.kinds
         alone, forward = kinds == INTRA, kinds == FORWARD
@@ -146,14 +146,14 @@ class Scene:
 def _period(kind: np.ndarray) -> int:
     """Pictures from one of a kind [F] bool to the next, 0 where that is not regular."""
     steps = np.diff(np.flatnonzero(kind))
-    baseline = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
-    return baseline if baseline and (steps == baseline).mean() >= _REGULAR else 0
+    period = int(np.bincount(steps).argmax()) if len(steps) > 1 else 0
+    return period if period and (steps == period).mean() >= _REGULAR else 0
 
 
 def scene_of(series: CellSeries, edges: np.ndarray | None = None) -> Scene:
-    """Masks, light and a first background of all cells that agree with each other.
+    """Find masks, light and a first background of all cells that agree with each other.
 
-    edges [C] bool: cells that are known to show the edge of what vibrates.
+    edges [C] bool: cells that show the edge of a vibrating object.
     """
     masks = find_masks(series, edges)
     covariance = shift_covariance(series)
@@ -176,11 +176,11 @@ def shift_covariance(series: CellSeries) -> np.ndarray:
 
 
 def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
-    """Cells that do something else than vibrate all the time, and those that do so at times.
+    """Find cells that change otherwise than by vibration, always or at times.
 
-    Their misfit stands out of the noise, and it is most of what changes there. What vibrates leaves a misfit, too: an
-    edge that covers what is behind it, the terms beyond a shift's series, points between pixels. But that is a share of
-    the change that its shift explains, however little noise there is.
+    Their misfit stands out of the noise and is most of the change. A vibration leaves a misfit, too: an edge that
+    covers the background, terms beyond the series of a shift, points between pixels. But this is a small share of the
+    change that its shift explains, however little noise there is.
     """
     grid, baseline = series.grid, baseline_in(series)
     own_change = np.maximum(series.change.mean(0) - baseline.noise, 0)
@@ -192,8 +192,8 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     relative = series.misfit / typical
     quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * baseline.spread))))
     informative = quiet & baseline.compared
-    unlike = (relative > _baseline_ratio(relative[:, informative])) & (
-        series.misfit > _of_alone(series, informative)
+    unlike = (relative > _misfit_limit(relative[:, informative])) & (
+        series.misfit > _key_frame_noise(series, informative)
     )
     unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
     clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="nearest")
@@ -204,7 +204,7 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
 
 
 def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """[..., C] bool: cells where what a shift leaves is most of what changes, in themselves and with those around."""
+    """[..., C] bool: cells where the residual of a shift is most of the change, alone and with their neighbours."""
     sums = [
         ndimage.uniform_filter(grid.picture(a), (1,) * (a.ndim - 1) + (3, 3), mode="nearest").reshape(a.shape)
         for a in (left, change)
@@ -212,8 +212,8 @@ def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:
     return np.asarray((left > OTHER * change) & (sums[0] > OTHER * sums[1]))
 
 
-def _of_alone(series: CellSeries, informative: np.ndarray) -> float:
-    """Grey levels²: what pictures that a codec predicts from no other hold of noise, but seldom."""
+def _key_frame_noise(series: CellSeries, informative: np.ndarray) -> float:
+    """Return the noise of key frames that is seldom exceeded, grey levels²."""
     some = series.misfit[series.kinds == INTRA][:, informative]
     if not some.size:
         return 0.0
@@ -221,8 +221,8 @@ def _of_alone(series: CellSeries, informative: np.ndarray) -> float:
     return middle + 2 * 1.4826 * float(np.median(np.abs(some - middle)))
 
 
-def _baseline_ratio(relative: np.ndarray) -> np.ndarray:
-    """[F, 1]: what misfits over typical ones [F, C] seldom exceed; more in pictures that are coded otherwise."""
+def _misfit_limit(relative: np.ndarray) -> np.ndarray:
+    """[F, 1]: limit of misfits over typical ones [F, C] that noise seldom exceeds; larger in frames coded otherwise."""
     if not relative.size:
         return np.full((len(relative), 1), 1 + _PASSING * 0.1)
     middle = np.maximum(np.median(relative, 1, keepdims=True), 1.0)
@@ -232,9 +232,9 @@ def _baseline_ratio(relative: np.ndarray) -> np.ndarray:
 
 
 def typical_by_kind(series: CellSeries) -> np.ndarray:
-    """[F, C] grey levels²: the median misfit of each cell in pictures of the same kind, as key frames hold more noise.
+    """[F, C] grey levels²: the median misfit of each cell in frames of the same kind: key frames have more noise.
 
-    Where a kind has few pictures, the median of all of them times what most cells then have more or less.
+    For a kind with few frames, the median over all kinds times the typical ratio of that kind.
     """
     baseline, out = baseline_in(series), np.empty_like(series.misfit)
     every, compared = baseline.typical, baseline.compared
@@ -249,7 +249,7 @@ def typical_by_kind(series: CellSeries) -> np.ndarray:
 
 
 def _lost(series: CellSeries) -> float:
-    """The share of detail that B pictures lack beside the others: how much less of noise they show."""
+    """Return the share of detail that B-frames lack compared with the others, by their noise."""
     between = series.kinds == BETWEEN
     if between.sum() <= 8 or (~between).sum() <= 8:
         return 0.0
@@ -257,7 +257,7 @@ def _lost(series: CellSeries) -> float:
 
 
 def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
-    """The share of detail that pictures `some` [F] bool lack beside `others`, neither of which is empty."""
+    """Return the share of detail that frames `some` [F] bool lack compared with `others`; neither is empty."""
     compared = baseline_in(series).compared
     typical = [float(np.median(series.misfit[rows][:, compared])) for rows in (some, others)]
     return max(0.0, 1 - typical[0] / max(typical[1], 1e-9))
@@ -266,11 +266,9 @@ def lacks(series: CellSeries, some: np.ndarray, others: np.ndarray) -> float:
 def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Light]]:
     """Return the columns of every cell's nuisance and the lines of light.
 
-    Light is a gain of each cell, beside its shift, and is not taken off. But bands of light that run over the picture
-    have a slope in each cell, which looks like a shift.
-
-    Encoders give B pictures quantisers by their distance from the last that is none: what that does to brightness is no
-    line of light.
+    Light is a gain of each cell, beside its shift, and is not removed. But bands of light that run over the picture
+    have a slope in each cell, which looks like a shift. Encoders quantise B-frames by their distance from the last
+    other frame: the resulting changes of brightness are no line of light.
     """
     t = series.times_s / max(float(series.times_s[-1]), 1e-12)
     columns = [np.ones_like(t), t - 0.5, (t - 0.5) ** 2]
@@ -287,7 +285,7 @@ def _nuisance(series: CellSeries, gain: np.ndarray) -> tuple[np.ndarray, list[Li
 
 
 def _positions(kinds: np.ndarray) -> np.ndarray:
-    """[F, n] columns: B pictures that are the second, third … since one that is none."""
+    """[F, n] columns: the second, third … B-frame in a row."""
     last = np.maximum.accumulate(np.where(kinds != BETWEEN, np.arange(len(kinds)), 0))
     away = np.arange(len(kinds)) - last
     enough = [k for k in range(2, int(away.max()) + 1) if (away == k).sum() >= _FEWEST_OF_KIND]
@@ -295,9 +293,9 @@ def _positions(kinds: np.ndarray) -> np.ndarray:
 
 
 def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[Light]:
-    """Lines of the gain [F, C] that all the picture shares; what one thing's motion does to its cells is no light.
+    """Return lines of the gain [F, C] common to the complete picture, unlike the effect of an object's motion.
 
-    Nearly all parts of the picture that are seen show it, in the same phase at the same height.
+    Nearly all visible parts of the picture show it, in the same phase at the same height.
     """
     level = _median_of(gain)
     found = tones_of(level / level.mean() - 1, series.times_s, nuisance)
@@ -329,10 +327,10 @@ def _median_of(gain: np.ndarray) -> np.ndarray:
 
 
 def against_background(scene: Scene, still: np.ndarray, all_still: bool = False) -> Scene:
-    """The scene with the common shift of the cells `still` [C] taken off every cell's, and the camera's zoom and roll.
+    """Subtract the common shift of the cells `still` [C], and the camera's zoom and roll, from every cell's shift.
 
-    Cells count by area, as far as they have texture: weighted by texture, one that vibrates would be the background.
-    Those that scatter more than their noise against the others' median are left out; all_still: much more.
+    Textured cells are weighted by area: weighted by texture, a vibrating one would be the background. Cells that
+    scatter more than their noise about the others' median are left out; all_still: much more.
     """
     shift = np.where(scene.masks.hidden[..., None], 0.0, np.nan_to_num(scene.series.shift))
     if not still.any():

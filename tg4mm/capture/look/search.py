@@ -30,7 +30,7 @@ _IMAGE_SURE = 10.0  # times weaker than a line it may be an image of
 
 @dataclass
 class Line:
-    """A line that was found, its mode's shape, and what it takes off every pool."""
+    """A detected line, its mode's shape, and its part in every window."""
 
     vibration: Vibration
     statistic: float  # power over noise, summed over two axes: χ² / 2 of 4 degrees of freedom where all rests
@@ -43,7 +43,7 @@ class Line:
 
 
 class Search:
-    """The lines of a scene, and its pools without them."""
+    """The lines of a scene, and its windows without them."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.times = scene, scene.times_s
@@ -81,7 +81,7 @@ class Search:
         return tuple(out)
 
     def columns(self, line: Vibration) -> np.ndarray:
-        """[F, 2 or 4]: a line's; B pictures with a size of their own where they lose detail, as it makes images."""
+        """[F, 2 or 4]: columns of a line; the attenuation in B-frames is fitted as a separate amplitude."""
         plain = line.columns(self.times)
         if not self.scene.treats_apart:
             return plain
@@ -153,7 +153,7 @@ class Search:
         )
 
     def _is_near(self, vibration: Vibration) -> bool:
-        """Whether a line that was found is nearer than the two can be resolved."""
+        """Return whether a detected line is too near to be resolved."""
         resolution, rate = 1 / self.scene.duration, abs(vibration.decay_per_s)
         others = (line.vibration for line in self.lines)
         return any(
@@ -249,7 +249,7 @@ def _least_support(peak: Peak) -> float:
 
 
 def images(hz: float, rate: float, patterns: tuple[int, ...] = PATTERNS) -> list[float]:
-    """Frequencies at which every n-th picture of another quality shows a line at hz, n of `patterns`."""
+    """Return the frequencies at which frames of periodic quality show a line at hz, for each period of `patterns`."""
     folded = (j * rate / n + sign * hz for n in patterns for j in range(1, n) for sign in (1, -1))
     return [abs((f + rate / 2) % rate - rate / 2) for f in folded]
 

@@ -34,9 +34,9 @@ def spectrum(series: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.nd
 def noise_floor(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean noise power [K, M] of each column of power [K, M] at each frequency, and its degrees of freedom [K].
 
-    A column's floor is a shape that all columns share times a level of its own in four overlapping windows. A level is
-    the median in its window, drawn towards that of all columns as far as these are alike (empirical Bayes): a narrow
-    window at low frequencies knows little by itself. Medians pass by lines.
+    A column's floor is a shape common to all columns times the column's level in four overlapping windows. A level is
+    the median in its window, shrunk towards that of all columns as far as these are alike (empirical Bayes): a narrow
+    window at low frequencies has few bins. Medians are robust to lines.
     """
     count = len(power)
     typical = np.median(power, 0) + 1e-30

@@ -78,7 +78,7 @@ def _slopes(
     nuisance: np.ndarray,
     here: np.ndarray,
 ) -> np.ndarray | None:
-    """[m, 2]: a quarter's slope on the course of the others, and that in its deviations; None of too few cells."""
+    """[m, 2]: slope of a quarter's time course on the others', and its ratio to its deviation; None for few cells."""
     own, others = counts * here, counts * ~here
     if (own.sum(0) > 0).sum() < _FEWEST_CELLS or (others.sum(0) > 0).sum() < 2 * _FEWEST_CELLS:
         return None
@@ -103,12 +103,12 @@ def _slopes(
 
 
 def _lag(series: np.ndarray) -> float:
-    """Correlation of neighbours."""
+    """Return the correlation of neighbouring samples."""
     return float(series[1:] @ series[:-1] / max(series @ series, 1e-30))
 
 
 def left_of(line: LookLine, swings: Sequence[GlobalMotion], duration_s: float) -> str:
-    """Why a line at a swing's own frequency may be what is left of that; empty: it is stronger, or elsewhere."""
+    """Return why a line at the frequency of a global motion may be its residual; empty if it is not."""
     for swing in swings:
         for tone in swing.tones:
             if abs(tone.hz - line.hz) < 1 / duration_s and line.amplitude_px < _LEFT * tone.amplitude:

@@ -36,7 +36,7 @@ MOST_PARTS = 6  # scenes that a recording is cut into
 _UNLIKE = (float("nan"),) * 3
 STAYING = 0.8  # share of the frames of a fixed camera
 
-RECENT = 4  # frames; more than B pictures stand between others in most videos
+RECENT = 4  # frames; more than B-frames stand between others in most videos
 NOVELTY_BLOCK = 8  # pixels of the thinned picture
 CHANGED = 0.1  # mean absolute difference of a block, grey levels of 255, above which it has changed
 SILENT = 0.003  # share of new blocks in a quarter of the frames or more, at most, of a frozen recording

@@ -192,7 +192,7 @@ class RegionMotion:
 
     @property
     def other_share(self) -> float:
-        """Share, 0 to 1, of the largest changes that is no motion of the region: something passes, or a light.
+        """Share, 0 to 1, of the largest changes that are no motion of the region, such as an occluder or light.
 
         0 where nothing changes by more than noise.
         """
@@ -209,7 +209,7 @@ def _other_share(misfit: np.ndarray, change: np.ndarray) -> float:
 
 
 def _hidden(misfit: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """[F] bool: frames in which something passes before the region, with some around them; none if most would be."""
+    """[F] bool: frames in which an object occludes the region, with some around them; none if most would be."""
     noise = float(np.percentile(misfit, _QUIET))
     unlike = misfit > np.maximum(_CLEAR * noise + _CLEAR_LEVELS2, _MOSTLY * change)
     out = binary_dilation(unlike, iterations=_AROUND) if unlike.any() else unlike
@@ -233,7 +233,7 @@ def region_motions(
         step: is called after each region.
 
     Returns:
-        What each region shows, in the order of the masks.
+        The motion of each region, in the order of the masks.
     """
     regions = [Region.of(mask) for mask in masks]
     kept = [mapped_zeros((len(times_s), *region.shape), np.uint16) for region in regions]
@@ -296,7 +296,7 @@ def _estimated(
 def _iterated(
     region: Region, kept: np.ndarray, template: Template, solved: Solved, clock: RowClock | None
 ) -> tuple[Solved, Template] | None:
-    """The motion by registered frames, where it is large; None where it is not, or these explain no more."""
+    """Return the motion by registered frames if it is large and they explain more, else None."""
     whole = template.together(solved.shift)
     misfit, change = solved.misfit.mean(0), solved.change.mean(0)
     unexplained = _other_share(misfit, change) > UNEXPLAINED

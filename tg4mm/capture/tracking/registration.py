@@ -61,7 +61,7 @@ def _most_textured(picture: np.ndarray, inside: np.ndarray, reach: int) -> tuple
 
 
 class Clock(Protocol):
-    """When rows of the frames are read."""
+    """Times of the rows of frames."""
 
     def by_row(self, shift: np.ndarray) -> np.ndarray:
         """Return shifts [F, h, 2] of every row for those [F, 2] of a part as a whole."""
@@ -84,8 +84,8 @@ def refined(
     """Iterate the shift of parts that move as one in pictures [F, h, w], from `start` [F, 2] on, pixels right and down.
 
     inner: the rows and columns of the pictures that the parts lie in; around it frames are read where it has moved to.
-    clock: of rows that are read one after another; None: all at once. Returns what each part shows, the template of the
-    last round, and how much was left of most shifts in it (pixels).
+    clock: row times; None: all rows at once. Returns each part's motion, the template of the last round, and the
+    remaining shift of most frames in it (pixels).
     """
     whole = start.astype(float)
     for _ in range(rounds):
@@ -124,7 +124,7 @@ def spread(series: np.ndarray) -> float:
 
 
 def offsets_within(pictures: np.ndarray, inside: np.ndarray, reaches: Sequence[int]) -> np.ndarray | None:
-    """`whole_offsets` within the first of several reaches that few of them end at; None where all are too short."""
+    """`whole_offsets` within the smallest of several limits that few of them reach; None if all are too small."""
     for reach in reaches:
         found = whole_offsets(pictures, inside, reach)
         if (np.abs(found) == reach).any(1).mean() <= AT_END:

@@ -220,9 +220,10 @@ def _changes(dx: np.ndarray, dy: np.ndarray, turn: Turn | None) -> list[np.ndarr
 
 @lru_cache
 def false_information(size: int) -> float:
-    """px⁻² that a cell of noise alone seems to have, times the pictures that its mean is of.
+    """Return the apparent information, px⁻², of a cell of noise, times the number of pictures in its mean.
 
-    The mean picture's own noise is no texture: others do not show it again. Found on white noise, of whatever strength.
+    Noise of the mean picture is no texture: it does not appear in other pictures. Estimated on white noise of any
+    strength.
     """
     noise = np.random.default_rng(0).normal(size=(8 * size, 8 * size)).astype(np.float32)
     covariance = Template(noise, Grid(8, 8, size)).covariance

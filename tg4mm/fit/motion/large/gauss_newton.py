@@ -227,7 +227,7 @@ class LinearisationPoint:
 def linearisation_points(
     gaussians: Gaussians, views: Sequence[ViewJacobian], fields: np.ndarray, observed: StateObservations
 ) -> list[LinearisationPoint]:
-    """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
+    """Choose linearisation points of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
     states, motions = observed.states, observed.moved(fields).motions
     points = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), POINTS, POINT_PX)
     out = []
