@@ -11,9 +11,6 @@ the rotation is the one that changes Σ most nearly so, in least squares. For a 
 needle stays in the surface or line that it lies in, also where that shears.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

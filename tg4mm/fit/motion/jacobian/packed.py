@@ -3,9 +3,6 @@
 Blocks are stored without their zeros.
 """
 
-# mypy: disable-error-code="call-arg, no-untyped-call, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
-
 import numpy as np
 from numba import float32, int64, prange
 

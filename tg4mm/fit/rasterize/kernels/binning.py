@@ -6,9 +6,6 @@ convex, so its extent in x is taken either at its own extreme point or at the ne
 bounding box.
 """
 
-# mypy: disable-error-code="arg-type, call-arg, call-overload, operator, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
-
 import math
 from dataclasses import dataclass
 

@@ -7,9 +7,6 @@ Writes to memory outside the caches are slow, and few can be in flight at a time
 (`prefetch_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
 """
 
-# mypy: disable-error-code="call-arg, call-overload, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
-
 import math
 
 import numpy as np

@@ -7,9 +7,6 @@ blocks in which each pair was seen are kept between them.
 Here a Gaussian's blocks follow each other: its sums stay in registers, the pixels' state is in memory.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated, operator"
-# an intrinsic has one argument more than its calls: the typing context
-
 import math
 
 import numpy as np

@@ -9,9 +9,6 @@ every sixteen Gaussians, masks of 16 bits, one a block. `weights` computes blend
 exponent, for `linearised.py`.
 """
 
-# mypy: disable-error-code="call-arg, operator, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
-
 import numpy as np
 from numba import float32, int64, uint32
 

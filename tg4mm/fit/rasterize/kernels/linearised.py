@@ -12,9 +12,6 @@ the weights and slopes that the way there has kept. Conjugate gradients need Jáµ
 `blend_normal` goes both ways in a tile while it is in the cache.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated, operator"
-# an intrinsic has one argument more than its calls: the typing context
-
 import math
 from typing import NamedTuple
 

@@ -6,9 +6,6 @@ clamped to 1.3 times the field of view.
 Sixteen Gaussians at a time, a lane a Gaussian (`vector.py`).
 """
 
-# mypy: disable-error-code="call-arg, arg-type, call-overload, operator, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
-
 import math
 
 import numpy as np

@@ -4,9 +4,6 @@ Formulas and names as in `project.py`. No matrix of a Gaussian is kept from the 
 cheaper than reading it.
 """
 
-# mypy: disable-error-code="call-arg, arg-type, call-overload, operator, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
-
 import math
 
 import numpy as np

@@ -3,9 +3,6 @@
 Of sixteen Gaussians at a time (`vector.py`).
 """
 
-# mypy: disable-error-code="call-arg, var-annotated"
-# an intrinsic has one argument more than its calls: the typing context
-
 from numba import float32, int64
 
 from tg4mm.fit.rasterize.kernels.compiled import inlined

@@ -11,9 +11,6 @@ A pixel that has stopped carries a negative transmittance: -T, of which nothing 
 Threads take tiles from a common counter, those with long lists first. A tile's result depends on nothing but the tile.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated, operator"
-# an intrinsic has one argument more than its calls: the typing context
-
 import math
 
 import numpy as np

@@ -6,9 +6,20 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin
+from numba.extending import lower_builtin
 
-from tg4mm.fit.rasterize.simd.vector import FV, I16, I32, IV, LANES, declare, has_avx512, of_lanes, vector
+from tg4mm.fit.rasterize.simd.vector import (
+    FV,
+    I16,
+    I32,
+    IV,
+    LANES,
+    declare,
+    has_avx512,
+    instruction,
+    of_lanes,
+    vector,
+)
 
 # of `vreduceps`: round to nearest, suppress the inexact exception; exception mode as set
 _QUIET, _AS_SET = 8, 4
@@ -67,23 +78,19 @@ def _exp2_steps(builder, x, constants, steps):
     return of_lanes(builder, "fmuladd", power, rise, power)
 
 
-@intrinsic
-def exp2(typingctx, x, constants):
+@instruction(lambda x, constants: x(x, constants))
+def exp2(context, builder, sig, args):
     """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. constants: EXP2 and EXP2_STEPS, vectors.
 
     2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
     For sixteen lanes with AVX-512 n is the nearest multiple of 1/32, whose power is looked up, and the polynomial takes
     three multiplications instead of five.
     """
-
-    def codegen(context, builder, sig, args):
-        values = cgutils.unpack_tuple(builder, args[1])
-        series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
-        if has_avx512(context) and sig.return_type == vector:
-            return _exp2_steps(builder, args[0], short, steps)
-        return _exp2_series(builder, args[0], series)
-
-    return x(x, constants), codegen
+    values = cgutils.unpack_tuple(builder, args[1])
+    series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
+    if has_avx512(context) and sig.return_type == vector:
+        return _exp2_steps(builder, args[0], short, steps)
+    return _exp2_series(builder, args[0], series)
 
 
 def _square_root(context, builder, sig, args):

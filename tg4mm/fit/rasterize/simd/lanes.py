@@ -6,7 +6,6 @@ fourth holds anything.
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from tg4mm.fit.rasterize.simd.memory import data_at
 from tg4mm.fit.rasterize.simd.vector import (
@@ -16,6 +15,8 @@ from tg4mm.fit.rasterize.simd.vector import (
     LANES,
     constant_lanes,
     half,
+    in_a_row,
+    instruction,
     of_lanes,
     pixels,
     vector,
@@ -73,68 +74,54 @@ def _lane_sums(builder, parts, last=(_GROUP_HALVES, _GROUP_PAIRS)):
     return builder.shuffle_vector(low, high, constant_lanes(range(LANES)))
 
 
-@intrinsic
-def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
+@instruction(lambda a, b, c, d, e, f, g, h, i, j: vector(*[a] * 10))
+def lane_sums(context, builder, sig, args):
     """The sum of the lanes of each of ten vectors, in lanes 0 … 9 of one, whose others are 0.
 
     Always added in the same order.
     """
-    return vector(*[a] * 10), lambda context, builder, sig, args: _lane_sums(builder, args)
+    return _lane_sums(builder, args)
 
 
-@intrinsic
-def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+@instruction(lambda a, b, c, d, e, f, g, h: vector(*[a] * 8))
+def lane_sums_of_eight(context, builder, sig, args):
     """`lane_sums` of eight vectors, in lanes 0 … 7."""
-    return vector(*[a] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
+    return _lane_sums(builder, args)
 
 
-@intrinsic
-def half_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+@instruction(lambda a, b, c, d, e, f, g, h: vector(*[vector] * 8))
+def half_sums_of_eight(context, builder, sig, args):
     """The sums of the lower eight lanes of each of eight vectors, in lanes 0 … 7, and of the upper ones, in 8 … 15."""
-    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(
-        builder, args, (_OF_EACH_HALF,)
-    )
+    return _lane_sums(builder, args, (_OF_EACH_HALF,))
 
 
-def _store_parts(context, builder, sig, args, parts):
-    """Store the lanes first … first + count for each of `parts`."""
-    data = data_at(context, builder, sig.args[0], args[0])
-    for first, count in parts:
-        kind = ir.VectorType(F32, count)
-        lanes = constant_lanes(range(first, first + count))
-        part = builder.shuffle_vector(args[2], args[2], lanes)
-        place = builder.gep(data, [builder.add(args[1], ir.Constant(I64, first))])
-        builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
-    return context.get_dummy_value()
+def _at(context, builder, sig, args, count, offset=0):
+    """Pointer to `count` float32 of the place args[0], `offset` after entry args[1]."""
+    place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
+    place = builder.gep(place, [ir.Constant(I64, offset)])
+    return builder.bitcast(place, ir.VectorType(F32, count).as_pointer())
 
 
 def _eight(lanes):
     """An intrinsic that loads eight numbers of a contiguous float32 array [n] and shuffles them; lane 8 is a zero."""
 
-    def typed(typingctx, array, index):
-        def codegen(context, builder, sig, args):
-            place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
-            kind = ir.VectorType(F32, 8)
-            eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
-            return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(lanes))
+    @instruction(lambda array, index: vector(array, types.int64))
+    def eight(context, builder, sig, args):
+        read = builder.load(_at(context, builder, sig, args, 8), align=4)
+        return builder.shuffle_vector(read, ir.Constant(read.type, None), constant_lanes(lanes))
 
-        return vector(array, types.int64), codegen
-
-    return intrinsic(typed)
+    return eight
 
 
 load_eight = _eight([*range(8), *[8] * 8])  # then eight zeros
 load_twice = _eight([*range(8)] * 2)
 
 
-@intrinsic
-def store_eight(typingctx, array, index, value):
+@instruction(lambda array, index, value: types.none(array, types.int64, vector))
+def store_eight(context, builder, sig, args):
     """Lanes 0 … 7 to the contiguous float32 array [n]."""
-
-    def codegen(context, builder, sig, args):
-        return _store_parts(context, builder, sig, args, ((0, 8),))
-
-    return types.none(array, types.int64, vector), codegen
+    part = builder.shuffle_vector(args[2], args[2], constant_lanes(range(8)))
+    builder.store(part, _at(context, builder, sig, args, 8), align=4)
 
 
 def _fours(context, builder, sig, args, count):
@@ -148,43 +135,24 @@ def _fours(context, builder, sig, args, count):
 def _loading_fours(kind):
     """Groups of four float32 of a contiguous array [n], the groups `stride` apart."""
 
-    def typed(typingctx, array, index, stride):
-        def codegen(context, builder, sig, args):
-            parts = [builder.load(at, align=4) for at in _fours(context, builder, sig, args, kind.lanes // 4)]
-            while len(parts) > 1:
-                together = constant_lanes(range(2 * parts[0].type.count))
-                parts = [
-                    builder.shuffle_vector(parts[k], parts[k + 1], together) for k in range(0, len(parts), 2)
-                ]
-            return parts[0]
+    @instruction(lambda array, index, stride: kind(array, types.int64, types.int64))
+    def loading(context, builder, sig, args):
+        fours = _fours(context, builder, sig, args, kind.lanes // 4)
+        return in_a_row(builder, [builder.load(at, align=4) for at in fours])
 
-        return kind(array, types.int64, types.int64), codegen
-
-    return intrinsic(typed)
+    return loading
 
 
 load_fours, load_two_fours = _loading_fours(vector), _loading_fours(half)
 load_block = load_fours if pixels == vector else load_two_fours  # of a picture of one channel
 
 
-@intrinsic
-def store_fours(typingctx, array, index, stride, value):
+@instruction(lambda array, index, stride, value: types.none(array, types.int64, types.int64, value))
+def store_fours(context, builder, sig, args):
     """Store what `load_fours` or `load_block` reads."""
-
-    def codegen(context, builder, sig, args):
-        for k, at in enumerate(_fours(context, builder, sig, args, args[3].type.count // 4)):
-            part = builder.shuffle_vector(args[3], args[3], constant_lanes(range(4 * k, 4 * k + 4)))
-            builder.store(part, at, align=4)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64, types.int64, value), codegen
-
-
-def _at(context, builder, sig, args, count, offset=0):
-    """Pointer to `count` float32 of the place args[0], `offset` after entry args[1]."""
-    place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
-    place = builder.gep(place, [ir.Constant(I64, offset)])
-    return builder.bitcast(place, ir.VectorType(F32, count).as_pointer())
+    for k, at in enumerate(_fours(context, builder, sig, args, args[3].type.count // 4)):
+        part = builder.shuffle_vector(args[3], args[3], constant_lanes(range(4 * k, 4 * k + 4)))
+        builder.store(part, at, align=4)
 
 
 def _broadcast(context, builder, sig, args, offset=0):
@@ -192,70 +160,49 @@ def _broadcast(context, builder, sig, args, offset=0):
     return builder.shuffle_vector(four, four, constant_lanes(_EACH_ROW))
 
 
-@intrinsic
-def broadcast_rows(typingctx, array, index):
+@instruction(lambda array, index: vector(array, types.int64))
+def broadcast_rows(context, builder, sig, args):
     """Four float32 of a contiguous array [n], each over the lanes of its row."""
-
-    def codegen(context, builder, sig, args):
-        return _broadcast(context, builder, sig, args)
-
-    return vector(array, types.int64), codegen
+    return _broadcast(context, builder, sig, args)
 
 
-@intrinsic
-def load_field(typingctx, array, index):
+@instruction(lambda array, index: vector(array, types.int64))
+def load_field(context, builder, sig, args):
     """Four rows of three float32 of a contiguous array [n]."""
-
-    def codegen(context, builder, sig, args):
-        low = builder.load(_at(context, builder, sig, args, 8), align=4)
-        high = builder.load(_at(context, builder, sig, args, 4, 8), align=4)
-        high = builder.shuffle_vector(high, high, constant_lanes([0, 1, 2, 3] * 2))
-        return builder.shuffle_vector(
-            low, high, constant_lanes([3 * (k // 4) + min(k % 4, 2) for k in range(LANES)])
-        )
-
-    return vector(array, types.int64), codegen
+    low = builder.load(_at(context, builder, sig, args, 8), align=4)
+    high = builder.load(_at(context, builder, sig, args, 4, 8), align=4)
+    high = builder.shuffle_vector(high, high, constant_lanes([0, 1, 2, 3] * 2))
+    return builder.shuffle_vector(
+        low, high, constant_lanes([3 * (k // 4) + min(k % 4, 2) for k in range(LANES)])
+    )
 
 
-@intrinsic
-def store_field(typingctx, array, index, value):
+@instruction(lambda array, index, value: types.none(array, types.int64, vector))
+def store_field(context, builder, sig, args):
     """The inverse of `load_field`."""
-
-    def codegen(context, builder, sig, args):
-        lanes = [k for k in range(LANES) if k % 4 < 3]
-        for offset, some in ((0, lanes[:8]), (8, lanes[8:])):
-            part = builder.shuffle_vector(args[2], args[2], constant_lanes(some))
-            builder.store(part, _at(context, builder, sig, args, len(some), offset), align=4)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64, vector), codegen
+    lanes = [k for k in range(LANES) if k % 4 < 3]
+    for offset, some in ((0, lanes[:8]), (8, lanes[8:])):
+        part = builder.shuffle_vector(args[2], args[2], constant_lanes(some))
+        builder.store(part, _at(context, builder, sig, args, len(some), offset), align=4)
 
 
-@intrinsic
-def sum_rows(typingctx, value):
+@instruction(lambda value: vector(vector))
+def sum_rows(context, builder, sig, args):
     """The sum of the four rows, in each row."""
-
-    def codegen(context, builder, sig, args):
-        total = args[0]
-        for shift in (8, 4):
-            lanes = constant_lanes([(k + shift) % LANES for k in range(LANES)])
-            total = builder.fadd(total, builder.shuffle_vector(total, total, lanes))
-        return total
-
-    return vector(vector), codegen
+    total = args[0]
+    for shift in (8, 4):
+        lanes = constant_lanes([(k + shift) % LANES for k in range(LANES)])
+        total = builder.fadd(total, builder.shuffle_vector(total, total, lanes))
+    return total
 
 
-@intrinsic
-def transposed_times(typingctx, array, index, value):
+@instruction(lambda array, index, value: vector(array, types.int64, vector))
+def transposed_times(context, builder, sig, args):
     """Mᵀ times four rows, of the 4 × 4 block M that begins at `index` of a contiguous float32 array [n]."""
-
-    def codegen(context, builder, sig, args):
-        total = ir.Constant(FV, None)
-        for row in range(_ROWS):
-            column = _broadcast(context, builder, sig, args, _ROWS * row)
-            lanes = constant_lanes([_ROWS * row + k % 4 for k in range(LANES)])
-            there = builder.shuffle_vector(args[2], args[2], lanes)
-            total = of_lanes(builder, "fmuladd", column, there, total)
-        return total
-
-    return vector(array, types.int64, vector), codegen
+    total = ir.Constant(FV, None)
+    for row in range(_ROWS):
+        column = _broadcast(context, builder, sig, args, _ROWS * row)
+        lanes = constant_lanes([_ROWS * row + k % 4 for k in range(LANES)])
+        there = builder.shuffle_vector(args[2], args[2], lanes)
+        total = of_lanes(builder, "fmuladd", column, there, total)
+    return total

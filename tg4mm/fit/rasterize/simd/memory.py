@@ -7,7 +7,6 @@ integers. Nothing is checked.
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from tg4mm.fit.rasterize.simd.vector import (
     F32,
@@ -19,6 +18,7 @@ from tg4mm.fit.rasterize.simd.vector import (
     as_lanes,
     declare,
     half,
+    instruction,
     pixels,
     vector,
 )
@@ -43,55 +43,43 @@ def _contiguous(place):
     return isinstance(place, types.Integer) or getattr(place, "layout", None) == "C"
 
 
-@intrinsic
-def address(typingctx, array):
+@instruction(
+    lambda array: types.int64(array) if _contiguous(array) and array.dtype.bitwidth in (16, 32) else None
+)
+def address(context, builder, sig, args):
     """The address of a contiguous array of 32- or 16-bit numbers.
 
     An array made in the kernel must be used once more after the last access (`keep`), or it is freed before; arrays
     that are the kernel's arguments are held by the caller.
     """
-
-    def codegen(context, builder, sig, args):
-        return builder.ptrtoint(data_at(context, builder, sig.args[0], args[0]), I64)
-
-    is_known = _contiguous(array) and array.dtype.bitwidth in (16, 32)
-    return (types.int64(array), codegen) if is_known else None
+    return builder.ptrtoint(data_at(context, builder, sig.args[0], args[0]), I64)
 
 
-@intrinsic
-def keep(typingctx, array):
+@instruction(lambda array: types.none(array))
+def keep(context, builder, sig, args):
     """Does nothing, but keeps the array alive until here."""
-    return types.none(array), lambda context, builder, sig, args: context.get_dummy_value()
 
 
 def _loading(kind):
     """Lanes from a place, from float32 `index` on (int64, not checked)."""
 
-    def typed(typingctx, place, index):
-        def codegen(context, builder, sig, args):
-            entry = _entry(context, builder, sig, args)
-            lanes = ir.VectorType(F32, kind.lanes)
-            return builder.load(builder.bitcast(entry, lanes.as_pointer()), align=4)
+    @instruction(lambda place, index: kind(place, types.int64))
+    def loading(context, builder, sig, args):
+        entry = _entry(context, builder, sig, args)
+        return builder.load(builder.bitcast(entry, ir.VectorType(F32, kind.lanes).as_pointer()), align=4)
 
-        return kind(place, types.int64), codegen
-
-    return intrinsic(typed)
+    return loading
 
 
 load, load_half = _loading(vector), _loading(half)
 load_pixels = load if pixels == vector else load_half
 
 
-@intrinsic
-def store(typingctx, place, index, value):
+@instruction(lambda place, index, value: types.none(place, types.int64, value))
+def store(context, builder, sig, args):
     """Lanes to a place, from float32 `index` on (int64, not checked)."""
-
-    def codegen(context, builder, sig, args):
-        entry = _entry(context, builder, sig, args)
-        builder.store(args[2], builder.bitcast(entry, args[2].type.as_pointer()), align=4)
-        return context.get_dummy_value()
-
-    return types.none(place, types.int64, value), codegen
+    entry = _entry(context, builder, sig, args)
+    builder.store(args[2], builder.bitcast(entry, args[2].type.as_pointer()), align=4)
 
 
 def _first(builder, count):
@@ -100,73 +88,46 @@ def _first(builder, count):
     return builder.icmp_signed("<", numbered, as_lanes(builder, builder.trunc(count, I32)))
 
 
-@intrinsic
-def load_first(typingctx, place, index, count):
+@instruction(lambda place, index, count: vector(place, types.int64, types.int64))
+def load_first(context, builder, sig, args):
     """`load` of the first `count` lanes (int64), the others 0; of these no memory is read."""
-
-    def codegen(context, builder, sig, args):
-        there, at = _first(builder, args[2]), FV.as_pointer()
-        f = declare(builder, "llvm.masked.load.v16f32.p0", FV, [at, I32, there.type, FV])
-        entry = builder.bitcast(_entry(context, builder, sig, args), at)
-        return builder.call(f, [entry, ir.Constant(I32, 4), there, ir.Constant(FV, None)])
-
-    return vector(place, types.int64, types.int64), codegen
+    there, at = _first(builder, args[2]), FV.as_pointer()
+    f = declare(builder, "llvm.masked.load.v16f32.p0", FV, [at, I32, there.type, FV])
+    entry = builder.bitcast(_entry(context, builder, sig, args), at)
+    return builder.call(f, [entry, ir.Constant(I32, 4), there, ir.Constant(FV, None)])
 
 
-@intrinsic
-def store_first(typingctx, place, index, count, value):
+@instruction(lambda place, index, count, value: types.none(place, types.int64, types.int64, vector))
+def store_first(context, builder, sig, args):
     """`store` of the first `count` lanes."""
-
-    def codegen(context, builder, sig, args):
-        there, at = _first(builder, args[2]), FV.as_pointer()
-        f = declare(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), [FV, at, I32, there.type])
-        entry = builder.bitcast(_entry(context, builder, sig, args), at)
-        builder.call(f, [args[3], entry, ir.Constant(I32, 4), there])
-        return context.get_dummy_value()
-
-    return types.none(place, types.int64, types.int64, vector), codegen
+    there, at = _first(builder, args[2]), FV.as_pointer()
+    f = declare(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), [FV, at, I32, there.type])
+    entry = builder.bitcast(_entry(context, builder, sig, args), at)
+    builder.call(f, [args[3], entry, ir.Constant(I32, 4), there])
 
 
-@intrinsic
-def number(typingctx, place, index):
+@instruction(lambda place, index: types.float32(place, types.int64) if _contiguous(place) else None)
+def number(context, builder, sig, args):
     """The float32 `index` of a place, counted through all its dimensions, not checked."""
-
-    def codegen(context, builder, sig, args):
-        return builder.load(_entry(context, builder, sig, args), align=4)
-
-    return (types.float32(place, types.int64), codegen) if _contiguous(place) else None
+    return builder.load(_entry(context, builder, sig, args), align=4)
 
 
-@intrinsic
-def put_number(typingctx, place, index, value):
+@instruction(lambda place, index, value: types.none(place, types.int64, types.float32))
+def put_number(context, builder, sig, args):
     """Write what `number` reads."""
-
-    def codegen(context, builder, sig, args):
-        builder.store(args[2], _entry(context, builder, sig, args), align=4)
-        return context.get_dummy_value()
-
-    return types.none(place, types.int64, types.float32), codegen
+    builder.store(args[2], _entry(context, builder, sig, args), align=4)
 
 
-@intrinsic
-def integer(typingctx, at, index):
+@instruction(lambda at, index: types.uint32(types.int64, types.int64))
+def integer(context, builder, sig, args):
     """The uint32 `index` from an address on, not checked."""
-
-    def codegen(context, builder, sig, args):
-        return builder.load(_entry(context, builder, sig, args, I32), align=4)
-
-    return types.uint32(types.int64, types.int64), codegen
+    return builder.load(_entry(context, builder, sig, args, I32), align=4)
 
 
-@intrinsic
-def put_integer(typingctx, at, index, value):
+@instruction(lambda at, index, value: types.none(types.int64, types.int64, types.uint32))
+def put_integer(context, builder, sig, args):
     """Write what `integer` reads."""
-
-    def codegen(context, builder, sig, args):
-        builder.store(args[2], _entry(context, builder, sig, args, I32), align=4)
-        return context.get_dummy_value()
-
-    return types.none(types.int64, types.int64, types.uint32), codegen
+    builder.store(args[2], _entry(context, builder, sig, args, I32), align=4)
 
 
 def _prefetch(builder, pointer, level):
@@ -177,45 +138,29 @@ def _prefetch(builder, pointer, level):
 
 
 def _prefetching(level):
-    def codegen(context, builder, sig, args):
+    """Prefetch the cache line of float32 `index` of a place."""
+
+    @instruction(lambda place, index: types.none(place, types.int64))
+    def prefetching(context, builder, sig, args):
         _prefetch(builder, _entry(context, builder, sig, args), level)
-        return context.get_dummy_value()
 
-    return codegen
-
-
-@intrinsic
-def prefetch(typingctx, place, index):
-    """Prefetch the cache line of float32 `index` of a place, into the first cache."""
-    return types.none(place, types.int64), _prefetching(_NEAR)
+    return prefetching
 
 
-@intrinsic
-def prefetch_far(typingctx, place, index):
-    """`prefetch` into the second cache, for later use."""
-    return types.none(place, types.int64), _prefetching(_FAR)
+prefetch, prefetch_far = _prefetching(_NEAR), _prefetching(_FAR)  # far: for later use
 
 
-@intrinsic
-def prefetch_row(typingctx, array, row):
+@instruction(lambda array, row: types.none(array, types.int64))
+def prefetch_row(context, builder, sig, args):
     """Prefetch the first cache line of a row of the C-ordered array [n, m], into the first cache."""
-
-    def codegen(context, builder, sig, args):
-        made = context.make_array(sig.args[0])(context, builder, args[0])
-        stride = builder.extract_value(made.strides, 0)
-        at = builder.add(builder.ptrtoint(made.data, I64), builder.mul(args[1], stride))
-        _prefetch(builder, builder.inttoptr(at, F32.as_pointer()), _NEAR)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64), codegen
+    made = context.make_array(sig.args[0])(context, builder, args[0])
+    stride = builder.extract_value(made.strides, 0)
+    at = builder.add(builder.ptrtoint(made.data, I64), builder.mul(args[1], stride))
+    _prefetch(builder, builder.inttoptr(at, F32.as_pointer()), _NEAR)
 
 
-@intrinsic
-def fetch_add(typingctx, array):
+@instruction(lambda array: types.int64(array))
+def fetch_add(context, builder, sig, args):
     """Atomically add 1 to the first entry of an int64 array and return the old value: a thread takes its next item."""
-
-    def codegen(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, ir.Constant(I64, 1), "monotonic")
-
-    return types.int64(array), codegen
+    data = context.make_array(sig.args[0])(context, builder, args[0]).data
+    return builder.atomic_rmw("add", data, ir.Constant(I64, 1), "monotonic")

@@ -9,6 +9,7 @@ there are but sixteen registers, narrower ones, and the state of sixteen pixels 
 Masks of lanes lie in memory as a bit each; sixteen words of 32 bits are a vector that is not read as float32.
 """
 
+import inspect
 import operator
 
 from llvmlite import ir
@@ -28,6 +29,32 @@ _NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
 def has_avx512(context):
     """Whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
     return "+avx512dq" in context.codegen().magic_tuple()[2]
+
+
+def instruction(typed):
+    """Return a decorator that makes a code generator a function for kernels (numba's `intrinsic`).
+
+    `typed` maps the types of the arguments to the signature, or None. The generator of a tuple returns its items.
+    """
+
+    def decorate(generate):
+        def lower(context, builder, sig, args):
+            found = generate(context, builder, sig, args)
+            if sig.return_type is types.none:
+                return context.get_dummy_value()
+            is_tuple = isinstance(sig.return_type, types.BaseTuple)
+            return context.make_tuple(builder, sig.return_type, found) if is_tuple else found
+
+        def definition(typingctx, *kinds):
+            return (found, lower) if (found := typed(*kinds)) else None
+
+        parameters = inspect.signature(typed).parameters.values()
+        context = inspect.Parameter("typingctx", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        definition.__signature__ = inspect.Signature([context, *parameters])  # type: ignore[attr-defined]
+        definition.__name__, definition.__doc__ = generate.__name__, generate.__doc__
+        return intrinsic(definition)
+
+    return decorate
 
 
 PIXELS = LANES if has_avx512(cpu_target.target_context) else LANES // 2
@@ -77,6 +104,14 @@ def as_lanes(builder, scalar, lanes=LANES):
     kind = ir.VectorType(scalar.type, lanes)
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(I32, 0))
     return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), constant_lanes([0] * lanes))
+
+
+def in_a_row(builder, parts):
+    """Vectors, a power of two of them, as one."""
+    while len(parts) > 1:
+        lanes = constant_lanes(range(2 * parts[0].type.count))
+        parts = [builder.shuffle_vector(*parts[k : k + 2], lanes) for k in range(0, len(parts), 2)]
+    return parts[0]
 
 
 def _as_vector(builder, value, lanes):
@@ -162,10 +197,11 @@ def of_lanes(builder, name, *args):
 
 
 def _broadcasting(kind):
-    def typed(typingctx, x):
-        return kind(types.float32), lambda context, builder, sig, args: as_lanes(builder, args[0], kind.lanes)
+    @instruction(lambda x: kind(types.float32))
+    def broadcasting(context, builder, sig, args):
+        return as_lanes(builder, args[0], kind.lanes)
 
-    return intrinsic(typed)
+    return broadcasting
 
 
 broadcast = _broadcasting(vector)  # a float32 in all lanes
@@ -173,199 +209,130 @@ broadcast_half = _broadcasting(half)
 broadcast_pixels = broadcast if pixels == vector else broadcast_half
 
 
-@intrinsic
-def fma(typingctx, a, b, c):
+@instruction(lambda a, b, c: (kind := _widest(a, b, c)) and kind(a, b, c))
+def fma(context, builder, sig, args):
     """a · b + c, rounded once where the processor can. Each a vector or a float32."""
-
-    def codegen(context, builder, sig, args):
-        lanes = sig.return_type.lanes
-        return of_lanes(builder, "fmuladd", *(_as_vector(builder, x, lanes) for x in args))
-
-    kind = _widest(a, b, c)
-    return (kind(a, b, c), codegen) if kind else None
+    lanes = sig.return_type.lanes
+    return of_lanes(builder, "fmuladd", *(_as_vector(builder, x, lanes) for x in args))
 
 
-@intrinsic
-def fma_where(typingctx, condition, a, b, c):
+@instruction(lambda condition, a, b, c: a(condition, a, b, c))
+def fma_where(context, builder, sig, args):
     """a · b + c where the mask is set, else c; a a vector, b finite.
 
     AVX-512 masks the instruction itself. Elsewhere a is set to 0, once for all calls with the same mask and a.
     """
-
-    def codegen(context, builder, sig, args):
-        lanes = sig.return_type.lanes
-        condition, a, b, c = args[0], *(_as_vector(builder, x, lanes) for x in args[1:])
-        masked = has_avx512(context)
-        if not masked:
-            a = builder.select(condition, a, ir.Constant(a.type, None))
-        f = of_lanes(builder, "fmuladd", a, b, c)
-        return builder.select(condition, f, c) if masked else f
-
-    return a(condition, a, b, c), codegen
+    lanes = sig.return_type.lanes
+    condition, a, b, c = args[0], *(_as_vector(builder, x, lanes) for x in args[1:])
+    masked = has_avx512(context)
+    if not masked:
+        a = builder.select(condition, a, ir.Constant(a.type, None))
+    f = of_lanes(builder, "fmuladd", a, b, c)
+    return builder.select(condition, f, c) if masked else f
 
 
-@intrinsic
-def select(typingctx, condition, a, b):
+@instruction(lambda condition, a, b: (kind := _widest(a, b)) and kind(condition, a, b))
+def select(context, builder, sig, args):
     """a where the mask is set, else b. Each a vector or a float32."""
-
-    def codegen(context, builder, sig, args):
-        lanes = sig.return_type.lanes
-        return builder.select(args[0], *(_as_vector(builder, x, lanes) for x in args[1:]))
-
-    kind = _widest(a, b)
-    return (kind(condition, a, b), codegen) if kind else None
+    lanes = sig.return_type.lanes
+    return builder.select(args[0], *(_as_vector(builder, x, lanes) for x in args[1:]))
 
 
-@intrinsic
-def movemask(typingctx, condition):
+@instruction(lambda condition: types.uint32(condition))
+def movemask(context, builder, sig, args):
     """The mask as an integer: lane k is bit k."""
-
-    def codegen(context, builder, sig, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(args[0].type.count)), I32)
-
-    return types.uint32(condition), codegen
+    return builder.zext(builder.bitcast(args[0], ir.IntType(args[0].type.count)), I32)
 
 
-@intrinsic
-def ctz(typingctx, x):
+@instruction(lambda x: types.int64(x))
+def ctz(context, builder, sig, args):
     """Count of trailing zeros of a uint32 or uint64: the index of its lowest set bit; x must not be 0."""
-
-    def codegen(context, builder, sig, args):
-        kind = args[0].type
-        f = declare(builder, f"llvm.cttz.{kind}", kind, [kind, ir.IntType(1)])
-        found = builder.call(f, [args[0], ir.Constant(ir.IntType(1), 1)])
-        return found if kind == I64 else builder.zext(found, I64)
-
-    return types.int64(x), codegen
+    kind = args[0].type
+    f = declare(builder, f"llvm.cttz.{kind}", kind, [kind, ir.IntType(1)])
+    found = builder.call(f, [args[0], ir.Constant(ir.IntType(1), 1)])
+    return found if kind == I64 else builder.zext(found, I64)
 
 
-@intrinsic
-def popcount(typingctx, x):
+@instruction(lambda x: types.uint32(types.uint32))
+def popcount(context, builder, sig, args):
     """The number of set bits of a uint32."""
-
-    def codegen(context, builder, sig, args):
-        return builder.call(declare(builder, "llvm.ctpop.i32", I32, [I32]), args)
-
-    return types.uint32(types.uint32), codegen
+    return builder.call(declare(builder, "llvm.ctpop.i32", I32, [I32]), args)
 
 
-@intrinsic
-def with_avx512(typingctx):
+@instruction(lambda: types.boolean())
+def with_avx512(context, builder, sig, args):
     """`has_avx512` as a constant of the code."""
-    return types.boolean(), lambda context, builder, sig, args: ir.Constant(
-        ir.IntType(1), int(has_avx512(context))
-    )
+    return ir.Constant(ir.IntType(1), int(has_avx512(context)))
 
 
-@intrinsic
-def put_mask(typingctx, at, index, condition):
+@instruction(lambda at, index, condition: types.none(types.int64, types.int64, condition))
+def put_mask(context, builder, sig, args):
     """Write a mask as the index-th of such masks from an address on."""
-
-    def codegen(context, builder, sig, args):
-        bits = ir.IntType(args[2].type.count)
-        at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
-        builder.store(builder.bitcast(args[2], bits), at, align=1)
-        return context.get_dummy_value()
-
-    return types.none(types.int64, types.int64, condition), codegen
+    bits = ir.IntType(args[2].type.count)
+    at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+    builder.store(builder.bitcast(args[2], bits), at, align=1)
 
 
-@intrinsic
-def put_four_masks(typingctx, at, index, a, b, c, d):
+@instruction(lambda at, index, a, b, c, d: types.none(types.int64, types.int64, a, b, c, d))
+def put_four_masks(context, builder, sig, args):
     """Write four masks one behind the other as the index-th four of such masks from an address on."""
-
-    def codegen(context, builder, sig, args):
-        parts, lanes = args[2:], args[2].type.count
-        while len(parts) > 1:
-            together = constant_lanes(range(2 * parts[0].type.count))
-            parts = [builder.shuffle_vector(*parts[k : k + 2], together) for k in range(0, len(parts), 2)]
-        bits = ir.IntType(4 * lanes)
-        at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
-        builder.store(builder.bitcast(parts[0], bits), at, align=1)
-        return context.get_dummy_value()
-
-    return types.none(types.int64, types.int64, a, b, c, d), codegen
+    bits = ir.IntType(4 * args[2].type.count)
+    at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+    builder.store(builder.bitcast(in_a_row(builder, args[2:]), bits), at, align=1)
 
 
-@intrinsic
-def two_halves(typingctx, at, low, high):
+@instruction(lambda at, low, high: vector(types.int64, types.int64, types.int64))
+def two_halves(context, builder, sig, args):
     """Sixteen words of 32 bits of low and high halves, sixteen each, from the low-th and high-th of an address on."""
-
-    def codegen(context, builder, sig, args):
-        kind = ir.VectorType(I16, LANES)
-        data = builder.inttoptr(args[0], I16.as_pointer())
-        low, high = (
-            builder.zext(
-                builder.load(builder.bitcast(builder.gep(data, [index]), kind.as_pointer()), align=2), IV
-            )
-            for index in args[1:]
+    kind = ir.VectorType(I16, LANES)
+    data = builder.inttoptr(args[0], I16.as_pointer())
+    low, high = (
+        builder.zext(
+            builder.load(builder.bitcast(builder.gep(data, [index]), kind.as_pointer()), align=2), IV
         )
-        shift = ir.Constant(IV, [ir.Constant(I32, 16)] * LANES)
-        return builder.bitcast(builder.or_(low, builder.shl(high, shift)), FV)
+        for index in args[1:]
+    )
+    shift = ir.Constant(IV, [ir.Constant(I32, 16)] * LANES)
+    return builder.bitcast(builder.or_(low, builder.shl(high, shift)), FV)
 
-    return vector(types.int64, types.int64, types.int64), codegen
 
-
-@intrinsic
-def not_empty(typingctx, at, index):
+@instruction(lambda at, index: types.uint32(types.int64, types.int64))
+def not_empty(context, builder, sig, args):
     """Return which of 32 masks of pixels, from the index-th of an address on, are not empty: a bit a mask."""
-
-    def codegen(context, builder, sig, args):
-        bits = ir.IntType(PIXELS)
-        kind = ir.VectorType(bits, 2 * LANES)
-        data = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
-        masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=1)
-        return builder.bitcast(builder.icmp_unsigned("!=", masks, ir.Constant(kind, None)), I32)
-
-    return types.uint32(types.int64, types.int64), codegen
+    bits = ir.IntType(PIXELS)
+    kind = ir.VectorType(bits, 2 * LANES)
+    data = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+    masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=1)
+    return builder.bitcast(builder.icmp_unsigned("!=", masks, ir.Constant(kind, None)), I32)
 
 
-@intrinsic
-def shifted(typingctx, words, by):
+@instruction(lambda words, by: vector(vector, types.uint32))
+def shifted(context, builder, sig, args):
     """Sixteen times 32 bits, each shifted to the left."""
-
-    def codegen(context, builder, sig, args):
-        return builder.bitcast(builder.shl(builder.bitcast(args[0], IV), as_lanes(builder, args[1])), FV)
-
-    return vector(vector, types.uint32), codegen
+    return builder.bitcast(builder.shl(builder.bitcast(args[0], IV), as_lanes(builder, args[1])), FV)
 
 
-@intrinsic
-def sign_mask(typingctx, words):
+@instruction(lambda words: types.uint32(vector))
+def sign_mask(context, builder, sig, args):
     """Mask, as an integer, of those of sixteen times 32 bits that have the highest bit set."""
-
-    def codegen(context, builder, sig, args):
-        lanes = builder.icmp_signed("<", builder.bitcast(args[0], IV), ir.Constant(IV, None))
-        return builder.zext(builder.bitcast(lanes, I16), I32)
-
-    return types.uint32(vector), codegen
+    lanes = builder.icmp_signed("<", builder.bitcast(args[0], IV), ir.Constant(IV, None))
+    return builder.zext(builder.bitcast(lanes, I16), I32)
 
 
-@intrinsic
-def put_places(typingctx, at, index, bits, base):
+@instruction(lambda at, index, bits, base: types.none(types.int64, types.int64, types.uint32, types.uint32))
+def put_places(context, builder, sig, args):
     """Write base + k for each bit k of `movemask` that is set, then zeros: sixteen uint32, from the index-th on."""
-
-    def codegen(context, builder, sig, args):
-        at, index, bits, base = args
-        chosen = builder.bitcast(builder.trunc(bits, I16), MV)
-        f = declare(builder, "llvm.experimental.vector.compress.v16i32", IV, [IV, MV, IV])
-        places = builder.call(
-            f, [builder.add(_NUMBERED, as_lanes(builder, base)), chosen, ir.Constant(IV, None)]
-        )
-        data = builder.gep(builder.inttoptr(at, I32.as_pointer()), [index])
-        builder.store(places, builder.bitcast(data, IV.as_pointer()), align=4)
-        return context.get_dummy_value()
-
-    return types.none(types.int64, types.int64, types.uint32, types.uint32), codegen
+    at, index, bits, base = args
+    chosen = builder.bitcast(builder.trunc(bits, I16), MV)
+    f = declare(builder, "llvm.experimental.vector.compress.v16i32", IV, [IV, MV, IV])
+    places = builder.call(f, [builder.add(_NUMBERED, as_lanes(builder, base)), chosen, ir.Constant(IV, None)])
+    data = builder.gep(builder.inttoptr(at, I32.as_pointer()), [index])
+    builder.store(places, builder.bitcast(data, IV.as_pointer()), align=4)
 
 
-@intrinsic
-def first_lanes(typingctx, value, count, other):
+@instruction(lambda value, count, other: vector(vector, types.int64, types.float32))
+def first_lanes(context, builder, sig, args):
     """The first `count` lanes of a vector, then those of another, or a float32."""
-
-    def codegen(context, builder, sig, args):
-        value, count, other = args
-        there = builder.icmp_unsigned("<", _NUMBERED, as_lanes(builder, builder.trunc(count, I32)))
-        return builder.select(there, value, as_lanes(builder, other))
-
-    return vector(vector, types.int64, types.float32), codegen
+    value, count, other = args
+    there = builder.icmp_unsigned("<", _NUMBERED, as_lanes(builder, builder.trunc(count, I32)))
+    return builder.select(there, value, as_lanes(builder, other))
