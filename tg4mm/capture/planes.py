@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 _LOG = logging.getLogger("tg4mm")
-_SAID: set[tuple[Path, str]] = set()
+_WARNED: set[tuple[Path, str]] = set()
 _HDR = {16: "PQ", 18: "HLG"}  # curves, as FFmpeg numbers them
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _STRAIGHT = 0.01  # of the axes, what they may be aslant
@@ -60,25 +60,25 @@ def orientation_of(frame: Any) -> Orientation:
 
 def say_what_it_is(path: Path, frame: Any) -> None:
     """A warning of each file whose pictures are not what others are."""
-    said, hdr = "", _HDR.get(int(frame.color_trc))
+    text, hdr = "", _HDR.get(int(frame.color_trc))
     if frame.interlaced_frame:
-        said = (
+        text = (
             "is interlaced: even and odd rows are of different moments, which shows as motion; film progressively, or "
             "deinterlace it"
         )
     elif hdr:
-        said = (
+        text = (
             f"is HDR ({hdr}, {frame.format.components[0].bits} bits): values stay as they are coded; this does "
             "not change motion, but colours look flat"
         )
-    say_once(path, said)
+    say_once(path, text)
 
 
-def say_once(path: Path, said: str) -> None:
+def say_once(path: Path, text: str) -> None:
     """A warning about a file, unless it is empty or was given already."""
-    if said and (path, said) not in _SAID:
-        _SAID.add((path, said))
-        _LOG.warning(f"{path}: {said}")
+    if text and (path, text) not in _WARNED:
+        _WARNED.add((path, text))
+        _LOG.warning(f"{path}: {text}")
 
 
 def upright(frame: Any, pixels: np.ndarray) -> np.ndarray:

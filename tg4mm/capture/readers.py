@@ -15,7 +15,7 @@ from tg4mm.capture.transforms import SPLITS
 from tg4mm.core.errors import CaptureError, MissingSplitError
 
 _LOG = logging.getLogger("tg4mm")
-_SAID: set[Path] = set()  # datasets whose origin has been said
+_WARNED: set[Path] = set()  # datasets whose origin has been reported
 # the first that recognises a folder reads it
 READERS = (real_captures, dataset_tree, nerf_synthetic, nerfstudio, colmap)
 
@@ -56,14 +56,14 @@ def load_capture(path: str | Path, split: str = "train", magnification: int | fl
 
 
 def _origin(reader: ModuleType, capture: Capture) -> np.ndarray:
-    """`far_origin` of the training views, which all splits share; said once where it is not 0."""
+    """`far_origin` of the training views, which all splits share; reported once where it is not 0."""
     if not _far(capture).any():
         return np.zeros(3)
     with suppress(MissingSplitError):
         capture = reader.load(capture.root, "train", 0) if capture.split != "train" else capture
     origin = _far(capture)
-    if origin.any() and capture.root not in _SAID:
-        _SAID.add(capture.root)
+    if origin.any() and capture.root not in _WARNED:
+        _WARNED.add(capture.root)
         place = ", ".join(f"{x:.10g}" for x in origin)
         _LOG.warning(
             f"{capture.root}: lies far from its origin: coordinates in results are relative to ({place}) on"

@@ -75,7 +75,7 @@ def views_of_frames(
 ) -> list[View]:
     """Frames, each with its number in the file, as views in order of file name; paths are relative to `folder`.
 
-    may_miss: less than half of the pictures may be missing, which is said.
+    may_miss: less than half of the pictures may be missing, with a warning.
 
     Raises CaptureError if a frame is no object, its path or pose is unusable, or two show one image.
     """

@@ -39,7 +39,7 @@ class WorkFolder:
     error: type[Tg4mmError] = RunError
     # a folder with matching files (glob patterns) but no record is not ours and is refused
     strangers: str = "*"
-    # of values that are too long to be shown, or say nothing: what is said where they differ, by their first name
+    # messages for differing values that are too long, or not informative, to show; by their first name
     others: Mapping[str, str] = field(default_factory=dict)
     free: tuple[str, ...] = ()  # first names of values that a later request may change
 
@@ -171,7 +171,7 @@ class Step:
     """A step: its outputs, inputs and action."""
 
     name: str
-    title: str  # as it is said
+    title: str  # in messages
     result: Path  # file or folder that is there once the step is done
     work: Callable[[], object]  # goes on by itself where a kill left it
     # JSON values that the result depends on; a function where the steps before it say which
@@ -185,8 +185,8 @@ def run_steps(folder: WorkFolder, record: Mapping[str, Any], steps: Sequence[Ste
     """Do what is left of `steps` in a folder that was claimed with `record`, whose entry `done` holds what is done.
 
     A step is done again where what it was asked for has changed, where its result is gone, and where a step that it
-    reads was done again. A folder made of other input or with other options is kept as NAME_1, NAME_2 …, and said; a
-    file is replaced.
+    reads was done again. A folder made of other input or with other options is kept as NAME_1, NAME_2 …, and reported;
+    a file is replaced.
     """
     found = (folder.read() or {}).get("done")
     done: dict[str, dict[str, Any]] = (

@@ -43,7 +43,7 @@ class LookLine:
     mark: str  # why it may be no vibration of its own; empty: it is one
     kept: float | None = None  # share of the amplitude that compression let through; None: not known
     kept_deviation: float | None = None
-    lost: str = ""  # why the true amplitude is larger than said, by more than the ±; empty: no test says so
+    lost: str = ""  # why the true amplitude is larger than this one, by more than the ±; empty: unknown
     readout_deviation_s: float | None = None
 
     def course(self, times_s: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from tg4mm.capture.tracking.template import GAIN_ERROR
 
 RIM = 0.08  # share of an amplitude that is not exact in cells that hold what is behind, too
 _INEXACT = 0.5  # of the root of the share of changes that a shift leaves
-_FALSE = 0.01  # share of the cells said to move that noise may make
+_FALSE = 0.01  # share of false detections among the cells found to move
 _FREEDOM = 50  # degrees of freedom of a cell's floor
 _SEED, _SEED_BEST, _SEED_LEAST = 0.3, 0.1, 30.0  # statistic of a seed: of its size's best, of all, at least
 _FILLED = 0.6  # share of pictures in which a seed is seen

@@ -28,7 +28,7 @@ NAMED = 3  # faults and stretches that a message lists
 OTHER_RATE = 0.01  # part of the container's frame rate that --fps must differ by to be another one
 
 _SECONDS = 0.3  # that a value is the median of
-_SAID = 0.02  # relative, of a change that is said
+_REPORTED = 0.02  # relative change from which it is reported
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def warn_bumps(surveys: Iterable[Survey]) -> None:
 
 
 def warn_clocks(surveys: Iterable[Survey], fps: float | None) -> None:
-    """A warning for each recording whose frame rate varies, or is said to be another than the container's.
+    """A warning for each recording whose frame rate varies, or is given as another than the container's.
 
     And for one that shows pictures more than once.
     """
@@ -241,7 +241,7 @@ def warn_light(surveys: Iterable[Survey]) -> None:
         found_defects = [
             f"{what} changes by {size:.2g} of it, fastest at {at:.1f} s"
             for what, (size, at) in zip(("exposure", "white balance"), found, strict=True)
-            if size > _SAID
+            if size > _REPORTED
         ]
         if found_defects:
             warnings.warn(

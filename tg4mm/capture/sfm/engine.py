@@ -51,7 +51,7 @@ def colmap(what: str) -> ModuleType:
         import pycolmap
     except ImportError as error:
         raise Tg4mmError(f"{what} needs pycolmap ({error}): {install('sfm')}") from None
-    pycolmap.logging.minloglevel = 3  # what goes wrong is said in one line of our own
+    pycolmap.logging.minloglevel = 3  # errors are reported in one line by tg4mm
     if threading.current_thread() is threading.main_thread():  # its own handler prints a trace of C++
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     return pycolmap

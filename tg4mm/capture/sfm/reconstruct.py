@@ -89,7 +89,7 @@ def reconstruct(
     check_kind(sources, config.kind)
     check_options(sources, config)
     if sources.photographs is not None or sources.sweep is not None or len(sources.clips) > 1:
-        colmap("tg4mm sfm")  # missing, it is said before minutes of decoding
+        colmap("tg4mm sfm")  # raises before minutes of decoding where it is missing
     work = open_request(out, sources, config.settings())
     done = work.finished()
     if done is not None:

@@ -77,7 +77,7 @@ def exif_turns(path: Path) -> int:
         with Image.open(path, formats=FORMATS) as image:
             return {3: 2, 6: 3, 8: 1}.get(image.getexif().get(0x0112, 1), 0)
     except DAMAGE:
-        return 0  # an EXIF block that cannot be read turns nothing; damaged pixels are said when they are decoded
+        return 0  # an unreadable EXIF block turns nothing; damaged pixels are reported when they are decoded
 
 
 def check_sizes(taken: list[Shot]) -> None:

@@ -33,7 +33,7 @@ _SMOOTHING_PX = 1.5  # standard deviation
 _LARGEST = 3.0  # what is smaller than the pictures show by more was hardly found
 _ROUNDS = 24  # of means over neighbours: a place is some hundred Gaussians
 _MOVING, _SHARE = 90.0, 0.2  # of this percentile over Gaussians: where half of the gain applies
-LACKING = 1.5  # a ratio from which it is said: what is missing is half of what was found
+LACKING = 1.5  # the ratio from which it is reported: what is missing is half of what was found
 _AT_ONCE = 4  # fields whose flow is in memory together
 
 

@@ -194,7 +194,7 @@ def check_band_told(band: Sequence[float], duration_s: float) -> None:
 def frames_of(capture: Capture) -> tuple[Clock, list[PosedFrames]]:
     """The clock of `Observations`, and the poses with their pictures; those without a time show the scene at rest.
 
-    Raises CaptureError where there are too few pictures to show motion, or cameras said to be synchronous are not.
+    Raises CaptureError where there are too few pictures to show motion, or cameras declared synchronous are not.
     """
     fixed = fixed_cameras(capture)
     if fixed:
@@ -302,7 +302,7 @@ def whole_pictures(observations: Observations, rows: np.ndarray) -> Iterator[np.
 def window_on(capture: Capture, config: MotionConfig, moves: np.ndarray | None = None) -> Window | None:
     """The window through which the pictures of fixed cameras are read; None where they are read as they are.
 
-    moves [H, W] bool: where motion may be, if someone said so.
+    moves [H, W] bool: where motion may be, if given.
     """
     cameras = fixed_cameras(capture)
     if not cameras:
