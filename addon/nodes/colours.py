@@ -15,12 +15,13 @@ STEPS = 24  # of a colour map: a Color Ramp has at most 32 colours
 
 
 def rest_colours(sh: np.ndarray) -> np.ndarray:
-    """[N, 4] linear RGBA of sh [N, K, 3]: the part that does not depend on the view.
+    """[N, 4] float32 linear RGBA of sh [N, K, 3]: the part that does not depend on the view.
 
     Spherical harmonics of [3DGS] give display-referred sRGB, 0.5 + C0·sh_0; emission needs linear light.
     """
-    rgb = to_linear(np.clip(0.5 + C0 * sh[:, 0].astype(np.float64), 0.0, 1.0))
-    return np.concatenate([rgb, np.ones((len(sh), 1))], axis=1)
+    rgba = np.ones((len(sh), 4), np.float32)
+    rgba[:, :3] = to_linear(np.float32(0.5) + np.float32(C0) * sh[:, 0])
+    return rgba
 
 
 def amplitude_map() -> np.ndarray:

@@ -39,6 +39,7 @@ def test_native_splats_are_where_the_formula_puts_them(extension, splat_path, al
     put = setter(extension, obj)
     put(names.DRAW, "Native")
     put(names.ALPHA, alpha)
+    put(names.SPEED, 1.0)
     geometry = evaluated(obj, frame)
     cloud, n, t = geometry.pointcloud, len(splat), frame - 1
     assert cloud.type == "GAUSSIAN_SPLAT"
