@@ -102,6 +102,11 @@ def test_elements_before_and_after_are_skipped(read):
         (["trbf_center", "trbf_scale", "motion_0", "omega_0"], "Spacetime Gaussians"),
         (["motion_8"], "Spacetime Gaussians"),
         (["f_offset_0", "f_anchor_feat_0"], "Scaffold-GS"),
+        (["mu_t", "cov_t"], "Gaussians that come and go"),
+        (["timestamp"], "Gaussians that come and go"),
+        (["t_start", "t_end"], "Gaussians that come and go"),
+        (["velocity_x", "velocity_y"], "Gaussians that move"),
+        (["xyz_motion_0"], "Gaussians that move"),
     ],
 )
 def test_gaussians_that_are_not_at_rest_are_refused_by_their_kind(read, names, kind):
@@ -131,6 +136,25 @@ def test_double_places_far_from_the_origin_are_shifted_before_they_are_rounded(r
     if is_far:
         start = [float(x) for x in re.search(r"from \((.*)\) on", splat.notes[0])[1].split(",")]
         np.testing.assert_allclose(splat.means + start, local + place, atol=2e-6)
+
+
+def test_positions_that_a_file_rounded_far_from_its_origin_are_said(read):
+    names = dict.fromkeys(NAMES, ("float", "<f4"))
+    data = np.zeros(9, [(name, "<f4") for name in NAMES])
+    data["rot_0"] = 1
+    for k in range(3):
+        data[f"scale_{k}"] = np.log(0.01)
+    data["x"] = 456_789
+    (note,) = read(plain_ply(names, count=9, data=data.tobytes())).notes
+    assert "rounded to 0.031, Gaussians are 0.01" in note
+    data["x"] = 400
+    assert not read(plain_ply(names, count=9, data=data.tobytes())).notes
+
+
+def test_properties_that_are_not_read_are_said(read):
+    names = [*NAMES, "nx", *(f"semantic_{k}" for k in range(7))]
+    (note,) = read(plain_ply(dict.fromkeys(names, ("float", "<f4")))).notes
+    assert note.endswith("not read: semantic_0, semantic_1, semantic_2, semantic_3, semantic_4 and 2 more")
 
 
 @pytest.mark.parametrize("comment", ["comment SplatRenderMode: mip", "comment rasterize_mode antialiased"])

@@ -27,7 +27,19 @@ _KINDS = {
     r"(t|time|scale_t|t_scale|rot_r_[0-3])": "4D Gaussian splatting, whose Gaussians live in space and time",
     r"(trbf_(center|scale)|omega_[0-3]|motion_[0-9]+)": "Spacetime Gaussians, which move along polynomials",
     r"(f_offset|f_anchor_feat)_?[0-9]+": "Scaffold-GS, whose anchors become Gaussians by neural networks beside it",
+    r"t_.*|.*_t|(.*_)?(time(stamp)?|[tT](center|scale)|lifespan|duration|birth)(_.*)?": "Gaussians that come and go",
+    r"(.*_)?(velocity|vel|motion|flow|deform(ation)?)(_.*)?": "Gaussians that move",
 }
+_IGNORED = {
+    *"xyz",
+    "nx",
+    "ny",
+    "nz",
+    *RGB,
+    "alpha",
+    *FILTER,
+}  # properties that need no note where they are not used
+_MOST_NAMED = 5  # properties
 _FINE = 0.01  # of a Gaussian's median size, that float32 must tell at its place
 DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
 
@@ -127,6 +139,10 @@ def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options)
         notes.append("Mip-Splatting's filter_3D is in the scales and opacities")
     about, m = _motion(names, about, options, notes)
     deviations = _deviations(names, m)
+    known = {*NEEDED, *rest, *_IGNORED, *deviations}
+    if others := [name for name in names if name not in known and not MODE_NAME.fullmatch(name)]:
+        more = f" and {len(others) - _MOST_NAMED} more" if len(others) > _MOST_NAMED else ""
+        notes.append(f"properties that are not read: {', '.join(others[:_MOST_NAMED])}{more}")
     modes = [name for k in range(m) for name in model.mode(k)]
     shape = (*model.POSITION, *scale, *model.OPACITY, *model.ROTATION)
     _check_floats(
@@ -226,8 +242,16 @@ def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatF
         scales, opacities = np.exp(logs), model.sigmoid(logits)
     if smooth is not None:
         scales, opacities = _smoothed(scales, opacities, smooth)
-    origin: np.ndarray = _far_origin(means, scales) if is_double else np.zeros(3, np.float32)
-    if origin.any():
+    origin = _far_origin(means, scales)
+    if origin.any() and not is_double:
+        step = float(np.spacing(np.abs(origin).max().astype(np.float32)))
+        notes = (
+            *notes,
+            f"lies far from its origin: its float positions are rounded to {step:.2g}, Gaussians are "
+            f"{np.median(scales[np.isfinite(scales)]):.2g}; export it with doubles, or nearer to the origin",
+        )
+        origin = np.zeros(3, np.float32)
+    elif origin.any():
         place = ", ".join(f"{x:.10g}" for x in origin)
         notes = (*notes, f"lies far from its origin: coordinates are from ({place}) on")
     fields: dict[str, Any] = {
