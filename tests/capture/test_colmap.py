@@ -113,8 +113,33 @@ def test_of_several_models_the_largest_is_taken_and_said(text, caplog):
     with caplog.at_level(logging.WARNING, "tg4mm"):
         check(text)
         check(text)
-    said = "sparse: holds 3 models, with pictures: 0 (1), 1 (3), 2 (1); the largest is taken"
+    said = "sparse: holds 3 models, with pictures: 0 (1), 1 (3), 2 (1); the largest, 1, is taken"
     assert caplog.text.count(said) == 1
+
+
+@pytest.mark.parametrize(
+    "place", ["sparse/model_a", "sparse/0/1", "colmap/sparse/0", "colmap/sparse", "colmap", "."]
+)
+def test_models_in_other_programs_folders(text, place):
+    folder = shutil.move(text / "sparse" / "0", text / "moved")
+    (text / "sparse").rmdir()
+    shutil.copytree(folder, text / place, dirs_exist_ok=True)
+    shutil.rmtree(folder)
+    check(text)
+
+
+def test_a_damaged_model_is_not_the_largest(text, caplog):
+    shutil.copytree(text / "sparse" / "0", text / "sparse" / "1")
+    (text / "sparse" / "0" / "images.txt").write_text("1 0 0\n")
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        check(text)
+    assert "0 (damaged), 1 (3); the largest, 1, is taken" in caplog.text
+
+
+def test_a_text_model_with_a_byte_order_mark_and_windows_line_ends(text):
+    for path in (text / "sparse" / "0").iterdir():
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    check(text)
 
 
 def test_missing_pictures_are_left_out_and_counted_unless_they_are_half(text, caplog):

@@ -162,7 +162,7 @@ def _points_bin(path: Path) -> SurfacePoints | None:
 
 def _lines(path: Path) -> Iterator[list[str]]:
     """The lines of a text file as words, comments left out, empty lines kept (an image may have no features)."""
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_text(encoding="utf-8-sig").splitlines():
         if not line.startswith("#"):
             yield line.split()
 
@@ -202,6 +202,8 @@ LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
 IMAGES, MASKS = "images", "masks"
 # where a model lies: COLMAP's mapper numbers its models, its undistorter does not
 FOLDERS = ("sparse/0", "sparse")
+# and in other programs' folders, in the order in which they are looked at
+_PLACES = ("sparse/*", "sparse", "sparse/*/*", "colmap/sparse/*", "colmap/sparse", "colmap", "")
 # Indices of the focal lengths and the principal point among the parameters; what follows bends the rays.
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
@@ -243,18 +245,29 @@ def views_of(root: Path) -> tuple[list[View], SurfacePoints | None]:
 
 
 def _model_folder(root: Path) -> Path | None:
-    """Where the model lies; of several in sparse/, which COLMAP makes of pictures that do not join, the largest."""
-    models = [f for f in sorted(root.glob("sparse/*/")) if f.name.isdigit() and _images_file(f) is not None]
-    if len(models) > 1:
-        counts = [_count(inside(root, folder, "the COLMAP model")) for folder in models]
-        best = counts.index(max(counts))
-        listed = ", ".join(f"{f.name} ({n})" for f, n in zip(models, counts, strict=True))
-        say_once(
-            root / "sparse", f"holds {len(models)} models, with pictures: {listed}; the largest is taken"
-        )
-        return models[best]
-    places = (*models, root / "sparse")
-    return next((folder for folder in places if _images_file(folder) is not None), None)
+    """Where the model lies; of several, which COLMAP makes of pictures that do not join, the largest."""
+    found = (
+        _numbered([f for f in (sorted(root.glob(p)) if p else [root]) if _images_file(f) is not None])
+        for p in _PLACES
+    )
+    models = next(filter(None, found), [])
+    if len(models) < 2:
+        return models[0] if models else None
+    counts = [_count(inside(root, folder, "the COLMAP model")) for folder in models]
+    best = models[counts.index(max(counts))]
+    listed = ", ".join(
+        f"{f.name} ({max(n, 0) or 'damaged' * (n < 0) or 0})" for f, n in zip(models, counts, strict=True)
+    )
+    say_once(
+        best.parent,
+        f"holds {len(models)} models, with pictures: {listed}; the largest, {best.name}, is taken",
+    )
+    return best
+
+
+def _numbered(models: list[Path]) -> list[Path]:
+    """Return those with numbers as names, as COLMAP gives them, if there are any: others beside them are copies."""
+    return sorted((f for f in models if f.name.isdigit()), key=lambda f: int(f.name)) or models
 
 
 def _images_file(folder: Path) -> Path | None:
@@ -263,10 +276,11 @@ def _images_file(folder: Path) -> Path | None:
 
 
 def _count(folder: Path) -> int:
-    """Return the number of pictures in a model."""
-    file = _images_file(folder)
-    assert file is not None
-    return len(_guarded(file, (_TEXT if file.suffix == ".txt" else _BINARY)[1]))
+    """Return the number of pictures in a model; −1 where it is damaged."""
+    try:
+        return len(read_model(folder).images)
+    except CaptureError:
+        return -1
 
 
 def _bends(camera: ColmapCamera) -> bool:
