@@ -188,13 +188,14 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
         stream = stream_of(container)
         stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
         log.clear()
-        frames = container.decode(stream)
+        frames = _frames(container, stream)
         while True:
             try:
-                frame = next(frames, None)
+                is_corrupt, frame = next(frames, (False, None))
             except av.FFmpegError as error:
                 raise _damaged(path, time, _duration(container, stream)) from error
-            if first is not None and any(word in text.lower() for _, _, text in log for word in DAMAGE):
+            is_corrupt = is_corrupt or any(word in text.lower() for _, _, text in log for word in DAMAGE)
+            if first is not None and is_corrupt:
                 raise _damaged(path, time, _duration(container, stream))
             log.clear()
             if frame is None:
@@ -208,13 +209,14 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
             count += 1
             if first is None:
                 first, lost_s = stamp, 0.0 if untimed else _lost_s(path, stream, stamp)
-            step, time = max(step, stamp - first - time), stamp - first
+            before, time = time, stamp - first
+            step = max(step, time - before)
             if time >= stop_s - HAIR_S:
                 return
             if time >= start_s - HAIR_S:
                 size = size or (frame.width, frame.height)
                 if size != (frame.width, frame.height):
-                    raise _resized(path, size, frame, time)
+                    raise _resized(path, size, frame, None if untimed or time < before else time, count - 1)
                 kind = int(frame.pict_type)
                 yield CodedFrame(time, kind == BETWEEN, kind == ALONE), frame
         duration = None if untimed else _duration(container, stream)
@@ -222,6 +224,13 @@ def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedF
         raise CaptureError(f"{path}: holds no frames")
     if duration is not None and lost_s + float(time + 2 * step) < duration - _LOST_S:
         raise _damaged(path, time, duration)
+
+
+def _frames(container: Any, stream: Any) -> Iterator[tuple[bool, Any]]:
+    """Frames, and whether a packet of which parts are missing was among those that made them."""
+    for packet in container.demux(stream):
+        frames = packet.decode()
+        yield from ((packet.is_corrupt, frame) for frame in frames)
 
 
 @contextmanager
@@ -328,12 +337,17 @@ def _lost_s(path: Path, stream: Any, first: Fraction) -> float:
     return lost
 
 
-def _resized(path: Path, size: tuple[int, int], frame: Any, time: Fraction) -> CaptureError:
+def _resized(
+    path: Path, size: tuple[int, int], frame: Any, time: Fraction | None, count: int
+) -> CaptureError:
+    """time: None where no time tells the parts apart; count: of the frames before."""
+    change = f"{path}: its pictures change from {size[0]}×{size[1]} to {frame.width}×{frame.height} pixels"
+    if time is None:
+        return CaptureError(
+            f"{change} after {count}; take these with ffmpeg -i {path} -frames:v {count} PART"
+        )
     last = math.floor(time * 100) / 100
-    return CaptureError(
-        f"{path}: its pictures change from {size[0]}×{size[1]} to {frame.width}×{frame.height} pixels at {last:.2f} s; "
-        f"use the part before with --until {last:.2f}"
-    )
+    return CaptureError(f"{change} at {last:.2f} s; use the part before with --until {last:.2f}")
 
 
 def _duration(container: Any, stream: Any) -> float | None:

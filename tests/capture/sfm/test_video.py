@@ -93,6 +93,32 @@ def test_a_size_that_changes_is_said_with_the_part_that_can_be_used(tmp_path):
     assert len(list(video_frames(path, start_s=1.0))) == 30
 
 
+def test_a_size_that_changes_where_no_time_tells_is_said_with_the_frames_before_it(tmp_path):
+    parts = [
+        encoded(tmp_path / f"{k}.h264", still(30, size=size), "libx264", b="1000000")
+        for k, size in enumerate([(160, 120), (80, 64)])
+    ]
+    path = tmp_path / "a.h264"
+    path.write_bytes(b"".join(part.read_bytes() for part in parts))
+    with pytest.raises(
+        CaptureError, match=r"160×120 to 80×64 pixels after 30; take these with .* -frames:v 30 PART$"
+    ):
+        list(grey_frames(path))
+
+
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
+def test_a_stream_that_lacks_a_part_is_damaged_even_where_its_decoder_conceals_it(tmp_path, codec):
+    path = encoded(tmp_path / "a.ts", still(60), codec, gop=15, b="1000000")
+    data, packet = path.read_bytes(), 188
+    middle = len(data) // packet // 2 * packet
+    path.write_bytes(data[:middle] + data[middle + 4 * packet :])
+    with pytest.raises(CaptureError, match="is damaged or cut off: decoding stops at") as refusal:
+        list(grey_frames(path))
+    until = float(str(refusal.value).split("--until ")[1].split(",")[0])
+    assert 0.5 < until < 1.5
+    assert len(list(grey_frames(path, stop_s=until))) == pytest.approx(30 * until, abs=1)
+
+
 @pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
 def test_a_stream_that_was_cut_at_its_start_gives_what_can_be_decoded(tmp_path, codec, caplog):
     whole = encoded(tmp_path / "a.ts", still(60), codec, gop=15, b="1000000")
