@@ -48,5 +48,5 @@ def _with_loss(line: LookLine, loss: Loss) -> LookLine:
         amplitude_deviation_px=deviation,
         kept=loss.gain if is_known else None,
         kept_deviation=loss.deviation if is_known else None,
-        lost=loss.why,
+        lost="; ".join(filter(None, [loss.why, line.lost])),
     )

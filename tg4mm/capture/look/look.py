@@ -9,6 +9,7 @@ from scipy import ndimage, stats
 
 from tg4mm.capture.look.baseline import BLOCK
 from tg4mm.capture.look.compression import with_losses
+from tg4mm.capture.look.conversion import conversion_of, with_conversion
 from tg4mm.capture.look.marks import marked
 from tg4mm.capture.look.model import GlobalMotion, Look, LookLine, MovingRegion, Tone
 from tg4mm.capture.look.peaks import CHANCE
@@ -94,10 +95,13 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
         if moved.any() and still.sum() > _LEAST_STILL * scene.usable.sum():
             scene = against_background(scene, still, all_still=True)
             search = Search(scene)
+    converted = conversion_of(scene, search.lines[0].vibration.hz) if search.lines else None
     lines = [one for line in search.lines for one in _lines(search, line)]
+    patterns = (*scene.patterns, converted.period) if converted else scene.patterns
     lines = marked(
-        lines, 1 / scene.dt, scene.duration, scene.patterns, scene.taken_off, scene.light, _clipped(series)
+        lines, 1 / scene.dt, scene.duration, patterns, scene.taken_off, scene.light, _clipped(series)
     )
+    lines = with_conversion(lines, converted)
     first = {line.hz: line for line in reversed(lines)}
     lines = [line for line in lines if line is first[line.hz] or not (line.mark or first[line.hz].mark)]
     swings = tuple(swings_of(scene))
@@ -105,7 +109,9 @@ def look_at(series: CellSeries, regions: Sequence[Region] = ()) -> Look:
     found = _result(
         scene, search, swings, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px))
     )
-    return replace(found, regions=region_looks(scene, regions))
+    return replace(
+        found, regions=region_looks(scene, regions), conversion=converted.words if converted else ""
+    )
 
 
 def _clipped(series: CellSeries) -> np.ndarray:

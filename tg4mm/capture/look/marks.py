@@ -98,7 +98,7 @@ def _mark(
             if _is_there(line, other) and any(
                 near(image, other) for image in images(other.hz, rate, patterns)
             ):
-                return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
+                return f"image of {other.hz:.3f} Hz by a pattern of pictures, of the codec or a conversion"
     for other in others:
         if line.amplitude_px < _INEXACT * other.amplitude_px and _is_there(line, other):
             return f"under {100 * _INEXACT:.2g} % of {other.hz:.3f} Hz: the error of its shift may make it"

@@ -114,6 +114,9 @@ class Found:
     light_readout: Readout | None = field(default=None, kw_only=True)  # by lamps that flicker
     swings: tuple[GlobalMotion, ...] = field(default=(), kw_only=True)
     rows_s: float = field(default=0.0, kw_only=True)  # the readout that phases take into account
+    conversion: str = field(
+        default="", kw_only=True
+    )  # from another frame rate, in words; empty: none is recognised
 
     @property
     def vibrations(self) -> tuple[LookLine, ...]:

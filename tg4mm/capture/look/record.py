@@ -30,6 +30,7 @@ def to_record(found: Found) -> dict[str, Any]:
         "light_readout": None if found.light_readout is None else asdict(found.light_readout),
         "swings": [asdict(swing) for swing in found.swings],
         "rows_s": found.rows_s,
+        "conversion": found.conversion,
     }
 
 
@@ -64,6 +65,7 @@ def from_record(values: Mapping[str, Any]) -> Found:
             for v in values.get("swings", [])
         ),
         rows_s=values.get("rows_s", 0.0),
+        conversion=values.get("conversion", ""),
     )
 
 

@@ -21,6 +21,11 @@ _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
 _FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
+_PULLDOWNS = (5, 25)  # frames after which one repeats; half of them, at most, are of two pictures
+_COMBED, _STRAY = (
+    12,
+    0.1,
+)  # frames in which something seems to pass that tell; of a phase's usual number, that is none
 PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
 _REGULAR = 0.7  # share of key frames that must be equally far apart
 _LONGEST_PATTERN = 1 / 8  # of the pictures: images of a line by a longer one are everywhere
@@ -198,9 +203,24 @@ def find_masks(series: CellSeries, edges: np.ndarray | None = None) -> Masks:
     unlike &= _is_most(grid, np.maximum(series.misfit - typical, 0), np.maximum(series.change - typical, 0))
     clustered = ndimage.uniform_filter(grid.picture(unlike).astype(float), (1, 3, 3), mode="nearest")
     passed = unlike & (clustered > _CLUSTER).reshape(unlike.shape) & quiet
+    passed &= ~_combed(passed)[:, None]
     hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
     hidden |= ~np.isfinite(series.shift).all(2)
     return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
+
+
+def _combed(passed: np.ndarray) -> np.ndarray:
+    """[F] bool: frames of two pictures' fields, by a pulldown, where something seems to pass [F, C] in these alone.
+
+    What moves is combed in them. What passes does so in frames of any number.
+    """
+    frames, out = np.flatnonzero(passed.any(1)), np.zeros(len(passed), bool)
+    for period in _PULLDOWNS:
+        counts = np.bincount(frames % period, minlength=period)
+        mixed = counts > _STRAY * len(frames) / period
+        if len(frames) >= max(_COMBED, period) and mixed.sum() <= period // 2 and not counts[~mixed].any():
+            out |= np.resize(mixed, len(out))
+    return out
 
 
 def _is_most(grid: Grid, left: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -101,7 +101,8 @@ class Words:
     def besides(self) -> list[tuple[str, str]]:
         """(what, words): everything but the lines and the next command."""
         f = self.found
-        out = [("moves by itself", _mover(m)) for m in f.movers[:_MOST_MOVERS]]
+        out = [("pictures", f.conversion)] if f.conversion else []
+        out += [("moves by itself", _mover(m)) for m in f.movers[:_MOST_MOVERS]]
         if more := len(f.movers) - _MOST_MOVERS:
             out += [("", f"{more} more places")] if more > 0 else []
         out += [

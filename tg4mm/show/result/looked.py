@@ -107,6 +107,8 @@ def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
         for line in found.vibrations
         if line.lost
     ]
+    if found.conversion:
+        out.append(f"what happened between pictures: {found.conversion}")
     if found.light:
         named = ", ".join(f"{tone.hz:.4g} Hz ({tone.amplitude:.2g} of it)" for tone in found.light)
         out.append(f"faint vibrations at the frequencies of the light: it flickers at {named}")
