@@ -61,6 +61,19 @@ def test_every_form_of_dataset_58(tmp_path, data_type, even, binary):
     assert a.rate == pytest.approx(1024, rel=1e-4)
 
 
+def test_a_file_is_known_by_its_content_and_may_be_big_endian(tmp_path):
+    data = write(tmp_path / "a.uff", binary=1).read_bytes()
+    at = data.index(b"58b     1     2")
+    head, begin = data[at : at + 80].replace(b"58b     1", b"58b     2", 1), at
+    for _ in range(12):
+        begin = data.index(b"\n", begin) + 1
+    end = begin + 8 * len(TIMES)
+    swapped = np.frombuffer(data[begin:end], "<f8").astype(">f8").tobytes()
+    path = tmp_path / "a.txt"
+    path.write_bytes(data[:at] + head + data[at + 80 : begin] + swapped + data[end:])
+    np.testing.assert_allclose(read_channels(path)[0].values, 1000 * VALUES, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("kind", "unit", "factor", "expected", "scale"),
     [

@@ -16,7 +16,7 @@ from tg4mm.core.lines import Line, find_lines
 from tg4mm.core.untrusted import read_json
 from tg4mm.show.analyse.clock import FEWEST, TIME_UNITS, timed
 from tg4mm.show.analyse.tables import AnalyseError, read_table
-from tg4mm.show.analyse.universal import SUFFIXES, waveforms
+from tg4mm.show.analyse.universal import is_universal, waveforms
 
 G = 9806.65  # mm/s²
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, OTHER = (
@@ -91,8 +91,10 @@ def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     """
     if not path.exists():
         raise AnalyseError(f"{path} does not exist")
-    read = _of_uff if path.suffix.lower() in SUFFIXES else _of_csv
-    found = read(path) if path.is_file() else _of_folder(path, bool(names))
+    if path.is_file():
+        found = _of_uff(path) if is_universal(path) else _of_csv(path)
+    else:
+        found = _of_folder(path, bool(names))
     by_name = {c.name: c for c in found}
     for name in names:
         if name not in by_name:
@@ -216,7 +218,11 @@ def _of_uff(path: Path) -> list[Channel]:
         told = _UNITS.get("m" if one.unit == "metres" else _plain_unit(one.unit))
         if told is None and one.unit in ("", "NONE") and kind != OTHER:
             told = (kind, "N", 1.0) if kind == FORCE else (kind, "mm", 1e3 * one.metres)
-        quantity, base, factor = told or (kind, "units" if kind in ORDER else one.unit or "1", 1.0)
+        quantity, base, factor = told or (
+            kind,
+            "units" if kind in ORDER else one.unit.replace("NONE", "") or "1",
+            1.0,
+        )
         times, values = _even(one.times_s, one.values, f"{path}: {one.name}")
         sure = deviations.get(one.name)
         noise = float("nan") if sure is None else float(np.sqrt((sure**2).mean())) * factor

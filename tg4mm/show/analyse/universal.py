@@ -9,10 +9,10 @@ import numpy as np
 
 from tg4mm.show.analyse.tables import MOST_BYTES, AnalyseError
 
-SUFFIXES = (".uff", ".unv")
 _MARK = re.compile(rb"(?m)^ {4}-1[ \t]*\r?$\n?")
 _END = re.compile(rb"\r?\n? {4}-1[ \t]*\r?\n?")  # after binary numbers
 _HEAD = 11  # lines of dataset 58 before its numbers
+_ORDERS = {"1": "<", "2": ">"}  # of bytes, in numpy's marks
 _TIME = 17  # the abscissa's specific data type
 _SINGLE, _DOUBLE = 2, 4  # data types
 _WIDTHS = {
@@ -22,6 +22,12 @@ _WIDTHS = {
     (_DOUBLE, False): (13, 20),
 }
 _DEVIATION = "standard deviation"  # what tg4mm writes of a waveform beside it
+
+
+def is_universal(path: Path) -> bool:
+    """Return whether a file begins as universal files do."""
+    with path.open("rb") as file:
+        return _MARK.match(file.read(1 << 8).lstrip(b"\r\n")) is not None
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,9 @@ def _sets(data: bytes) -> Iterator[tuple[str, list[str], bytes]]:
         ends = [m.end() for m in re.finditer(rb"\n", rest)][:_HEAD]
         start = begin + (ends[-1] if len(ends) == _HEAD and number.startswith("58") else 0)
         if number == "58b":
-            if words[1:3] != ["1", "2"]:
-                raise ValueError(f"its numbers are of the kind {words[1:3]}; expected little-endian IEEE 754")
+            if words[1] not in _ORDERS or words[2] != "2":
+                raise ValueError(f"its numbers are of the kind {words[1:3]}; expected IEEE 754 ([1 or 2, 2])")
+            number += _ORDERS[words[1]]
             stop = start + int(words[4])
             end = _END.match(data, stop)
         elif number == "-1":  # an end without a beginning, as some writers leave
@@ -88,10 +95,10 @@ def _waveform(number: str, lines: list[str], content: bytes, metres: float) -> W
     if int(lines[7][:10]) != _TIME or data_type not in (_SINGLE, _DOUBLE):
         return None
     is_even = spacing == 1
-    if number == "58b":
+    if number.startswith("58b"):
         if not is_even and data_type == _DOUBLE:
             raise ValueError("uneven binary functions of double precision are not read")
-        numbers = np.frombuffer(content, "<f4" if data_type == _SINGLE else "<f8").astype(float)
+        numbers = np.frombuffer(content, number[-1] + ("f4" if data_type == _SINGLE else "f8")).astype(float)
     else:
         numbers = np.array(list(_numbers(content.decode("latin-1"), _WIDTHS[data_type, is_even])))
     if len(numbers) != count * (1 if is_even else 2) or not np.isfinite(numbers).all():
