@@ -42,6 +42,8 @@ def test_a_video_becomes_numbers_pages_and_a_magnified_video(video, tmp_path, ca
     assert min(abs(hz - HZ) for hz in strongest) < 0.05
     assert sum(p.is_file() for p in out.rglob("*") if out / "dataset" not in p.parents) <= 40
     assert [p.name for p in (out / "magnified").iterdir()] == ["render.json"]
+    levels = (out / "measured" / "analysis" / "levels.csv").read_text(encoding="utf-8")
+    assert re.search(r"velocity,px/s,.*,rms,[0-9.]+,[0-9.]+\n", levels)
     said, progress = capsys.readouterr()
     first, *steps, hz, amplitude, where, missing, opens = said.splitlines()
     costs = "about 2 min of processor time and 0.6 GB"

@@ -23,6 +23,9 @@ from tg4mm.core.work_folder import Say, Step, WorkFolder, run_steps
 from tg4mm.fit.motion.observations import check_band_told, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
+from tg4mm.show.analyse.channel import AnalyseError
+from tg4mm.show.analyse.results import analyse
+from tg4mm.show.analyse.write import write_analysis
 from tg4mm.show.measure import Measurement, Sensor, measure, prepare
 from tg4mm.show.measure.locate import check_pixel, check_sensors
 from tg4mm.show.measure.plots import PLOTS
@@ -53,7 +56,7 @@ _LEAST_GB, _MORE_GB, _ALL_MP = (
     150.0,
 )  # in any case; where all pictures have so many megapixels, so much more
 _NAMED = 2  # vibrations
-RECORD = "process.json"
+RECORD, ANALYSIS = "process.json", "analysis"
 ORBIT = 90  # pictures
 LARGEST_PAGE = 10_000_000  # bytes
 _AROUND = 0.5  # of a region's own size, that its video shows around it
@@ -300,7 +303,19 @@ def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> list[M
         found = measure(prepare(run), sensors or None, band=options.band, scale=scale)
         plots = PLOTS if options.all_files else PLOTS[:1]
         write_measurement(found, out, animate=not options.quick, plots=plots)
+        _analyse(out, options.all_files, say)
     return [found]
+
+
+def _analyse(measured: Path, all_files: bool, say: Say) -> None:
+    """Write levels of displacement, velocity and acceleration, and spectra, into MEASURED/analysis."""
+    out = measured / ANALYSIS
+    try:
+        found = analyse(measured)
+        out.mkdir(exist_ok=True)
+        write_analysis(found, out, plots=all_files)
+    except AnalyseError as error:
+        say(f"no {out}: {error}")
 
 
 def _shown(run: Run, out: Path, options: ProcessOptions) -> Shown | None:

@@ -37,8 +37,8 @@ def format_analysis(found: Analysis) -> str:
     return "\n".join(part for part in parts if part)
 
 
-def write_analysis(found: Analysis, out: Path) -> None:
-    """Write OUT/analysis.json with everything, a CSV file for each quantity that has rows, and plots."""
+def write_analysis(found: Analysis, out: Path, plots: bool = True) -> None:
+    """Write OUT/analysis.json with everything, a CSV file for each quantity that has rows, and plots if wanted."""
     content = {
         "format": "tg4mm", "kind": "analysis", "version": 1, "program": f"tg4mm {__version__}",
         "averaging": _plain(found.record.averaging), "deviations": "one standard deviation; null: none is stated",
@@ -49,7 +49,8 @@ def write_analysis(found: Analysis, out: Path) -> None:
         if quantity.file:
             rows = [row for result in found[quantity.name] for row in quantity.rows(result)]
             _write_csv(out / quantity.file, quantity.columns, rows)
-    _write_plots(found, out / "plots")
+    if plots:
+        _write_plots(found, out / "plots")
 
 
 def _plain(value: Any) -> Any:
