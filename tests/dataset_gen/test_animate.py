@@ -41,12 +41,8 @@ def scene():
     plate = m.revolve([(0.0, 0.55), (0.3, 0.55), (0.3, 0.6), (0.0, 0.6)], 16)
     still = m.revolve([(0.0, -0.7), (0.4, -0.7), (0.4, -0.6), (0.0, -0.6)], 16)
     parts = [("rod", rod, 1.0), ("plate", plate, 1.0), ("foot", still, 0.0)]
-    return Scene(
-        "test",
-        tuple(Part(name, mesh, paint, np.full(len(mesh.vertices), f)) for name, mesh, f in parts),
-        (),
-        Gradient(((0.5, 0.5, 0.5), (0.6, 0.6, 0.6))),
-    )
+    made = tuple(Part(name, mesh, paint, np.full(len(mesh.vertices), f)) for name, mesh, f in parts)
+    return Scene("test", made, (), Gradient(((0.5, 0.5, 0.5), (0.6, 0.6, 0.6))))
 
 
 def solved(description=None, fps=FPS):
@@ -95,9 +91,8 @@ def test_a_reopened_file_moves_as_the_motion_says(saved, alpha):
 def test_it_plays_without_scripts(saved):
     assert not bpy.app.autoexec_fail
     drivers = [f.driver for key in bpy.data.shape_keys for f in key.animation_data.drivers]
-    assert (
-        len(drivers) == 10
-    )  # sway: the rod; ripple: 2 a part; hum: 1 of the rod, 2 of the plate; sag: 1 a part
+    # Sway: the rod; ripple: 2 a part; hum: 1 of the rod, 2 of the plate; sag: 1 a part.
+    assert len(drivers) == 10
     assert all(d.is_valid and d.is_simple_expression for d in drivers)
     assert all(len(d.expression) < 256 for d in drivers)
 

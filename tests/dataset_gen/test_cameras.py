@@ -125,9 +125,8 @@ SWEEP = CameraSetup("sweep", views=12, test_views=3)
 CLIPS = CameraSetup("clips", views=5, test_views=3)
 FLAT = CameraSetup("flat")
 HELD = CameraSetup("handheld", test_views=4, n_timesteps=120, fps=30.0, seed=5)
-GIVEN = CameraSetup(
-    "given", test_views=0, given=tuple(c.numbered(i) for i, c in enumerate(train_cameras(9)[4:7]))
-)
+SOME_CAMERAS = tuple(camera.numbered(i) for i, camera in enumerate(train_cameras(9)[4:7]))
+GIVEN = CameraSetup("given", test_views=0, given=SOME_CAMERAS)
 EVERY = (CameraSetup(), RIG, SWEEP, HELD, CLIPS, FLAT, GIVEN)
 
 
@@ -211,19 +210,14 @@ def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
         np.testing.assert_allclose(capture.viewmats[i], view, atol=1e-9)
         focal, (cx, cy) = camera.focal(24), camera.principal_point(24, 16)
         np.testing.assert_allclose(capture.Ks[i], [[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
-    assert (
-        len(set(capture.camera_ids.tolist()))
-        == {"rig": 9, "sweep": 13, "handheld": 3, "clips": 5, "flat": 1}[setup.kind]
-    )
+    count = {"rig": 9, "sweep": 13, "handheld": 3, "clips": 5, "flat": 1}[setup.kind]
+    assert len(set(capture.camera_ids.tolist())) == count
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"kind": "drone"},
-            r"--cameras 'drone' is not one of orbit, rig, sweep, handheld, clips, flat, given",
-        ),
+        ({"kind": "drone"}, r"'drone' is not one of orbit, rig, sweep, handheld, clips, flat, given"),
         ({"clock_offset_s": -1.0}, r"--clock-offsets -1.0 is not in 0 … 10000 seconds"),
         ({"kind": "sweep", "clock_offset_s": 0.1}, r"--clock-offsets 0.1: with --cameras sweep no two"),
         ({"views": True}, r"--views True"),

@@ -83,9 +83,8 @@ def test_timesteps_of_one_state_are_one_file_and_others_are_not(made):
 
 
 def test_resuming_renders_only_what_is_missing(made):
-    before = {
-        name: os.stat(made / name).st_mtime_ns for name in files(made) if name.endswith((".png", ".exr"))
-    }
+    pictures = [name for name in files(made) if name.endswith((".png", ".exr"))]
+    before = {name: os.stat(made / name).st_mtime_ns for name in pictures}
     whole = (made / "001/train/r_001.png").read_bytes()
     for t in (1, 2):  # one state of one view
         (made / f"{t:03d}/train/r_001.png").unlink()

@@ -107,11 +107,8 @@ def test_only_what_should_move_moves(name):
 )
 def test_parts_that_touch_move_together(name, reach, share):
     spatial = pytest.importorskip("scipy.spatial")
-    group = [
-        part
-        for part in built(name).parts
-        if not part.name.endswith("_right") and part.name not in ("crumbs", "drops")
-    ]
+    apart = ("_right", "crumbs", "drops")
+    group = [part for part in built(name).parts if not part.name.endswith(apart)]
     owner = np.repeat(np.arange(len(group)), [len(part.mesh.vertices) for part in group])
     points = np.concatenate([part.mesh.vertices for part in group])
     moves = np.concatenate([first(name)[part.name] for part in group])

@@ -11,10 +11,8 @@ from tests.dataset_gen.builtin import open_edges, volume
 
 
 def test_a_sheet_round_an_axis_is_a_sphere():
-    height, turn = (
-        np.linspace(-np.pi / 2, np.pi / 2, 60)[:, None],
-        np.linspace(0, 2 * np.pi, 80, endpoint=False),
-    )
+    height = np.linspace(-np.pi / 2, np.pi / 2, 60)[:, None]
+    turn = np.linspace(0, 2 * np.pi, 80, endpoint=False)
     flat = np.cos(height)
     flat[[0, -1]] = 0.0
     points = np.stack(np.broadcast_arrays(flat * np.cos(turn), flat * np.sin(turn), np.sin(height)), -1)

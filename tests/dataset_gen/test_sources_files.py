@@ -75,9 +75,8 @@ def test_what_is_read_is_what_was_written(tmp_path):
         assert np.array_equal(body.vertices, wanted.vertices)
         assert np.array_equal(body.triangles, wanted.triangles)
         assert np.array_equal(body.follow, wanted.follow)
-        assert {k: v.tolist() for k, v in body.groups.items()} == {
-            k: v.tolist() for k, v in wanted.groups.items()
-        }
+        groups, expected = ({k: v.tolist() for k, v in own.groups.items()} for own in (body, wanted))
+        assert groups == expected
     assert os.listdir(tmp_path) == ["found.npz"]
 
 

@@ -28,6 +28,11 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
 )
 
 
+def plain(tree):
+    """A colour for `emission`."""
+    return tree.nodes.new("ShaderNodeRGB").outputs[0]
+
+
 def test_objects_of_a_linked_library_are_taken_and_a_lost_library_is_named(tmp_path):
     new_scene()
     obj = link("bolt", tetrahedron())
@@ -97,13 +102,11 @@ def test_opening_is_the_same_in_every_process(tmp_path):
         "content = b''.join(b.name.encode() + b.vertices.tobytes() for b in loaded.bodies)\n"
         "print('digest', hashlib.sha256(content).hexdigest())"
     )
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(2)
-    ]
-    digests = [[line for line in run.splitlines() if line.startswith("digest")] for run in runs]
+    digests = []
+    for _ in range(2):
+        words = [sys.executable, "-c", program, str(path)]
+        said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+        digests.append([line for line in said.splitlines() if line.startswith("digest")])
     assert digests[0]
     assert digests[0] == digests[1]
 
@@ -118,14 +121,8 @@ def test_instances_of_collections_and_of_faces_are_realised(tmp_path):
     for i in range(2):
         empty = link(f"place {i}", None, matrix=Matrix.Translation((4 * i, 0, 1)))
         empty.instance_type, empty.instance_collection = "COLLECTION", group
-    emitter = link(
-        "emitter",
-        mesh_of(
-            "quads",
-            [(0, 8, 0), (1, 8, 0), (1, 9, 0), (0, 9, 0), (3, 8, 0), (3, 9, 0)],
-            [(0, 1, 2, 3), (1, 4, 5, 2)],
-        ),
-    )
+    corners = [(0, 8, 0), (1, 8, 0), (1, 9, 0), (0, 9, 0), (3, 8, 0), (3, 9, 0)]
+    emitter = link("emitter", mesh_of("quads", corners, [(0, 1, 2, 3), (1, 4, 5, 2)]))
     emitter.instance_type = "FACES"
     emitter.show_instancer_for_render = False
     leaf = link("leaf", tetrahedron("leaf", 0.1))
@@ -144,17 +141,11 @@ def test_instances_made_by_geometry_nodes_are_realised(tmp_path):
     for direction in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     nodes = tree.nodes
-    kinds = (
-        "GeometryNodeMeshCube",
-        "GeometryNodeInstanceOnPoints",
-        "NodeGroupOutput",
-        "GeometryNodeSetMaterial",
-    )
-    cube, place, out, paint = (nodes.new(kind) for kind in kinds)
+    kinds = ("MeshCube", "InstanceOnPoints", "SetMaterial")
+    cube, place, paint = (nodes.new(f"GeometryNode{kind}") for kind in kinds)
+    out = nodes.new("NodeGroupOutput")
     tree.links.new(nodes.new("NodeGroupInput").outputs[0], place.inputs["Points"])
-    paint.inputs["Material"].default_value = emission(
-        "gold", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]
-    )
+    paint.inputs["Material"].default_value = emission("gold", plain)
     tree.links.new(cube.outputs["Mesh"], paint.inputs["Geometry"])
     tree.links.new(paint.outputs["Geometry"], place.inputs["Instance"])
     tree.links.new(place.outputs["Instances"], out.inputs[0])
@@ -221,13 +212,11 @@ def test_uv_maps_colours_smoothness_and_slots_are_kept(tmp_path):
     colour.data.foreach_set("color", np.arange(16, dtype=np.float32) / 16)
     mesh.polygons.foreach_set("use_smooth", [True, False, True, False])
     for name in ("wood", "steel"):
-        mesh.materials.append(emission(name, lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]))
+        mesh.materials.append(emission(name, plain))
     mesh.polygons.foreach_set("material_index", [0, 1, 1, 0])
     obj = link("part", mesh, matrix=ODD)
     obj.material_slots[1].link = "OBJECT"
-    obj.material_slots[1].material = emission(
-        "brass", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]
-    )
+    obj.material_slots[1].material = emission("brass", plain)
     found = open_blend(save(tmp_path)).stage.objects[0].data
     got = np.empty(24, np.float32)
     found.uv_layers["map"].data.foreach_get("uv", got)
@@ -288,10 +277,7 @@ def test_render_settings_compositor_and_sequencer_do_not_reach_the_picture(tmp_p
     link("part", mesh)
     files = compositor_that_blackens(scene)
     (tmp_path / "written").mkdir()
-    if FIVE:
-        files.directory = str(tmp_path / "written")
-    else:
-        files.base_path = str(tmp_path / "written")
+    setattr(files, "directory" if FIVE else "base_path", str(tmp_path / "written"))
     render_settings = scene.render
     render_settings.resolution_percentage, render_settings.pixel_aspect_x = 25, 2.0
     render_settings.use_border = render_settings.use_crop_to_border = True
@@ -386,14 +372,8 @@ def test_materials_that_truth_sees_otherwise_are_named(tmp_path):
     output = tree.get_output_node("CYCLES")
     tree.links.remove(output.inputs["Surface"].links[0])
     tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], output.inputs["Volume"])
-    materials = [
-        principled("leaf", Alpha=0.5),
-        principled("glass", Transmission_Weight=1.0),
-        displaced,
-        smoke,
-        principled("stone"),
-    ]
-    for i, material in enumerate(materials):
+    clear = principled("leaf", Alpha=0.5), principled("glass", Transmission_Weight=1.0)
+    for i, material in enumerate((*clear, displaced, smoke, principled("stone"))):
         mesh = tetrahedron()
         mesh.materials.append(material)
         link(material.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))

@@ -59,12 +59,8 @@ def test_every_kind_reads_and_comes_back_the_same():
     assert [m.kind for m in again.modes][1:] == [kind for kind in EVERY_KIND if kind != "bending"]
     first = again.modes[0]
     assert first.law == Vibration(5.0, 1.5)
-    assert (first.phase, first.phases, first.parts, first.magnified) == (
-        -30.0,
-        (("leaf_*", 40.0),),
-        ("a", "b*"),
-        False,
-    )
+    assert (first.phase, first.phases) == (-30.0, (("leaf_*", 40.0),))
+    assert (first.parts, first.magnified) == (("a", "b*"), False)
     assert again.modes[-1].law == Ramp()
     assert again.modes[-1].amplitude == 0.1
     assert again.modes[6].field.region == Region((0.0, 0.0, 0.0), 2.0)
@@ -80,11 +76,7 @@ def test_every_kind_reads_and_comes_back_the_same():
         ("m.yaml", "modes:\n - {name: a, name: b}", "key 'name' is there twice"),
         ("m.yaml", "1: 2", "key 1 is not text"),
         ("m.yaml", "modes: &x [*x]", "is not YAML: found unconstructable recursive node"),
-        (
-            "m.yaml",
-            "modes: !!python/object:os.system {}",
-            "line 1 has the tag tag:yaml.org,2002:python/object:os.system",
-        ),
+        ("m.yaml", "modes: !!python/object:os.system {}", "has the tag tag:yaml.org,2002:python/object:os"),
         ("m.yaml", "modes: [{frequency: !!bool foo}]", "line 1 has the tag tag:yaml.org,2002:bool"),
         ("m.yaml", "[" * 60000, "is nested more than 64 deep"),
         ("m.yaml", "# " + "x" * (64 << 10), "has more than 65536 bytes"),
@@ -162,11 +154,7 @@ def test_a_broken_frame_is_one_line(data, expected):
         ("plate", {"size": [1]}, "size: [1] is not a list of 2 numbers"),
         ("wave", {"polarisation": "up"}, "polarisation: 'up' is neither three numbers nor 'rayleigh'"),
         ("wave", {"direction": [1, 0, 1]}, "direction (1.0, 0.0, 1.0) of a Rayleigh wave must lie in the"),
-        (
-            "wave",
-            {"region": {"centre": [0, 0, 0]}},
-            "region: {'centre': [0, 0, 0]} is not of the form {centre",
-        ),
+        ("wave", {"region": {"centre": [0, 0, 0]}}, "region: {'centre': [0, 0, 0]} is not of the form {"),
     ],
 )
 def test_every_mistake_in_a_mode_is_one_line_with_mode_key_and_value(kind, change, expected):

@@ -34,9 +34,6 @@ def derivative(f, x, h=1e-3, order=2):
     return sum(w * f(x + k * h) for k, w in zip(range(-2, 3), weights[0], strict=True)) / h ** weights[1]
 
 
-# Rigid kinds.
-
-
 @pytest.mark.parametrize(
     "field", [Rock((0.1, 0.2, 0.3), (1.0, 2.0, -1.0)), Twist((0.1, 0.2, 0.3), (1.0, 2.0, -1.0))]
 )
@@ -49,9 +46,6 @@ def test_rocking_is_rigid_and_leaves_the_axis_alone(field):
     off = np.array([[0.1, 0.2, 0.3]]) + np.array([2.0, -1.0, 0.0]) / np.sqrt(5)
     np.testing.assert_allclose(field(off), np.cross(axis, off - [0.1, 0.2, 0.3]), atol=1e-15)
     assert np.linalg.norm(field(off)) == pytest.approx(1.0)
-
-
-# Beams.
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -92,9 +86,6 @@ def test_what_stands_on_a_beam_turns_rigidly_and_sections_stay_plane():
     np.testing.assert_allclose(stretch(field, high), 0.0, atol=1e-12)
     section = beyond + 0.4 * LENGTH * AXIS
     np.testing.assert_allclose(stretch(field, section), 0.0, atol=1e-12)
-
-
-# Membranes and plates.
 
 
 @pytest.mark.parametrize("nodes", [(0, 1), (1, 1), (2, 2), (0, 3)])
@@ -156,9 +147,6 @@ def test_thickness_ends_the_reach_along_the_normal_smoothly(field):
     np.testing.assert_array_equal(height[4:], 0.0)
 
 
-# Waves.
-
-
 def test_a_wave_travels_along_its_direction_at_frequency_times_wavelength():
     field = Wave((3.0, 4.0, 0.0), 0.5, (0.0, 0.0, 1.0))
     where, frequency, seconds = points(), 5.0, 0.013
@@ -208,12 +196,6 @@ def test_a_rayleigh_wave_leaves_the_surface_free_of_traction():
     # λ = μ for Poisson's ratio 1/4.
     assert abs(down[0] + along[2]) < 1e-5 * scale
     assert abs(along[0] + 3 * down[2]) < 1e-5 * scale
-
-
-# Soft bodies and groups.
-
-
-# Helpers.
 
 
 def test_phases_at_quarter_turns_are_exact():
