@@ -56,15 +56,9 @@ def test_the_other_tables_are_of_results_too():
         ]},
         "seconds": {"space": 19.0, "motion": 16.0, "total": 35.0}, "rows": {}, "ways": ["modal"], "preset": "modal",
     }  # fmt: skip
-    lines = [
-        {
-            "set": run["set"],
-            "row": row,
-            "alphas": {"20": {"ssim": 0.952, "lpips": 0.05}},
-            "frames_per_s": 158.2,
-        }
-        for row in ("nothing moves", "modal", "linear-2d", "ceiling")
-    ]
+    scores = {"alphas": {"20": {"ssim": 0.952, "lpips": 0.05}}, "frames_per_s": 158.2}
+    rows = ("nothing moves", "modal", "linear-2d", "ceiling")
+    lines = [{"set": run["set"], "row": row, **scores} for row in rows]
     groups = {run["set"]: "all"}
     results = {
         "sets": [{"label": run["set"], "width": 256}],

@@ -35,9 +35,8 @@ def test_every_module_of_the_core_imports_without_blender_and_every_benchmark_wi
 
 
 def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root):
-    done = run_without(
-        ["torch", "bpy", "numba", "flip_evaluator"], "import dataset_gen.report.page", repo_root
-    )
+    lacking = ["torch", "bpy", "numba", "flip_evaluator"]
+    done = run_without(lacking, "import dataset_gen.report.page", repo_root)
     assert done.returncode == 0, done.stderr
 
 

@@ -64,9 +64,8 @@ def test_own_video(repo_root, tmp_path, monkeypatch, figures):
     x, y = np.meshgrid(2 * np.pi * np.arange(96) / 96, 2 * np.pi * np.arange(72) / 72)
     rng = np.random.default_rng(0)
     waves = [(*rng.integers(-12, 13, 2), *rng.uniform(0, 2 * np.pi, 3)) for _ in range(30)]
-    part = np.exp(
-        -((x - 3) ** 2 + (y - 3) ** 2) / 2
-    )  # of the picture; all of it would be a camera that shakes
+    # Of the picture; all of it would be a camera that shakes.
+    part = np.exp(-((x - 3) ** 2 + (y - 3) ** 2) / 2)
     frames = []
     for k in range(n):
         shift = pixels * np.sin(2 * np.pi * HZ * k / fps) * 2 * np.pi / 96 * part

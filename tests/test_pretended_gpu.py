@@ -56,11 +56,8 @@ _WAITS = (
     _aten.bincount.default,
 )
 _BY_INDEX = (_aten.index.Tensor, _aten.index_put_.default)  # by a mask they wait, too
-_WITHOUT_SCALARS = (
-    _aten.cat.default,
-    _aten.stack.default,
-    _aten.copy_.default,
-)  # others take a number of the CPU's
+# Others take a number of the CPU's.
+_WITHOUT_SCALARS = (_aten.cat.default, _aten.stack.default, _aten.copy_.default)
 
 
 @cache
@@ -297,9 +294,7 @@ def assert_same_steps(found: Steps, expected: Steps) -> None:
             bound = LATER if k else FIRST
             assert_close(f"step {k + 1}, gradient by {name}", a[name], b[name].cpu(), bound)
         sure = certain([squares[name] for squares in expected.squares])
-        assert sure.double().mean() > LEAST, (
-            f"{name}: too many gradients hang on rounding to compare the rest"
-        )
+        assert sure.double().mean() > LEAST, f"{name}: too many gradients hang on rounding"
         moved, wanted = ((steps.end[name] - steps.start[name]).cpu() for steps in (found, expected))
         assert_close(f"change of {name}", moved * sure, wanted * sure, MOVED)
 
@@ -372,9 +367,8 @@ def test_the_motion_stage(made, tmp_path, gpu):
         found.append(torch.view_as_real(torch.from_numpy(motion.displacement)))
         crossed.append(counted(gpu))
     assert_close("displacement", found[0], found[1], 1e-2)
-    solved = 2 * int(
-        Run.open(tmp_path / f"{NAME}8").log()["motion"]["components"]
-    )  # by two halves of the cameras
+    # By two halves of the cameras.
+    solved = 2 * int(Run.open(tmp_path / f"{NAME}8").log()["motion"]["components"])
     assert crossed[1] == {}
     sums = 2 * 4 * solved  # two of every step of conjugate gradients
     assert crossed[2] == crossed[0] | {"down": crossed[0]["down"] + sums}

@@ -87,9 +87,8 @@ def write_truth(folder):
     rng = np.random.default_rng(5)
     side = np.linspace(-0.7, 0.7, 24)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
-    means = np.stack(
-        [x, y, rng.uniform(-0.02, 0.02, len(x))], 1
-    )  # uneven: the order in depth is no matter of rounding
+    # Uneven: the order in depth is no matter of rounding.
+    means = np.stack([x, y, rng.uniform(-0.02, 0.02, len(x))], 1)
     first, second = np.zeros_like(means), np.zeros_like(means)
     first[:, 1] = 0.01 * np.exp(-(x**2 + y**2) / 0.1) * (x**2 + y**2 < 0.25)
     second[:, 2] = 0.02 * np.clip(-x - 0.4, 0, None)
@@ -117,12 +116,8 @@ def write_tripod(folder, truth, world):
         frames = []
         for name, pose in places.items():
             moved = np.linalg.inv(world.viewmat_of(np.array(pose))) @ np.diag([1.0, -1.0, -1.0, 1.0])
-            record = {
-                "file_path": f"./train/{name}.png",
-                "transform_matrix": moved.tolist(),
-                "w": SIZE,
-                "h": SIZE,
-            }
+            record = {"file_path": f"./train/{name}.png", "transform_matrix": moved.tolist()}
+            record |= {"w": SIZE, "h": SIZE}
             record |= {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
             frames.append(record | ({"time": t / FPS} if name == "cam_00" else {}))
             file = folder / f"{t:03d}" / "train" / f"{name}.png"

@@ -37,9 +37,8 @@ def test_kernels_are_turned_and_named(tmp_path):
     given, out = tree(), tmp_path / "alex.safetensors"
     assert main(["lpips_weights", str(package(tmp_path / "p.tar.gz", given)), str(out)]) == 0
     weights = load_lpips(out)
-    np.testing.assert_array_equal(
-        weights.weights[1].numpy(), given["AlexNet_0"]["Conv_1"]["kernel"].transpose(3, 2, 0, 1)
-    )
+    kernel = given["AlexNet_0"]["Conv_1"]["kernel"]
+    np.testing.assert_array_equal(weights.weights[1].numpy(), kernel.transpose(3, 2, 0, 1))
 
 
 @pytest.mark.parametrize(

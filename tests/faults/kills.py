@@ -156,9 +156,7 @@ class Trial:
         """What is there now. Raises AssertionError for a file that is lost or not whole."""
         found = contents(folder)
         for path, data in found.items():
-            if any(
-                fnmatch(path, pattern) for pattern in (self.command.passing if passing is None else passing)
-            ):
+            if any(fnmatch(path, p) for p in (self.command.passing if passing is None else passing)):
                 continue
             if path not in self.expected or (path not in self.varying and data != self.expected[path]):
                 size = len(data)
@@ -183,9 +181,8 @@ def _content(file):
 
 def main():
     """Prints what was done; ends with an AssertionError where something was lost."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--kills", type=int, default=10, help="at random moments (10)")
     parser.add_argument("--renames", type=int, default=0, help="kills after a rename, at most (0)")
     parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next folder's (1)")

@@ -103,11 +103,7 @@ def _claim(root):
 
 def _farm(root):
     text = (root / "config.json").read_text(encoding="utf-8", errors="replace")
-    with (
-        patch("sys.stdin", io.StringIO(text)),
-        patch("sys.stdout", io.StringIO()),
-        patch("sys.stderr", io.StringIO()),
-    ):
+    with patch.multiple("sys", stdin=io.StringIO(text), stdout=io.StringIO(), stderr=io.StringIO()):
         assert sets.main() in (0, 2)
 
 

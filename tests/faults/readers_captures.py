@@ -58,16 +58,8 @@ def _nerfstudio(root):
     write_folder(root)
     values = json.loads((root / "transforms_train.json").read_text())
     (root / "transforms_train.json").unlink()
-    values |= {
-        "camera_model": "OPENCV",
-        "k1": 0.0,
-        "fl_x": 20.0,
-        "fl_y": 20.0,
-        "cx": 6,
-        "cy": 4,
-        "w": 12,
-        "h": 8,
-    }
+    values |= {"camera_model": "OPENCV", "k1": 0.0, "fl_x": 20.0, "fl_y": 20.0, "cx": 6, "cy": 4}
+    values |= {"w": 12, "h": 8}
     values |= {"train_filenames": [f["file_path"] for f in values["frames"]], "ply_file_path": "p.ply"}
     (root / "transforms.json").write_text(json.dumps(values))
     _ply(root, "p.ply")

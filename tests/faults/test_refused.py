@@ -12,16 +12,8 @@ from tests.cli.test_program import refused, tg4mm
 
 # kills after a rename, and the step between two
 RENAMES = {"train": ("40", "1"), "train-paper-tuned": ("40", "5")}
-COMMANDS = (
-    *RENAMES,
-    "render",
-    "measure",
-    "sfm",
-    "sfm-photographs",
-    "generate",
-    "export-usd",
-    "convert-colmap",
-)
+OTHERS = "render measure sfm sfm-photographs generate export-usd convert-colmap"
+COMMANDS = (*RENAMES, *OTHERS.split())
 
 
 def pictures(folder, size):

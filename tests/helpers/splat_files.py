@@ -64,9 +64,8 @@ def _compressed(path: Path, splat: SplatFile) -> None:
     import gsply
 
     columns = stored(splat)
-    parts = [
-        np.stack([columns[f"{name}_{i}"] for i in range(n)], 1) for name, n in (("scale", 3), ("rot", 4))
-    ]
+    counts = {"scale": 3, "rot": 4}
+    parts = [np.stack([columns[f"{name}_{i}"] for i in range(n)], 1) for name, n in counts.items()]
     rest = None if splat.sh.shape[1] == 1 else splat.sh[:, 1:]
     data = gsply.compress_to_bytes(
         gsply.GSData(splat.means, *parts, columns["opacity"], splat.sh[:, 0], rest)
@@ -121,9 +120,8 @@ def spz_4(head: bytes, sections: list[bytes], extensions: bytes = b"") -> bytes:
 
     packed = [(zstandard.ZstdCompressor().compress(s), len(s)) for s in sections if s]
     table = b"".join(struct.pack("<QQ", len(data), size) for data, size in packed)
-    long = (
-        head[:14] + bytes([2 if extensions else 0, len(packed)]) + struct.pack("<I12x", 32 + len(extensions))
-    )
+    flags = bytes([2 if extensions else 0, len(packed)])
+    long = head[:14] + flags + struct.pack("<I12x", 32 + len(extensions))
     return long + extensions + table + b"".join(data for data, _ in packed)
 
 

@@ -76,9 +76,8 @@ def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run):
     raw = bytearray(file.read_bytes())
     raw[-5] ^= 0x40  # an exponent: 299 becomes 1e21
     file.write_bytes(raw)
-    with refused(
-        "is damaged or edited: its content is not what was written; delete it to start the motion stage again"
-    ):
+    said = "is damaged or edited: its content is not what was written; delete it to start the motion stage"
+    with refused(said):
         run.load_checkpoint("motion")
 
 

@@ -61,9 +61,8 @@ class TestResults:
             written, read = getattr(motion, name), getattr(back, name)
             np.testing.assert_allclose(read, written, atol=1e-6 * np.abs(written).max())
         one = motion.selected(np.arange(15) == 0)
-        assert (run.path / "motion.safetensors").stat().st_size < 1.2 * (
-            one.displacement.nbytes + one.rotation.nbytes
-        )
+        size = (run.path / "motion.safetensors").stat().st_size
+        assert size < 1.2 * (one.displacement.nbytes + one.rotation.nbytes)
 
     @pytest.mark.parametrize(
         ("fields", "series", "message"),
@@ -221,18 +220,15 @@ class TestLog:
         run.record("space", {"seconds": 2.0, "peak_memory_mib": 300.0, "psnr": 20.0})
         Run.open(run.path).record("space", {"seconds": 3.5, "peak_memory_mib": 200.0, "psnr": 25.0})
         run.record("motion", {"seconds": 1})
-        assert run.log() == {
-            "space": {"seconds": 5.5, "peak_memory_mib": 300.0, "psnr": 25.0},
-            "motion": {"seconds": 1.0},
-        }
+        space = {"seconds": 5.5, "peak_memory_mib": 300.0, "psnr": 25.0}
+        assert run.log() == {"space": space, "motion": {"seconds": 1.0}}
 
 
 @contextmanager
 def held(run):
     """Another process that holds the run."""
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(run)], stdout=subprocess.PIPE, text=True
-    ) as process:
+    words = [sys.executable, "-c", HOLD, str(run)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout.readline() == "held\n"
             yield process

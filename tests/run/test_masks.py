@@ -53,9 +53,8 @@ def error(run, root):
     """The error of the left half of a view, against the picture before it was painted."""
     capture = load_capture(root)
     shown = render_image(Run.open(run).load_space(), capture.viewmats[0], capture.Ks[0], SIZE, SIZE)
-    picture = (
-        np.array(Image.open(root.parent / "000" / "train" / f"{names(root)[0]}.png").convert("RGBA")) / 255
-    )
+    path = root.parent / "000" / "train" / f"{names(root)[0]}.png"
+    picture = np.array(Image.open(path).convert("RGBA")) / 255
     original = picture[..., :3] * picture[..., 3:] + 1 - picture[..., 3:]
     return float(np.abs(np.asarray(shown)[..., :3] - original)[:, :16].mean())
 
@@ -83,9 +82,8 @@ def test_what_a_mask_leaves_out_is_not_fitted(still, tmp_path):
 def test_motion_is_where_it_may_be(tmp_path, capsys):
     """A post sways and a ball goes to and fro before one camera; only where the post is may anything move."""
     root = tmp_path / "data"
-    true, _ = make_synthetic_dataset(
-        root, n_views=1, n_timesteps=24, size=SIZE, freqs=(3.0, 7.5), amplitude=0.03, alphas=()
-    )
+    scene = {"n_views": 1, "n_timesteps": 24, "size": SIZE, "freqs": (3.0, 7.5), "amplitude": 0.03}
+    true, _ = make_synthetic_dataset(root, **scene, alphas=())
     write(tmp_path / "nothing.png", np.zeros((SIZE, SIZE), bool))
     write(tmp_path / "small.png", np.ones((8, 9), bool))
     for option, text, message in (

@@ -80,14 +80,13 @@ class TestSettings:
 
 class TestRequests:
     @pytest.mark.parametrize(
-        "wrong",
-        [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "cloud"}],
+        "wrong", ["space.seed=-1", "motion.tolerance=5", "motion.seed=-1", "space.init=cloud"]
     )
     def test_settings_out_of_range_leave_no_run_behind(self, wrong, data, tmp_path):
         """Else the folder would be bound to the bad value, and the right one refused. And no minutes are lost."""
-        (name,) = wrong
-        with one_line(f"setting {name} is {wrong[name]}"):
-            train(data, tmp_path / "run", settings=SETTINGS | wrong)
+        name, value = wrong.split("=")
+        with one_line(f"setting {name} is {value}"):
+            train(data, tmp_path / "run", settings=SETTINGS | {name: value})
         assert not (tmp_path / "run").exists()
 
     @pytest.mark.parametrize(("n_timesteps", "is_refused"), [(2, True), (5, True), (6, False)])
@@ -174,9 +173,8 @@ def same_results(one, other):
 def test_pictures_that_stay_on_disk_give_the_same_bits(data, trained, tmp_path, monkeypatch):
     """As those of long captures do, which memory would not hold."""
     monkeypatch.setattr("tg4mm.capture.pictures.IN_MEMORY", 0)
-    monkeypatch.setattr(
-        "tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded")
-    )
+    whole = "tg4mm.capture.pictures.load_images"
+    monkeypatch.setattr(whole, lambda _: pytest.fail("all pictures were loaded"))
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 
 

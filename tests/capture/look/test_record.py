@@ -40,10 +40,8 @@ def test_a_large_line_of_one_cell_is_marked_and_a_small_one_or_one_of_two_cells_
 
 def test_what_the_record_does_not_tell_from_what_is_taken_off_is_marked():
     line = replace(found().lines[0], hz=7.4)
-    assert (
-        "the codec's turns at 7.5 Hz"
-        in marked([line], 30.0, 6.0, taken_off={7.5: "the codec's turns at"})[0].mark
-    )
+    (own,) = marked([line], 30.0, 6.0, taken_off={7.5: "the codec's turns at"})
+    assert "the codec's turns at 7.5 Hz" in own.mark
     assert not marked([line], 30.0, 6.0, taken_off={7.7: "the codec's turns at"})[0].mark
 
 
@@ -73,9 +71,8 @@ def test_what_light_makes_seem_to_move_is_marked_and_what_moves_by_more_at_its_f
         uncertain = replace(line, amplitude_px=0.012, amplitude_deviation_px=deviation)
         assert bool(marked([uncertain], 30.0, 6.0, light=[lamp], clipped=clear)[0].mark) == marked_so
     large = replace(line, amplitude_px=0.05, amplitude_deviation_px=0.03)
-    assert not marked([large], 30.0, 6.0, light=[lamp], clipped=clear)[
-        0
-    ].mark  # uncertain, but far above the light
+    # Uncertain, but far above the light.
+    assert not marked([large], 30.0, 6.0, light=[lamp], clipped=clear)[0].mark
 
 
 def test_an_image_by_the_codec_is_where_its_line_is():

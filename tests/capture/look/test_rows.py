@@ -22,10 +22,8 @@ def swaying(readout_s):
     for top in range(0, HEIGHT, 16):
         rng, delay = np.random.default_rng(4), readout_s * ((top + 8) / HEIGHT - 0.5)
         wall, post = (texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0)) for _ in range(2))
-        mode = Mode(
-            np.broadcast_to([0.15, 0.05], (HEIGHT, WIDTH, 2)),
-            lambda t, d=delay: float(np.cos(2 * np.pi * HZ * (t + d))),
-        )
+        shape = np.broadcast_to([0.15, 0.05], (HEIGHT, WIDTH, 2))
+        mode = Mode(shape, lambda t, d=delay: float(np.cos(2 * np.pi * HZ * (t + d))))
         film = Film([Layer(wall, None, [], 0.6), Layer(post, POST, [mode], 0.6)], FPS, FRAMES, 3.0, seed=4)
         films.append(film.pictures())
     for k, parts in enumerate(zip(*films, strict=True)):

@@ -161,8 +161,7 @@ def _bad(name, path):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["no video", "cut off", "spoilt", "black", "knocked", "five frames", "one frame", "no overlap"],
+    "name", ["no video", "cut off", "spoilt", "black", "knocked", "five frames", "one frame", "no overlap"]
 )
 def test_a_bad_recording_is_one_line_and_nothing_else(tmp_path, capsys, name):
     path, said = _bad(name, tmp_path / "a.mp4")

@@ -246,10 +246,8 @@ class TestExactly:
         images = np.zeros((1, 2, 9, 9, 3), np.float32)
         images[0, 1] = np.sqrt(2.0)
         images[0, 0] = 100.0
-        targets = TargetImages(
-            np.zeros((2, 8)), np.zeros(8), images, np.full((1, 9, 9), 6.0, np.float32), 5, images[:, 0]
-        )
-        np.testing.assert_allclose(
-            pixel_noise(targets, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
-        )
+        left = np.full((1, 9, 9), 6.0, np.float32)
+        targets = TargetImages(np.zeros((2, 8)), np.zeros(8), images, left, 5, images[:, 0])
+        found = pixel_noise(targets, np.array([False, True]))
+        np.testing.assert_allclose(found, (6 + 2) / (3 + 1), rtol=1e-5)
         np.testing.assert_allclose(pixel_noise(targets, np.array([False, False])), 6 / 3, rtol=1e-5)

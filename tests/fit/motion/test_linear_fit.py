@@ -27,9 +27,8 @@ def pictures(seed):
 
 
 def fit(images, config=LONG, weight=LOOSE, mixing=None):
-    targets = TargetImages(
-        np.eye(3, 10), np.ones(10), images, np.zeros((2, *problem().size[::-1]), np.float32), 3, images[:, 0]
-    )
+    left = np.zeros((2, *problem().size[::-1]), np.float32)
+    targets = TargetImages(np.eye(3, 10), np.ones(10), images, left, 3, images[:, 0])
     whole = replace(problem(config.ridge), mixing=mixing)
     hyper = Hyperparameters(np.array([False, mixing is None, False]), weight)
     return LinearFit(whole, targets, hyper, FOLDS, config, no_checkpoint)

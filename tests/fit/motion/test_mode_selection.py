@@ -94,13 +94,9 @@ def test_of_few_modes_a_peak_has_more_power_than_all_noise():
 def test_what_the_compression_repeats_is_said(hz, is_said):
     """Frames of a period of four at 30 Hz; two seconds, so that frequencies are half a hertz apart."""
     compressed = replace(observed(30.0, 60), codec_period=4)
-    assert (
-        any("repetition of the video's compression" in n for n in frequency_notes([hz], compressed))
-        == is_said
-    )
-    assert not any(
-        "repetition of the video's compression" in n for n in frequency_notes([hz], observed(30.0, 60))
-    )
+    said = "repetition of the video's compression"
+    assert any(said in note for note in frequency_notes([hz], compressed)) == is_said
+    assert not any(said in note for note in frequency_notes([hz], observed(30.0, 60)))
 
 
 def test_modes_under_the_noise_are_empty():
@@ -118,10 +114,8 @@ def test_weak_modes_that_add_up_stay():
     assert 0 < dropped <= 0.15**2 < dropped + 0.1**2 / 2
     stray = np.full(200, 0.15)
     stray[0] = 100.0  # seen by no camera, perhaps
-    assert (
-        worth_keeping(of_amplitudes([1.0, *[0.1] * 8], list(range(1, 10)), 200), stray).tolist()
-        == kept.tolist()
-    )
+    motion = of_amplitudes([1.0, *[0.1] * 8], list(range(1, 10)), 200)
+    assert worth_keeping(motion, stray).tolist() == kept.tolist()
 
 
 def test_without_known_noise_only_rounding_is_dropped():

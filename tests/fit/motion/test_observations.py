@@ -100,9 +100,8 @@ class TestClock:
         times = np.arange(20) * STEP
         capture = captured([0] * 20 + [1] * 19, [*range(20), *range(19)], [*times, *times[:-1]], "rig")
         assert frames_of(capture)[0] == "independent"
-        with pytest.raises(
-            CaptureError, match=r"cameras are synchronous, but their times differ .* 20, .* 19\)"
-        ):
+        said = r"cameras are synchronous, but their times differ .* 20, .* 19\)"
+        with pytest.raises(CaptureError, match=said):
             frames_of(replace(capture, clocks="synchronous"))
 
     def test_a_camera_with_few_pictures_is_left_out_by_name(self):
@@ -177,9 +176,8 @@ def test_what_averaging_costs_is_told_by_the_texture(fineness, loss):
     n, height, width = 12, 160, 160
     cells = rng.uniform(60, 190, (int(height / fineness) + 2, int(width / fineness) + 2))
     y, x = (np.arange(s) / fineness for s in (height, width))
-    rest = map_coordinates(
-        cells, np.meshgrid(y, x, indexing="ij"), order=3 if fineness > 1 else 0, mode="nearest"
-    )
+    places, order = np.meshgrid(y, x, indexing="ij"), 3 if fineness > 1 else 0
+    rest = map_coordinates(cells, places, order=order, mode="nearest")
     data = np.full((n, height, width, 4), 255, np.uint8)
     data[..., :3] = (rest[None, ..., None] + rng.normal(0, 4, (n, height, width, 3))).round().clip(0, 255)
     capture, images = capture_of([0] * n, list(range(n)), data)
@@ -227,9 +225,8 @@ def test_rows_that_are_read_one_after_another_show_what_all_at_once_would(hz):
     phase = np.angle(by_rows[0] + 1j * by_rows[1])
     assert np.ptp(phase) < 0.1 * np.ptp(2 * np.pi * hz * late)
     np.testing.assert_allclose(np.hypot(*by_rows), 1, atol=0.05)
-    assert np.ptp(np.angle(at_once[0] + 1j * at_once[1])) == pytest.approx(
-        2 * np.pi * hz * np.ptp(late), rel=0.1
-    )
+    phases = np.angle(at_once[0] + 1j * at_once[1])
+    assert np.ptp(phases) == pytest.approx(2 * np.pi * hz * np.ptp(late), rel=0.1)
     part = project(frames(readout), height, slice(4, 9), strip[:, 4:9], functions)[..., 0, 0]
     np.testing.assert_allclose(part, by_rows[:, 4:9], atol=1e-6)
 

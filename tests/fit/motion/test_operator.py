@@ -174,9 +174,8 @@ def test_projecting_out_is_least_squares_with_the_nuisance_beside_the_motion():
     prior = np.kron((o.smoothness_weight * o.graph.stiffness.astype(np.float64)).toarray(), np.eye(3))
     values, vectors = np.linalg.eigh(o.scale * (prior + o.ridge * np.eye(len(prior))))
     both = np.hstack([np.sqrt(np.maximum(values, 0))[:, None] * vectors.T, np.zeros((len(prior), 24))])
-    answer = np.linalg.lstsq(
-        np.vstack([*rows, both]), np.concatenate([*right, np.zeros(len(prior))]), rcond=None
-    )
+    wanted = np.concatenate([*right, np.zeros(len(prior))])
+    answer = np.linalg.lstsq(np.vstack([*rows, both]), wanted, rcond=None)
     x = answer[0][: len(prior)].reshape(1, -1, 3)
     b = o.right_hand_sides([p[:1] for p in pictures])
     left = in_unknowns(o, Dense(o).product(np.repeat(x, FIELDS, 0)))[:1] - b
@@ -253,9 +252,8 @@ def check_device(kind, where, tolerance):
     x = ours.gradient_fields(theta)
     same("gradients", other.gradient_fields(there), x)
     same("prior", other.prior_products(x), ours.prior_products(x))
-    assert other.misfit(ours.fields(theta), pictures) == pytest.approx(
-        ours.misfit(ours.fields(theta), pictures), rel=100 * tolerance
-    )
+    misfit = ours.misfit(ours.fields(theta), pictures)
+    assert other.misfit(ours.fields(theta), pictures) == pytest.approx(misfit, rel=100 * tolerance)
 
 
 @pytest.mark.parametrize("kind", KINDS)

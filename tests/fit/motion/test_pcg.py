@@ -117,9 +117,8 @@ def plain(o):
     blocks = np.tile(np.eye(ROWS, dtype=np.float32), (n, 1, 1))
     nothing = bsr_matrix((ROWS * n, ROWS), blocksize=(ROWS, ROWS), dtype=np.float32)
     aggregates = Aggregates(o.graph, nothing, np.zeros_like(blocks))
-    return replace(
-        o, preconditioner=TwoLevelPreconditioner(blocks, aggregates, np.eye(ROWS, dtype=np.float32))
-    )
+    own = TwoLevelPreconditioner(blocks, aggregates, np.eye(ROWS, dtype=np.float32))
+    return replace(o, preconditioner=own)
 
 
 def solved(o, iterations):

@@ -226,9 +226,8 @@ def _made(root):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "_modes", unequal)
-        run, true = synthetic.exact_run(
-            root, n_views=6, n_timesteps=30, size=64, freqs=(LARGE_HZ, SMALL_HZ), amplitude=0.12, detail=2
-        )
+        scene = {"n_views": 6, "n_timesteps": 30, "size": 64, "amplitude": 0.12, "detail": 2}
+        run, true = synthetic.exact_run(root, **scene, freqs=(LARGE_HZ, SMALL_HZ))
     return run, true
 
 

@@ -101,9 +101,8 @@ def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen):
         assert 0.05 < share < 0.6  # the rest is along the sight, along edges, or cancels within a block
     twice = [replace(c, K=np.diag([2, 2, 1]).astype(np.float32) @ c.K) for c in seen.cameras]
     larger = replace(seen, cameras=twice, views=_views(seen.gaussians, twice, 2 * SIZE))
-    ratio = np.average(larger.left(larger.shows((0.01, 0, 0))), weights=weights) / np.average(
-        seen.left(seen.shows((0.01, 0, 0))), weights=weights
-    )
+    left = (np.average(own.left(own.shows((0.01, 0, 0))), weights=weights) for own in (larger, seen))
+    ratio = next(left) / next(left)
     assert 0.5 < ratio < 2  # a block is a smaller part of what it shows
 
 
@@ -113,9 +112,8 @@ def test_it_goes_by_the_square_and_noise_counts_little(seen):
     np.testing.assert_allclose(twice, 4 * once, rtol=1e-4)
     assert not seen.left([0 * pictures for pictures in left]).any()
     rng = np.random.default_rng(1)
-    noise = [
-        rng.choice([-1, 1], p.shape).astype(np.float32) * p for p in left
-    ]  # of the same power everywhere
+    # Of the same power everywhere.
+    noise = [rng.choice([-1, 1], p.shape).astype(np.float32) * p for p in left]
     weights = seen.weights()
     assert (weights * seen.left(noise)).sum() < 0.35 * (weights * once).sum()
     np.testing.assert_allclose(seen.left([np.concatenate([p, p]) for p in left]), 2 * once, rtol=1e-4)

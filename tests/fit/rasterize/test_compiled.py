@@ -41,14 +41,8 @@ def outcome(folder):
     """What the kernel says in a fresh process, how often it came from the cache, and how many lines were logged."""
     path = f"{folder}{os.pathsep}{Path(__file__).resolve().parents[3]}"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path}
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
-        env=environment,
-        cwd=folder,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
+    place = {"env": environment, "cwd": folder}
+    done = subprocess.run([sys.executable, "-c", SCRIPT], **place, check=True, capture_output=True, text=True)
     value, hits = done.stdout.split()
     lines = done.stderr.splitlines()
     assert all(line.startswith("compiling kernels for this processor, once: ") for line in lines)
@@ -79,9 +73,8 @@ def compared(cache, processor):
     root = Path(__file__).resolve().parents[3]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CPU")} | processor
     environment |= {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(root)}
-    done = subprocess.run(
-        [sys.executable, "-c", PROCESSORS_SCRIPT], env=environment, cwd=root, capture_output=True, text=True
-    )
+    command, place = [sys.executable, "-c", PROCESSORS_SCRIPT], {"env": environment, "cwd": root}
+    done = subprocess.run(command, **place, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return [int(x) for x in done.stdout.split()]
 

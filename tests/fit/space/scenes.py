@@ -34,9 +34,8 @@ def rays(viewmat, K, size):
     x, y = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
     cam = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
     directions = cam @ viewmat[:3, :3]
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions / np.linalg.norm(
-        directions, axis=-1, keepdims=True
-    )
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions
 
 
 def capsule_mask(viewmat, K, size, ends, radius):

@@ -91,9 +91,8 @@ class TestHull:
 
 class TestChoice:
     def test_auto_takes_the_first_that_is_there(self, ball):
-        given = SurfacePoints(
-            rng().uniform(-1, 1, (50, 3)).astype(np.float32), np.full((50, 3), 51, np.uint8)
-        )
+        places = rng().uniform(-1, 1, (50, 3)).astype(np.float32)
+        given = SurfacePoints(places, np.full((50, 3), 51, np.uint8))
         opaque = views_of(ball.viewmats, intrinsics(16), np.ones((len(ball.viewmats), 16, 16)))
         assert initial_points(ball, given, "auto", 100, rng()).source == "points"
         assert initial_points(ball, None, "auto", 100, rng()).source == "hull"

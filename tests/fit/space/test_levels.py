@@ -60,9 +60,8 @@ def test_pixels_that_are_seen_keep_their_place(turn):
 
 def test_levels_that_leave_no_picture_are_refused():
     check_levels(2, (48, 32))
-    with pytest.raises(
-        Tg4mmError, match=r"\Asetting space.levels is 3: pictures of 48×32 would be 12×8 at the"
-    ):
+    said = r"\Asetting space.levels is 3: pictures of 48×32 would be 12×8 at the"
+    with pytest.raises(Tg4mmError, match=said):
         check_levels(3, (48, 32))
 
 

@@ -124,9 +124,8 @@ def test_the_run_holds_the_plane_and_its_figures(tmp_path):
     shown = render_image(saved, VIEWMAT, camera(96, 64), 96, 64)
     assert log["psnr_train"] == pytest.approx(-10 * np.log10(((shown - picture) ** 2).mean()), abs=0.01)
     assert log["seconds"] > 0
-    again = train_plane(
-        Run.create(tmp_path / "again", tmp_path, "modal", {}), views_of(picture), SpaceConfig()
-    )
+    other = Run.create(tmp_path / "again", tmp_path, "modal", {})
+    again = train_plane(other, views_of(picture), SpaceConfig())
     assert torch.equal(again.sh, gaussians.sh)
     few = SpaceConfig(max_gaussians=50)
     assert len(train_plane(Run.create(tmp_path / "few", tmp_path, "modal", {}), views_of(picture), few)) <= 50

@@ -326,14 +326,8 @@ def test_true_displacements_have_no_error_and_their_double_has_all(pointed, tmp_
     ("change", "message"),
     [
         (lambda d: {"displacements": d}, "holds displacements; expected displacement alone"),
-        (
-            lambda d: {"displacement": d[:, 1:]},
-            r"has shape \(6, \d+, 3\), expected \(6, \d+, 3\)",
-        ),
-        (
-            lambda d: {"displacement": d.astype(int)},
-            "has type int64, expected finite floating-point numbers",
-        ),
+        (lambda d: {"displacement": d[:, 1:]}, r"has shape \(6, \d+, 3\), expected \(6, \d+, 3\)"),
+        (lambda d: {"displacement": d.astype(int)}, "has type int64, expected finite floating-point numbers"),
         (lambda d: {"displacement": d * np.nan}, "expected finite floating-point numbers"),
     ],
 )

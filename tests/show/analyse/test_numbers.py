@@ -81,9 +81,8 @@ def test_a_sine_has_its_rms_crest_factor_and_decibels_in_every_quantity():
         assert found.db_reference == f"{reference:g} mm{('', '/s', '/s²')[order]}"
     assert found.rms_g.value == pytest.approx(0.1 * omega**2 / np.sqrt(2) / 9806.65, rel=2e-3)
     acceleration = channel(-0.1 * omega**2 * np.cos(omega * T), RATE, quantity="acceleration")
-    assert levels_of(acceleration, "displacement", (2, 20)).rms.value == pytest.approx(
-        0.1 / np.sqrt(2), rel=5e-3
-    )
+    levels = levels_of(acceleration, "displacement", (2, 20))
+    assert levels.rms.value == pytest.approx(0.1 / np.sqrt(2), rel=5e-3)
     with pytest.raises(AnalyseError, match="begins above 0 Hz"):
         levels_of(acceleration, "velocity", (0, 20))
 
@@ -105,13 +104,8 @@ def test_a_density_lies_in_its_interval_in_95_records_of_100():
 
 def test_zones_are_those_of_the_class_and_say_what_is_not_covered():
     times, omega = np.arange(4000) / 4000, 2 * np.pi * 50
-    for rms, machine, zone in (
-        (1.0, "I", "B"),
-        (1.0, "III", "A"),
-        (5.0, "II", "C"),
-        (8.0, "II", "D"),
-        (1.8, "I", "B or C"),
-    ):
+    known = (1.0, "I", "B"), (1.0, "III", "A"), (5.0, "II", "C"), (8.0, "II", "D"), (1.8, "I", "B or C")
+    for rms, machine, zone in known:
         size = rms * np.sqrt(2) / omega
         found = zone_of(channel(size * np.cos(omega * times), 4000, 1e-4), machine)
         assert (found.zone, found.notes) == (zone, ())
@@ -152,9 +146,8 @@ def forced(seed, noise):
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.normal(size=40 * 120), 8)
     moved = driven(force, 960.0)
-    return channel(moved[::16], RATE, noise * moved.std(), seed), channel(
-        force, 960.0, quantity="force", base="N", name="f"
-    )
+    own = channel(moved[::16], RATE, noise * moved.std(), seed)
+    return own, channel(force, 960.0, quantity="force", base="N", name="f")
 
 
 def test_a_transfer_function_is_that_of_the_mass_within_its_deviation():
@@ -187,9 +180,8 @@ def test_operational_modes_of_two_masses_scatter_by_their_deviations():
     for seed in range(10):
         pytest.importorskip("pyoma2", reason="the extra `modal` is not installed")
         values, hz, ratios, shapes = two_masses(3000, RATE, seed)
-        found = operational(
-            [channel(v, RATE, 0.02, seed + k, name=str(k)) for k, v in enumerate(values.T)], (1, 20)
-        )
+        both = [channel(v, RATE, 0.02, seed + k, name=str(k)) for k, v in enumerate(values.T)]
+        found = operational(both, (1, 20))
         assert len(found.modes) >= 2
         for k in (0, 1):
             mode = min(found.modes, key=lambda m: abs(m.frequency_hz.value - hz[k]))
@@ -203,10 +195,8 @@ def test_operational_modes_of_two_masses_scatter_by_their_deviations():
 
 
 def test_a_region_ahead_of_another_has_its_phase():
-    a, b = (
-        channel(tones(T), RATE, 0.02, 1),
-        channel(2 * np.cos(2 * np.pi * 3.3 * T + 1.0), RATE, 0.02, 2, name="b"),
-    )
+    a = channel(tones(T), RATE, 0.02, 1)
+    b = channel(2 * np.cos(2 * np.pi * 3.3 * T + 1.0), RATE, 0.02, 2, name="b")
     found = phases_of([a, b], a)
     strongest = next(p for p in found if abs(p.frequency_hz.value - 3.3) < 0.05)
     assert strongest.phase.value == pytest.approx(0.6, abs=4 * strongest.phase.deviation)
@@ -264,9 +254,8 @@ def test_modes_of_a_free_decay_are_those_of_the_system():
             for f, z in true
         ]
         values = np.einsum("kc,kt->ct", shapes, rings)
-        found = operational(
-            [channel(v, RATE, 0.01, 9 * seed + k, name=str(k)) for k, v in enumerate(values)], (1, 25)
-        )
+        every = [channel(v, RATE, 0.01, 9 * seed + k, name=str(k)) for k, v in enumerate(values)]
+        found = operational(every, (1, 25))
         for (f, z), shape in zip(true, shapes, strict=True):
             mode = min(found.modes, key=lambda m: abs(m.frequency_hz.value - f))
             assert abs(mode.frequency_hz.value - f) < 3 * mode.frequency_hz.deviation < 0.05

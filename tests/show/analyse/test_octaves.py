@@ -31,18 +31,11 @@ def test_a_sinusoid_has_its_rms_in_its_band_alone(quantity, order):
 
 
 def test_bands_of_white_noise_share_its_power_by_their_width():
-    found = np.mean(
-        [
-            [
-                b.rms.value**2
-                for b in third_octaves_of(
-                    channel(np.random.default_rng(s).normal(size=len(T)), RATE), "displacement"
-                )
-            ]
-            for s in range(40)
-        ],
-        axis=0,
-    )
+    powers = []
+    for seed in range(40):
+        white = channel(np.random.default_rng(seed).normal(size=len(T)), RATE)
+        powers.append([band.rms.value**2 for band in third_octaves_of(white, "displacement")])
+    found = np.mean(powers, axis=0)
     bands = [b.band_hz for b in third_octaves_of(channel(T, RATE), "displacement")]
     np.testing.assert_allclose(found, [2 / RATE * (high - low) for low, high in bands], rtol=0.2)
 
@@ -51,9 +44,8 @@ def test_values_scatter_by_their_deviations_and_noise_alone_is_none():
     """A tone of three times the noise in its band; the others hold noise alone."""
     true, scores, false = 0.03 / np.sqrt(2), [], []
     for seed in range(200):
-        for b in third_octaves_of(
-            channel(0.03 * np.cos(2 * np.pi * 5 * T + seed), RATE, 0.05, seed), "displacement"
-        ):
+        tone = channel(0.03 * np.cos(2 * np.pi * 5 * T + seed), RATE, 0.05, seed)
+        for b in third_octaves_of(tone, "displacement"):
             if b.band_hz[0] < 5 < b.band_hz[1]:
                 scores.append((b.rms.value - true) / b.rms.deviation)
             elif not b.band_hz[0] / 1.6 < 5 < b.band_hz[1] * 1.6:

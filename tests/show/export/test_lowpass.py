@@ -44,13 +44,9 @@ def one_camera_needles(capture, n=40):
     centre, forward = -capture.viewmats[0, :3, :3].T @ capture.viewmats[0, :3, 3], capture.viewmats[0, 2, :3]
     means = centre + 4.0 * forward + rng.normal(0, 0.3, (n, 3))
     pixel = 4.0 / capture.Ks[0, 0, 0]
-    return Gaussians(
-        torch.tensor(means, dtype=torch.float32),
-        torch.tensor(rng.normal(size=(n, 4)), dtype=torch.float32),
-        torch.full((n, 3), 0.05 * pixel),
-        torch.full((n,), 0.8),
-        torch.tensor(rng.normal(0, 1, (n, 1, 3)), dtype=torch.float32),
-    )
+    quats, sh = rng.normal(size=(n, 4)), rng.normal(0, 1, (n, 1, 3))
+    means, quats, sh = (torch.tensor(a, dtype=torch.float32) for a in (means, quats, sh))
+    return Gaussians(means, quats, torch.full((n, 3), 0.05 * pixel), torch.full((n,), 0.8), sh)
 
 
 @pytest.mark.parametrize("side", [24, 48, 96])
@@ -98,9 +94,8 @@ def test_exports_are_widened_and_say_so(run, tmp_path):
     assert (splat.scales > gaussians.scales.numpy()).all()
     np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
     assert splat.low_pass_px2 == BAKED_PX2 == 0.3
-    frame = read_splat(
-        export_ply_sequence(run, tmp_path / "s", RenderRequest(), timesteps=[2]) / "frame_0002.ply"
-    )
+    frames = export_ply_sequence(run, tmp_path / "s", RenderRequest(), timesteps=[2])
+    frame = read_splat(frames / "frame_0002.ply")
     np.testing.assert_allclose(frame.scales, expected, rtol=1e-5)
     assert frame.low_pass_px2 == 0.3
 
@@ -130,9 +125,8 @@ def test_scales_as_trained_can_be_asked_for_in_every_format(run, tmp_path):
         frames = tmp_path / format
         command = ["export", str(run.path), "--format", format, "--timesteps", "2", "--out", str(frames)]
         assert main([*command, *as_trained]) == 0
-    np.testing.assert_allclose(
-        read_splat(tmp_path / "ply-sequence/frame_0002.ply").scales, trained, rtol=1e-5
-    )
+    frame = read_splat(tmp_path / "ply-sequence/frame_0002.ply")
+    np.testing.assert_allclose(frame.scales, trained, rtol=1e-5)
     frame = gsply.read_spz(str(tmp_path / "spz" / "frame_0002.spz"))
     np.testing.assert_allclose(np.exp(frame.scales), trained, rtol=0.04)
 

@@ -23,22 +23,15 @@ def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
     """A mode of 0 Hz is where that lies: every viewer then plays and magnifies as `tg4mm render` does."""
     motion = run.load_motion()
     offset = np.full_like(motion.displacement[:1], 0.25)
-    run.save_motion(
-        replace(
-            motion,
-            freqs_hz=np.array([0.0, *motion.freqs_hz]),
-            displacement=np.concatenate([offset, motion.displacement]),
-            rotation=np.concatenate([0.2 * offset, motion.rotation]),
-        ),
-        {},
-    )
+    displacement = np.concatenate([offset, motion.displacement])
+    fields = {"displacement": displacement, "rotation": np.concatenate([0.2 * offset, motion.rotation])}
+    run.save_motion(replace(motion, freqs_hz=np.array([0.0, *motion.freqs_hz]), **fields), {})
     splat = read_splat(export_ply(run, tmp_path / "splat.ply"))
     np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
     np.testing.assert_allclose(splat.means, run.load_space().means + 0.25, atol=1e-6)
     assert np.abs(splat.quats - run.load_space().quats.numpy()).max() > 0.01
-    frames = export_ply_sequence(
-        run, tmp_path / "frames", RenderRequest(Magnification.of(4.0)), timesteps=[1]
-    )
+    request = RenderRequest(Magnification.of(4.0))
+    frames = export_ply_sequence(run, tmp_path / "frames", request, timesteps=[1])
     shown = read_splat(frames / "frame_0001.ply").means
     np.testing.assert_allclose(positions_at(splat, 1, 4.0, None), shown, atol=1e-6)
 
@@ -62,12 +55,9 @@ def with_uncertainty(run, deviation, noise):
 def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_are(run, tmp_path):
     motion = run.load_motion()
     faint = np.complex64(1e-4) * motion.displacement[:1]
-    more = replace(
-        motion,
-        freqs_hz=np.array([3.0, 6.0, 9.0]),
-        displacement=np.concatenate([motion.displacement, faint]),
-        rotation=np.concatenate([motion.rotation, faint]),
-    )
+    names = ("displacement", "rotation")
+    fields = {name: np.concatenate([getattr(motion, name), faint]) for name in names}
+    more = replace(motion, freqs_hz=np.array([3.0, 6.0, 9.0]), **fields)
     run.save_motion(more, {})
     assert read_splat(export_ply(run, tmp_path / "unknown.ply")).freqs_hz.tolist() == [3.0, 6.0]
     with_uncertainty(run, 5e-4, 3e-4)

@@ -67,12 +67,8 @@ def filmed(
         (folder / "train").mkdir(parents=True)
         frames = []
         if starts:
-            shown = np.concatenate(
-                [
-                    pictures(gaussians, displacement(t / FPS + s), viewmats[i : i + 1], noise, rng)
-                    for i, s in enumerate(starts)
-                ]
-            )
+            own = [(displacement(t / FPS + s), viewmats[i : i + 1]) for i, s in enumerate(starts)]
+            shown = np.concatenate([pictures(gaussians, *view, noise, rng) for view in own])
         else:
             shown = pictures(gaussians, displacement(t / FPS), viewmats, noise, rng)
         for i, picture in enumerate(shown):
@@ -83,9 +79,8 @@ def filmed(
             )
         transforms = {"camera_angle_x": CAMERA_ANGLE_X, "frames": frames}
         (folder / "transforms_train.json").write_text(json.dumps(transforms))
-    (path / "set" / "scene.json").write_text(
-        json.dumps({"fps": FPS, "unit_scale_m": 0.1} | ({"kind": kind} if kind else {}))
-    )
+    scene = {"fps": FPS, "unit_scale_m": 0.1} | ({"kind": kind} if kind else {})
+    (path / "set" / "scene.json").write_text(json.dumps(scene))
     return path / "set"
 
 

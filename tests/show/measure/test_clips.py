@@ -90,14 +90,8 @@ def test_a_direction_that_no_clip_shows_is_not_observed():
 
 def test_pictures_of_clips_tell_amplitude_and_phase_in_three_directions(tmp_path):
     along, starts = np.array([0.016, -0.008, 0.012]), [0.0, 0.31, 0.17, 0.45, 0.08, 0.23]
-    run = run_of(
-        tmp_path,
-        of_parts(ball=sine(HZ, along, 0.4)),
-        n_timesteps=36,
-        kind="clips",
-        noise=0.004,
-        starts=starts,
-    )
+    clips = {"n_timesteps": 36, "kind": "clips", "noise": 0.004, "starts": starts}
+    run = run_of(tmp_path, of_parts(ball=sine(HZ, along, 0.4)), **clips)
     scene = prepare(run, keep=False)
     result = measure(scene, [parse_sensor(BALL_SPHERE)])
     ball = result["ball"]

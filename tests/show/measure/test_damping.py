@@ -57,9 +57,8 @@ def test_what_is_over_early_in_the_record_has_the_right_one(ratio):
     values = np.exp(-ratio * 2 * np.pi * hz * times) * np.cos(2 * np.pi * hz * times)
     displacement = values[:, None] * np.array([1.0, 0, 0])
     noise = np.full((300, 3), 1e-6)
-    series = SimpleNamespace(
-        times_s=times, displacement=displacement, noise=noise, is_resolved=np.ones(3, bool)
-    )
+    known = {"noise": noise, "is_resolved": np.ones(3, bool)}
+    series = SimpleNamespace(times_s=times, displacement=displacement, **known)
     found = damping_of(series, spectrum_of(times, displacement, noise).peaks[0])
     assert found.ratio == pytest.approx(ratio / np.hypot(1, ratio), rel=0.001)
 

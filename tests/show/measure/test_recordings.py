@@ -13,9 +13,8 @@ from tg4mm.cli import main
 
 SIZE, FPS, FRAMES = (96, 72), 60, 254
 HZ, TIP_PX = 28.004, 0.55
-CLIPS = os.environ.get(
-    "TG4MM_CLIPS", ""
-)  # a folder with baby.mp4 and wrist.mp4 of Eulerian video magnification
+# A folder with baby.mp4 and wrist.mp4 of Eulerian video magnification.
+CLIPS = os.environ.get("TG4MM_CLIPS", "")
 
 
 def tuning_fork(path):
@@ -34,9 +33,8 @@ def tuning_fork(path):
             moved = map_coordinates(bar, [y, x - shift], order=3, mode="nearest")
             seen = wall * (1 - inside) + moved * inside + rng.normal(0, 1.5, y.shape)
             grey = np.clip(seen, 0, 255).astype(np.uint8)
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(np.repeat(grey[..., None], 3, 2), "rgb24"))
-            )
+            frame = av.VideoFrame.from_ndarray(np.repeat(grey[..., None], 3, 2), "rgb24")
+            container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
 

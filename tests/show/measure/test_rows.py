@@ -23,9 +23,8 @@ def read_by_rows(run, move, readout_s, in_turn=4):
     rng = np.random.default_rng(1)
     for folder in sorted(p for p in run.dataset.iterdir() if p.name.isdecimal()):
         frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
-        viewmats = [
-            np.linalg.inv(np.array(f["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0])) for f in frames
-        ]
+        poses = (np.array(f["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0]) for f in frames)
+        viewmats = [np.linalg.inv(pose) for pose in poses]
         shown = None
         for top in range(0, 48, in_turn):
             t = int(folder.name) / FPS + readout_s * ((top + in_turn / 2) / 48 - 0.5)

@@ -39,10 +39,8 @@ def test_deviations_are_the_scatter_over_many_records():
 def test_noise_alone_passes_the_floor_in_few_records_of_many():
     found = sum(bool(spectrum_of(TIMES, *noisy(np.zeros((60, 3)), 1.0, s)).peaks) for s in range(300))
     assert found <= 15  # 1 % of 300, and what finer frequencies than 1 / duration add
-    low = sum(
-        bool(spectrum_of(TIMES, v, s / 1.5).peaks)
-        for v, s in (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
-    )
+    records = (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
+    low = sum(bool(spectrum_of(TIMES, v, s / 1.5).peaks) for v, s in records)
     assert low <= 3  # noise is what the record itself shows, where less is said of it
     assert CHANCE == 0.01
 
@@ -157,9 +155,8 @@ def test_two_and_three_times_a_stronger_frequency(hz, size, expected):
     assert harmonics_of([7.0, hz], [0.001, 0.001], [1.0, size], FPS, RESOLUTION)[1] == expected
     uncertain = harmonics_of([7.0, 14.5], [0.1, 0.001], [1.0, 0.1], FPS, RESOLUTION)
     assert uncertain[1] == Harmonic(2, 7.0)  # within three deviations
-    assert (
-        harmonics_of([7.0, 14.5], [0.2, 0.001], [1.0, 0.1], FPS, RESOLUTION)[1] is None
-    )  # of what has hardly one
+    # Of what has hardly one.
+    assert harmonics_of([7.0, 14.5], [0.2, 0.001], [1.0, 0.1], FPS, RESOLUTION)[1] is None
 
 
 def test_a_band_that_is_given_has_a_peak_though_one_period_makes_none():

@@ -92,9 +92,8 @@ def test_a_clock_that_does_not_begin_at_zero_changes_nothing(tmp_path):
     run = run_of(tmp_path, of_parts(ball=ball, post=post), modes({6.0: phasors}), n_timesteps=20)
     capture, fit, sensor = load_capture(run.dataset, split="train"), run.load_fit(), parse_sensor(BALL_SPHERE)
     later = replace(capture, times_s=capture.times_s + 7.3)
-    found, shifted = (
-        measure(prepare_fit(own, fit), [sensor])["ball"].displacement for own in (capture, later)
-    )
+    both = (measure(prepare_fit(own, fit), [sensor])["ball"] for own in (capture, later))
+    found, shifted = (own.displacement for own in both)
     np.testing.assert_allclose(shifted, found, atol=1e-4 * np.abs(found).max())
 
 
@@ -123,7 +122,6 @@ def test_a_run_and_a_dataset_of_other_times_are_not_mixed(tmp_path):
     assert motion is not None
     run.save_motion(replace(motion, fps=60.0), {})
     for asked in (prepare, result_of):
-        with pytest.raises(
-            RunError, match=r"was trained on 12 timesteps at 60 Hz, but .* holds 12 at 30 Hz: train"
-        ):
+        said = r"was trained on 12 timesteps at 60 Hz, but .* holds 12 at 30 Hz: train"
+        with pytest.raises(RunError, match=said):
             asked(run)

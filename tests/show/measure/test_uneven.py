@@ -22,14 +22,11 @@ def test_the_share_is_that_of_the_parts_and_noise_adds_nothing(seed):
     def shown(size, noise):
         return size * wave + noise * rng.normal(size=(2, 60, 3))
 
-    areas, sizes = (
-        [1e4, 3e4],
-        [1.4, 0.9],
-    )  # mean over the area: 1.025; so many pixels that none is uneven within
+    # Mean over the area: 1.025; so many pixels that none is uneven within.
+    areas, sizes = [1e4, 3e4], [1.4, 0.9]
     assert uneven_share(shown(1, 0), [shown(s, 0) for s in sizes], areas) == pytest.approx(0.025, rel=0.01)
-    assert uneven_share(shown(1, 0.05), [shown(s, 0.05) for s in (1.4, 1.4)], areas) == pytest.approx(
-        0.4, abs=0.05
-    )
+    share = uneven_share(shown(1, 0.05), [shown(s, 0.05) for s in (1.4, 1.4)], areas)
+    assert share == pytest.approx(0.4, abs=0.05)
     assert uneven_share(shown(1, 0.05), [shown(1, 0.05)] * 2, areas) < 0.03
     assert uneven_share(shown(1, 0), [], []) == 0
 
@@ -50,9 +47,8 @@ def test_the_mean_over_an_uneven_region_lies_within_its_deviation(tmp_path):
             frames.append(np.clip(noisy, 0, 255).astype(np.uint8))
         scene = prepare_video(write_video(tmp_path / f"v{seed}.mp4", frames, Fraction(FPS), crf=0))
         for u, v in ((46.0, 46.0), (58.0, 40.0), (36.0, 36.0)):
-            peak = measure(scene, [Sensor("spot", "pixel", (u, v, 12.0), f"v{seed}")])["spot"].spectrum.peaks[
-                0
-            ]
+            spot = Sensor("spot", "pixel", (u, v, 12.0), f"v{seed}")
+            peak = measure(scene, [spot])["spot"].spectrum.peaks[0]
             true = PIXELS * part[np.hypot(x * 96 / (2 * np.pi) - u, y * 72 / (2 * np.pi) - v) < 12].mean()
             scores.append((peak.amplitude[0] - true) / peak.deviation[0])
     assert np.mean(np.abs(scores) < 2) > 0.8

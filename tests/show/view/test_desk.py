@@ -26,14 +26,10 @@ def test_clicks_make_regions_and_a_scale(tmp_path):
     drawing = clicks(Drawing(SIZE), (60, 50), (20, 30))
     drawing = clicks(drawing.taking("point"), (80, 80))
     drawing = clicks(drawing.taking("polygon"), (10, 90), (60, 90), (30, 110)).finished()
-    drawing = clicks(
-        Drawing(SIZE, drawing.regions, tool="length", sides_mm=(200.0, 0.0)), (10, 10), (110, 10)
-    )
-    assert [(r.name, r.shape) for r in drawing.regions] == [
-        ("region 1", "box"),
-        ("region 2", "point"),
-        ("region 3", "polygon"),
-    ]
+    ruler = Drawing(SIZE, drawing.regions, tool="length", sides_mm=(200.0, 0.0))
+    drawing = clicks(ruler, (10, 10), (110, 10))
+    assert [region.name for region in drawing.regions] == ["region 1", "region 2", "region 3"]
+    assert [region.shape for region in drawing.regions] == ["box", "point", "polygon"]
     assert drawing.regions[0].values == (20, 30, 60, 50)
     assert drawing.scale.reference_m == pytest.approx(0.002)
     write_regions(tmp_path / "r.json", drawing.as_file())
@@ -70,15 +66,13 @@ def scene():
 
 def test_texture_tells_where_and_along_what_motion_can_be_measured():
     texture = texture_of(scene().astype(np.float32))
-    words = {
-        name: texture.words(Region(name, "box", box), SIZE)
-        for name, box in {
-            "plain": (0, 16, 32, 80),
-            "edge": (48, 16, 64, 80),
-            "full": (112, 16, 160, 80),
-            "dot": (3, 3, 6, 6),
-        }.items()
+    boxes = {
+        "plain": (0, 16, 32, 80),
+        "edge": (48, 16, 64, 80),
+        "full": (112, 16, 160, 80),
+        "dot": (3, 3, 6, 6),
     }
+    words = {name: texture.words(Region(name, "box", box), SIZE) for name, box in boxes.items()}
     assert words["plain"] == "no texture: nothing can be measured here"
     assert words["edge"].startswith("an edge: ± ")
     assert "along +1.00 right" in words["edge"]
