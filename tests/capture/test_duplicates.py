@@ -190,3 +190,16 @@ def test_a_rate_that_jitters_is_kept(tmp_path):
     assert fps == pytest.approx(30, rel=0.01)
     with pytest.warns(UserWarning, match="the frame rate varies"):
         warn_clocks([survey], None)
+
+
+@pytest.mark.parametrize(("runs", "is_found"), [((8, 28), False), ((6, 17, 25, 41, 55, 66, 79, 91), True)])
+def test_frames_that_a_codec_skips_together_are_one_decision(runs, is_found):
+    """Two groups of three B-frames and a P-frame that repeat; and eight single frames, spread over the groups."""
+    again = {k + 1 + i for k in runs for i in range(1 if is_found else 4)}
+    rng, meter = np.random.default_rng(3), DuplicateMeter()
+    for k in range(100):
+        if k == 0 or k not in again:
+            picture = np.clip(np.rint(GREY + rng.normal(0, 3, GREY.shape)), 0, 255).astype(np.uint8)
+        meter.add(picture, k == 0, k % 4 != 0)
+    found = meter.found()
+    assert (found is not None and set(found.rows) == again) if is_found else found is None

@@ -161,7 +161,7 @@ def _ordered(rank: np.ndarray, is_new: np.ndarray) -> float:
     return float(rank[is_new].sum() - high * (high + 1) / 2) / max(high * low, 1)
 
 
-def _kinds_of(kinds: str) -> list[Hashable]:
+def _kinds_of(kinds: str) -> list[tuple[str, int, int]]:
     """Return each frame's kind as a letter, with its position between frames that are not B-frames."""
     at = np.flatnonzero([kind != "B" for kind in kinds])
     frames = np.arange(len(kinds))
@@ -232,7 +232,7 @@ def _comes_back(pictures: np.ndarray, is_new: np.ndarray, after: Iterable[int]) 
 
 
 def _without_pattern(
-    changes: np.ndarray, identical: np.ndarray, pictures: np.ndarray, places: Sequence[Hashable]
+    changes: np.ndarray, identical: np.ndarray, pictures: np.ndarray, places: Sequence[tuple[str, int, int]]
 ) -> Duplicates | None:
     """Single duplicates, where noise changes most blocks of every new picture, of every kind of frame."""
     shows = identical[1:].mean(0) <= _ALONE_SELDOM
@@ -243,7 +243,11 @@ def _without_pattern(
     again[0] = unsure[0] = False
     new = ~again
     count, own = int(again.sum()), changes[1:][new[1:]]
+    # B-frames and the frame after them are coded together: if a codec skips them all, that is one decision.
+    groups = {k + place[2] for k, place in enumerate(places) if again[k]}
     if not _ALONE_FEWEST <= count <= _ALONE_MOST * len(changes) or unsure.sum() > _UNSURE * count:
+        return None
+    if len(groups) < _ALONE_FEWEST:
         return None
     usual = float(np.median(own))
     if np.quantile(own, 0.2) < _FLOOR * usual or np.quantile(changes[again], 0.9) > _NOTHING * usual:
