@@ -190,7 +190,7 @@ def _read_pass(root):
     def anew(*_):
         raise RunError("the pictures are read again")
 
-    with patch.object(prepared._Fixed, "_seen", anew):
+    with patch.object(prepared, "_looked", anew):
         measure_one(prepare(Run.open(root / "run"), keep=False), Sensor("all", "all", ()))
 
 

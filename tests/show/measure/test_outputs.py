@@ -110,7 +110,7 @@ def test_a_kept_pass_gives_the_same_and_needs_no_pictures(run, out, tmp_path, mo
     [
         (["--sensor", "tip=sphere:9,9,9,0.1"], "holds no Gaussian"),
         (["--sensor", "tip=cube:1"], "is no region"),
-        (["--sensor", "tip=pixel:nowhere,1,2"], "is no camera"),
+        (["--sensor", "tip=pixel:nowhere,1,2"], "is not a camera"),
         (["--sensor", "tip=pixel:r_000,999,2"], "outside the picture"),
         (["--sensor", "tip=cluster:9"], "no such cluster"),
         (["--sensor", "tip=all", "--reference", "tap"], "is not a sensor"),

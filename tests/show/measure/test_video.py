@@ -55,7 +55,7 @@ def test_without_a_sensor_what_vibrates_is_measured(video):
     ("words", "message"),
     [
         (["--sensor", "a=box:0,0,0,1,1,1"], "a box needs a trained run; expected pixel, polygon or all"),
-        (["--sensor", "a=pixel:other,3,3"], "'other' is no camera; there are: film"),
+        (["--sensor", "a=pixel:other,3,3"], "'other' is not a camera; cameras: film"),
         (["--sensor", "a=pixel:film,99,3"], "lies outside the picture of 64×64"),
         (["--readout", "50"], "--readout is 50 ms, expected at most the 33.33 ms of a frame"),
         (["--fps", "-3"], "--fps"),

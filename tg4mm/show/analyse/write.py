@@ -1,11 +1,9 @@
-"""Print an analysis, and write it as JSON, CSV and plots into one folder: all by the table of quantities."""
+"""Print an analysis, and write it as JSON, CSV and plots into one folder, by the table of quantities."""
 
 import csv
-import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,10 @@ import numpy as np
 from tg4mm.core import __version__
 from tg4mm.core.digits import aligned
 from tg4mm.core.files import to_json, write_atomic, write_json
-from tg4mm.core.pages.charts import STYLE
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.analyse.channel import AnalyseError
 from tg4mm.show.analyse.results import QUANTITIES, Analysis
+from tg4mm.show.plotting import pyplot, save
 
 MARK = "analysis.json"
 
@@ -80,30 +78,23 @@ def _write_csv(path: Path, head: Sequence[str], rows: Sequence[Iterable[Any]]) -
     if not rows:
         path.unlink(missing_ok=True)  # of an earlier analysis
         return
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *(map(_text, row) for row in rows)])
-    write_atomic(path, partial(Path.write_text, data=text.getvalue(), encoding="utf-8"))
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([head, *(map(_text, row) for row in rows)])
+
+    write_atomic(path, write)
 
 
 def _write_plots(found: Analysis, folder: Path) -> None:
-    """FOLDER/*.png; those of an earlier analysis go."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    made = set()
+    """Write FOLDER/*.png and remove those of an earlier analysis."""
+    made: set[Path] = set()
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
+    with pyplot() as plt:
         for quantity in QUANTITIES:
-            if quantity.plot is None:
-                continue
-            for name, figure in quantity.plot(plt, found.record, found[quantity.name]):
-                data = io.BytesIO()
-                figure.savefig(data, format="png", dpi=120)
-                plt.close(figure)
-                path = folder / (re.sub(r"[^\w.-]+", "_", name) + ".png")
-                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
-                made.add(path)
+            if quantity.plot is not None:
+                for name, figure in quantity.plot(plt, found.record, found[quantity.name]):
+                    made.add(path := folder / (re.sub(r"[^\w.-]+", "_", name) + ".png"))
+                    save(plt, figure, [path])
     for old in set(folder.glob("*.png")) - made:
         old.unlink()

@@ -1,6 +1,5 @@
 """The page of a look: one HTML file that needs no network."""
 
-import io
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from tg4mm.capture.look import Look
 from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.charts import STYLE, chart
+from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import (
     Block,
     Commands,
@@ -24,6 +23,7 @@ from tg4mm.core.pages.page import (
     render_page,
 )
 from tg4mm.show.look.words import HEADER, Words
+from tg4mm.show.plotting import pyplot, save
 from tg4mm.show.regions import composite, region_picture
 
 _STYLE = ".left2 td:last-child { white-space: normal; }"
@@ -111,24 +111,17 @@ _DPI = 110
 
 
 def write_picture(words: Words, path: Path) -> None:
-    """A PNG of it."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """Write a PNG of the regions on the first picture and the composite spectrum."""
     found = words.found
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
-        FigureCanvasAgg(figure)
+    with pyplot() as plt:
+        figure = plt.figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
         seen, spectrum = figure.subplots(1, 2, width_ratios=_ratios(found))
         seen.imshow(regions_on_first(found), extent=(0, found.size[0], found.size[1], 0))
         seen.set(xlabel="pixels", ylabel="pixels")
         seen.grid(visible=False)
         composite(spectrum, found)
         figure.suptitle(f"{words.source.name}: {words.verdict}", x=0.01, ha="left", weight="bold")
-        data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=_DPI)
-    write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
+        save(plt, figure, [path], _DPI)
 
 
 def regions_on_first(found: Look) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Virtual sensors: displacement of regions over time from the pictures, with deviations, spectra and shapes.
 
-    scene = prepare(Run.open("runs/mic"))                     # reads the pictures once; kept in the run's folder
+    scene = prepare(Run.open("runs/mic"))                     # reads the pictures once; cached in the run's folder
     found = measure(scene, [parse_sensor("tip=sphere:0,0,1.2,0.1")])
     tip = found["tip"]
     tip.times_s, tip.displacement, tip.deviation              # [T], [T, 3], [T, 3] scene units along tip.axes

@@ -1,14 +1,14 @@
-"""One answer from clips: a vibration in x, y, z from cameras with clocks of their own, which see two directions each.
+"""Combine clips: a vibration in x, y, z from cameras with independent clocks that see two directions each.
 
-A steady vibration has one phasor p [3] at a frequency, and clip c shows it along its own axes R_c (right, up, sight)
-with a phase θ_c of its own, which all sensors share (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019):
+A steady vibration has one phasor p [3] at a frequency. Clip c shows it along its axes R_c (right, up, sight) with a
+phase θ_c that all sensors share (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019):
 
     u_c  =  exp(iθ_c) R_c p  +  an error with the covariance C_c
 
 u_c and C_c are those of a sinusoid fitted to the clip's series: its noise, and errors of the model that grow with the
-motion. p of every sensor and all θ_c are found together by weighted least squares (Gauss-Newton). What the motion stage
-found of the phases, in all Gaussians together, counts as a measurement of θ_c that is mostly good and now and then far
-off: its error is taken for Cauchy-distributed. Deviations follow from the fit, and are larger by what it leaves.
+motion. p of every sensor and all θ_c are estimated together by weighted least squares (Gauss-Newton). The phases from
+the motion stage, for all Gaussians together, count as measurements of θ_c with Cauchy-distributed errors: mostly good,
+sometimes far off. Deviations follow from the fit and grow with its residual.
 """
 
 from collections.abc import Sequence
@@ -51,11 +51,11 @@ class Rows:
 def triangulated(
     rows: Sequence[Sequence[Rows]], known: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Phasors [S, 3] and their variances (of real and imaginary part), phases [C] and their deviations.
+    """Return phasors [S, 3] and their variances (of real and imaginary part), phases [C] and their deviations.
 
     rows [S][C]; known [C]: phases by the motion stage.
     """
-    count = len(rows[0])
+    count, n = len(rows[0]), 3 * len(rows)
     theta = _phases_alone(rows) if known is None else known.copy()
     fixed = int(np.argmax([sum(float((abs(r[c].seen) ** 2).sum()) for r in rows) for c in range(count)]))
     free = [c for c in range(count) if c != fixed]
@@ -63,22 +63,22 @@ def triangulated(
     for _ in range(_STEPS):
         jacobian, left = _linearised(rows, p, theta, free, known)
         step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
-        p = p + (step[: 3 * len(rows)] + 1j * step[3 * len(rows) : 6 * len(rows)]).reshape(-1, 3)
-        theta[free] += step[6 * len(rows) :]
-        if np.abs(step[6 * len(rows) :]).max(initial=0.0) < 1e-7:
+        p = p + (step[:n] + 1j * step[n : 2 * n]).reshape(-1, 3)
+        theta[free] += step[2 * n :]
+        if np.abs(step[2 * n :]).max(initial=0.0) < 1e-7:
             break
     jacobian, _ = _linearised(rows, p, theta, free, known)
     spread = np.diag(np.linalg.pinv(jacobian.T @ jacobian, rcond=UNSEEN**2))
-    both = (spread[: 3 * len(rows)] + spread[3 * len(rows) : 6 * len(rows)]).reshape(-1, 3) / 2
+    both = (spread[:n] + spread[n : 2 * n]).reshape(-1, 3) / 2
     variance = np.stack([_checked(own, p[s], both[s], theta) for s, own in enumerate(rows)])
     deviation = np.zeros(count)
-    deviation[free] = np.sqrt(spread[6 * len(rows) :])
+    deviation[free] = np.sqrt(spread[2 * n :])
     p, theta = (p, theta) if known is not None else (p * np.exp(1j * theta[0]), theta - theta[0])
     return p, variance, (theta + np.pi) % (2 * np.pi) - np.pi, deviation
 
 
 def _checked(rows: Sequence[Rows], phasor: np.ndarray, variance: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """[3] variance of a sensor's phasor, larger by what the clips disagree on; inf along what none of them shows."""
+    """Return the variance [3] of a sensor's phasor, scaled by the clips' disagreement; inf along unseen directions."""
     left = [r.seen - np.exp(1j * t) * (r.design @ phasor) for r, t in zip(rows, theta, strict=True)]
     total, free = sum(float((abs(e) ** 2).sum()) for e in left), 2 * sum(map(len, left)) - 6
     values, vectors = np.linalg.eigh(sum((r.design.T @ r.design for r in rows), np.zeros((3, 3))))
@@ -87,7 +87,7 @@ def _checked(rows: Sequence[Rows], phasor: np.ndarray, variance: np.ndarray, the
 
 
 def _given(rows: Sequence[Sequence[Rows]], theta: np.ndarray) -> np.ndarray:
-    """[S, 3] phasors for known phases."""
+    """Return phasors [S, 3] for known phases."""
     out = []
     for own in rows:
         design = np.concatenate([r.design for r in own])
@@ -97,19 +97,18 @@ def _given(rows: Sequence[Sequence[Rows]], theta: np.ndarray) -> np.ndarray:
 
 
 def _phases_alone(rows: Sequence[Sequence[Rows]]) -> np.ndarray:
-    """[C] phases by turns with the phasors, the best of many random starts."""
+    """Return phases [C], estimated alternately with the phasors, from the best of many random starts."""
     rng, best, out = np.random.default_rng(0), -np.inf, np.zeros(len(rows[0]))
     for _ in range(_STARTS):
         theta = rng.uniform(0, 2 * np.pi, len(rows[0]))
         for _ in range(_TURNS):
             p = _given(rows, theta)
             shown = [[r.design @ p[s] for r in own] for s, own in enumerate(rows)]
-            products = np.array(
-                [
-                    sum(np.vdot(shown[s][c], own[c].seen) for s, own in enumerate(rows))
-                    for c in range(len(theta))
-                ]
-            )
+            each = [
+                [np.vdot(e, r.seen) for e, r in zip(*pair, strict=True)]
+                for pair in zip(shown, rows, strict=True)
+            ]
+            products = np.array([sum(own) for own in zip(*each, strict=True)])
             theta = np.angle(products)
         if (score := float(np.abs(products).sum())) > best:
             best, out = score, theta
@@ -123,7 +122,7 @@ def _linearised(
     free: Sequence[int],
     known: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Jacobian and what is left, of real parts, imaginary parts, and the known phases.
+    """Return the Jacobian and the residual: real parts, imaginary parts, and the known phases.
 
     Unknowns: real parts of the phasors [3S], imaginary parts [3S], phases of the clips `free`.
     """
@@ -149,16 +148,13 @@ def _linearised(
 
 @dataclass(frozen=True)
 class KnownPhases:
-    """Phases found by the motion stage.
-
-    Radians [C, K] by which clips are ahead of the first one's clock, at K frequencies.
-    """
+    """Phases from the motion stage: radians by which clips are ahead of the first one's clock."""
 
     hz: np.ndarray  # [K]
     radians: np.ndarray  # [C, K]
 
     def at(self, frequency_hz: float, apart: float) -> np.ndarray | None:
-        """[C] at the frequency nearest to this one, if it is nearer than `apart` Hz."""
+        """Return the phases [C] at the nearest frequency, if it is within `apart` Hz."""
         if not len(self.hz):
             return None
         k = int(np.abs(self.hz - frequency_hz).argmin())
@@ -167,7 +163,7 @@ class KnownPhases:
 
 @dataclass(frozen=True)
 class ClipPhases:
-    """A clip shows Re[R_c p exp(i (2π f t + θ))] at its own time t."""
+    """Phases θ of clips, each of which shows Re[R_c p exp(i (2π f t + θ))] at its own time t."""
 
     clocks: tuple[str, ...]  # [C]
     hz: np.ndarray  # [K]
@@ -177,13 +173,11 @@ class ClipPhases:
 
 @dataclass(frozen=True)
 class Together:
-    """What all clips say of one sensor."""
+    """The combined result of all clips for one sensor."""
 
     spectrum: Spectrum  # along the world's x, y, z
     everywhere: tuple[Peak, ...]  # [K] at every frequency of any sensor, above the floor or not
-    of_clips: tuple[
-        tuple[Peak, ...], ...
-    ]  # [C][peaks of `spectrum`] along each series' own axes, on its clock
+    of_clips: tuple[tuple[Peak, ...], ...]  # [C][peaks of `spectrum`] along each series' axes, on its clock
 
 
 def together(
@@ -191,7 +185,7 @@ def together(
 ) -> tuple[list[Together], ClipPhases]:
     """Combine series by sensor and clip [S][C].
 
-    shared [S]: standard deviation of an error that all clips have alike (the run's Gaussians), scene units rms.
+    shared [S]: standard deviation of an error common to all clips (the run's Gaussians), scene units rms.
     """
     hz, deviation = _frequencies(sensors, known)
     phasors = [[_phasors(series, hz) for series in own] for own in sensors]
@@ -219,12 +213,12 @@ def together(
 
 
 def _apart(clips: Sequence[Series]) -> float:
-    """Hz: nearer than this two frequencies are one."""
+    """Return the distance in Hz within which two frequencies are one."""
     return _SAME / float(np.median([np.ptp(s.times_s) for s in clips]))
 
 
 def _frequencies(sensors: Sequence[Sequence[Series]], known: KnownPhases) -> tuple[np.ndarray, np.ndarray]:
-    """[K] Hz and deviations of what stands out in two clips, or in one where the motion stage found it too."""
+    """Return frequencies [K] Hz and deviations: significant in two clips, or in one and in the motion stage."""
     found = []  # strength, Hz, deviation, sensor, clip
     for s, own in enumerate(sensors):
         for c, series in enumerate(own):
@@ -239,9 +233,9 @@ def _frequencies(sensors: Sequence[Sequence[Series]], known: KnownPhases) -> tup
     for _, near, *_ in sorted(found, reverse=True):
         if len(hz) == _MOST or any(abs(near - f) <= apart for f, _ in hz):
             continue
-        own_peaks = [p for p in found if abs(p[1] - near) <= apart]
-        if len({p[4] for p in own_peaks}) > 1 or known.at(near, apart) is not None:
-            hz.append(_mean_frequency(own_peaks))
+        same = [p for p in found if abs(p[1] - near) <= apart]
+        if len({p[4] for p in same}) > 1 or known.at(near, apart) is not None:
+            hz.append(_mean_frequency(same))
     return np.array([f for f, _ in hz]), np.array([d for _, d in hz])
 
 
@@ -259,21 +253,21 @@ def _mean_frequency(peaks: Sequence[tuple[float, float, float, int, int]]) -> tu
 
 
 def _phasors(series: Series, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[K, 3] phasors of sinusoids fitted together, along the series' axes, and [K] what a sample's variance becomes."""
+    """Return phasors [K, 3] of sinusoids fitted together, along the series' axes, and their variance gains [K]."""
     inverse = np.linalg.pinv(sinusoid_columns(hz, series.times_s))
     answer, gain, k = inverse @ series.displacement, (inverse**2).sum(1), len(hz)
     return answer[1 : 1 + k] + 1j * answer[1 + k :], (gain[1 : 1 + k] + gain[1 + k :]) / 2
 
 
 def _noise(series: Series) -> np.ndarray:
-    """[m, m] covariance of a sample's noise along the axes that are observed."""
+    """Return the covariance [m, m] of a sample's noise along the observed axes."""
     some = np.flatnonzero(series.is_observed)
     root = np.sqrt(series.noise_factor[some])
     return np.asarray(series.unit_covariance[np.ix_(some, some)] * np.outer(root, root))
 
 
 def _rows(series: Series, phasor: np.ndarray, gain: float) -> Rows:
-    """A phasor [3] whose noise has `gain` times a sample's variance."""
+    """Return the equations of a phasor [3] whose noise has `gain` times a sample's variance."""
     some = np.flatnonzero(series.is_observed)
     if not len(some):
         return Rows(np.zeros((0, 3)), np.zeros(0, complex))
@@ -292,8 +286,7 @@ def _peaks(
     shared: float,
 ) -> tuple[Peak, ...]:
     """Return the peaks of a sensor's phasors [K, 3] and their variances; `shared` as in `together`."""
-    told = is_resolved(level)
-    size = np.linalg.norm(phasors[:, told], axis=1)
+    size = np.linalg.norm(phasors[:, is_resolved(level)], axis=1)
     rms = float(np.sqrt((size**2).sum() / 2))
     share = min(shared / rms, 1.0) if rms > 0 else 0.0
     is_seen = np.isfinite(level)
@@ -307,11 +300,9 @@ def _peaks(
 
 
 def _floor(clips: Sequence[Series]) -> np.ndarray:
-    """[3] of the spectrum along the world's axes; inf along what no clip shows."""
-    weights = _spectrum_weights(clips)
-    values, vectors = np.linalg.eigh(
-        sum((w @ s.axes for w, s in zip(weights, clips, strict=True)), np.zeros((3, 3)))
-    )
+    """Return the floor [3] of the spectrum along the world's axes; inf along directions that no clip shows."""
+    information = (w @ s.axes for w, s in zip(_spectrum_weights(clips), clips, strict=True))
+    values, vectors = np.linalg.eigh(sum(information, np.zeros((3, 3))))
     is_seen = values > UNSEEN * max(values[-1], 1e-300)
     hidden = (vectors[:, ~is_seen] ** 2).sum(1)
     variance = (vectors[:, is_seen] ** 2 / values[is_seen]).sum(1)
@@ -320,7 +311,7 @@ def _floor(clips: Sequence[Series]) -> np.ndarray:
 
 
 def _spectrum_weights(clips: Sequence[Series]) -> list[np.ndarray]:
-    """[3, 3] of each clip: Rᵀ N⁻¹ with N the covariance of the noise that its spectrum has."""
+    """Return Rᵀ N⁻¹ [3, 3] for each clip, with N the covariance of the noise in its spectrum."""
     out = []
     for series in clips:
         some = np.flatnonzero(series.is_observed)
@@ -358,10 +349,9 @@ def _spectrum(
 def _of_clip(
     series: Series, phasors: np.ndarray, gain: np.ndarray, peaks: Sequence[Peak], hz: np.ndarray
 ) -> tuple[Peak, ...]:
-    """A clip's own phasors at the frequencies of peaks."""
-    level = np.where(
-        series.is_observed, rayleigh(series.times_s, series.noise) * floor_factor(len(series.times_s)), np.inf
-    )
+    """Return a clip's phasors at the frequencies of the peaks."""
+    floor = rayleigh(series.times_s, series.noise) * floor_factor(len(series.times_s))
+    level = np.where(series.is_observed, floor, np.inf)
     out = []
     for peak in peaks:
         k = int(np.abs(hz - peak.frequency_hz).argmin())

@@ -1,4 +1,4 @@
-"""What the video's compression took from the peaks of sensors, where one fixed camera filmed them."""
+"""Loss of the sensors' peaks by the video's compression, for one fixed camera."""
 
 from collections.abc import Sequence
 
@@ -10,13 +10,13 @@ from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.spectrum import Peak
 
-_NEAR_PX = 4.0  # of the Gaussians of a region: a pixel that belongs to it
+_NEAR_PX = 4.0  # from the Gaussians of a region: nearer pixels belong to it
 
 
 def with_losses(scene: Prepared, results: Sequence[SensorResult]) -> list[SensorResult]:
-    """The results with what compression let through of every peak; as they are where no video is kept with the run.
+    """Add the part of every peak that compression let through; without a video in the run nothing changes.
 
-    Of what rings down also when it is weaker by e, on whose share the decay that was fitted depends.
+    Decaying peaks are also tested when they are weaker by a factor e, since the fitted decay depends on that.
     """
     video = scene.video
     if video is None or len(scene.observations.frames) != 1:
@@ -40,7 +40,7 @@ def _decays(peak: Peak) -> bool:
 
 
 def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
-    """Return the tones of all peaks, pixels right and down; those that decay multiplied."""
+    """Return the tones of all peaks, pixels right and down; decaying ones are multiplied by `of_decaying`."""
     right, up = (result.labels.index(name) for name in ("right", "up"))
     flat = len(result.labels) == 2  # whose axes may be those of a tilted plane
     out = []
@@ -52,7 +52,7 @@ def _tones(result: SensorResult, of_decaying: float = 1.0) -> list[Tone]:
 
 
 def _region(scene: Prepared, result: SensorResult) -> np.ndarray:
-    """[H, W] bool: the pixels of a region, or those about its Gaussians."""
+    """Return the mask [H, W] of a region's pixels, or of those around its Gaussians."""
     if result.mask is not None:
         return result.mask > 0.5 * result.mask.max()
     frame, (width, height) = scene.observations.frames[0], scene.observations.size

@@ -1,12 +1,12 @@
 """Damping of a vibration, by the logarithmic decrement (ring-down) or the half-power bandwidth (driven by noise).
 
-Ringing down is a line with an exponential envelope (`core.lines`): Re[m exp((i2πf − λ) t)]; the logarithmic decrement
-is λ / f. All samples enter, so that no maxima need be found.
+A ring-down is a line with an exponential envelope (`core.lines`): Re[m exp((i2πf − λ) t)]; the logarithmic decrement is
+λ / f. All samples enter, so that no maxima need be found.
 
-What is driven at random (wind, traffic) has a peak of finite width: near resonance an oscillator's power spectrum is
-S(ν) = S₀ / (1 + (ν − f)² / (ζ f)²), half as high at f (1 ± ζ) [Bendat & Piersol 2010, ch. 6]. What a Hann window makes
-of that is fitted to the logarithm of Welch's spectrum: the oscillator's autocorrelation exp(−2π ζ f |τ|) cos 2πfτ times
-the window's. Given where the peak is at least half as wide as the window's own.
+A randomly driven structure (wind, traffic) has a peak of finite width: near resonance an oscillator's power spectrum is
+S(ν) = S₀ / (1 + (ν − f)² / (ζ f)²), half as high at f (1 ± ζ) [Bendat & Piersol 2010, ch. 6]. Its form with a Hann
+window is fitted to the logarithm of Welch's spectrum: the transform of the oscillator's autocorrelation
+exp(−2π ζ f |τ|) cos 2πfτ times the window's. Stated where the peak is at least half as wide as the window's.
 """
 
 from dataclasses import dataclass, replace
@@ -23,11 +23,11 @@ from tg4mm.show.measure.spectrum import Peak
 
 _SEGMENTS = 7, 15, 31, 63  # half-overlapping windows in the record
 _SHORTEST, _CYCLES = 32, 8.0  # of a window: samples, periods
-_BINS = 8  # that a peak is fitted to, at least
+_BINS = 8  # to which a peak is fitted, at least
 _WINDOW = 1.44  # full width at half power of Hann's window, over 1 / length
-_RESOLVED = 0.5  # times the window's own width that a peak must be wide
+_RESOLVED = 0.5  # times the window's width: a narrower peak is not resolved
 _CORRELATED = 1.9 * 1.2  # neighbouring bins of Hann's window, half-overlapping windows [Welch 1967]
-_LEAST_GAIN = 0.05  # of what a codec lets through: less is noise of its test
+_LEAST_GAIN = 0.05  # of a codec: less is noise of its test
 HALF_POWER = "half-power bandwidth"
 
 
@@ -42,10 +42,7 @@ class Damping:
 
 
 def damping_of(series: Series, peak: Peak) -> Damping | None:
-    """Return the damping of a peak of this series: of what rings down by its decay, else by its width.
-
-    None where neither can be told.
-    """
+    """Return the damping of a peak of this series by its decay, else by its width, or None if neither shows it."""
     line = peak.line or _line_of(series, peak.frequency_hz)
     if line is not None and line.damping is not None and line.damping_deviation is not None:
         return Damping(line.damping, line.damping_deviation, line.decay_per_s)
@@ -53,10 +50,10 @@ def damping_of(series: Series, peak: Peak) -> Damping | None:
 
 
 def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None:
-    """With what compression may have done to a decay in its deviation.
+    """Add the possible effect of compression on a decay to its deviation.
 
-    Of a share g(a) of an amplitude a is left. Between a and a / e, which tell a decay, it comes out larger by
-    ln g(a) − ln g(a / e) of itself.
+    Compression leaves a share g(a) of an amplitude a. Between a and a / e, which determine a decay, the decay is
+    overestimated by ln g(a) − ln g(a / e) of itself.
     """
     gains = np.array([whole.gain, faded.gain])
     if found is None or found.method == HALF_POWER or not np.isfinite(gains).all():
@@ -66,20 +63,21 @@ def with_loss(found: Damping | None, whole: Loss, faded: Loss) -> Damping | None
 
 
 def _line_of(series: Series, hz: float) -> Line | None:
-    """At a frequency that was found in other records too."""
-    told = series.is_resolved
-    if len(series.times_s) < FEWEST or not series.displacement[:, told].any():
+    """Fit the line at a frequency that was found in other records too."""
+    resolved = series.is_resolved
+    values = series.displacement[:, resolved]
+    if len(series.times_s) < FEWEST or not values.any():
         return None
-    return fit_lines(series.displacement[:, told], series.times_s, [hz], series.noise[0, told]).lines[0]
+    return fit_lines(values, series.times_s, [hz], series.noise[0, resolved]).lines[0]
 
 
 def half_power(times_s: np.ndarray, values: np.ndarray, frequency_hz: float) -> Damping | None:
-    """Damping ratio of a peak at `frequency_hz` of values [T] at even times, by its half-power bandwidth.
+    """Return the damping ratio of a peak at `frequency_hz` of values [T] at even times, by its half-power bandwidth.
 
-    None where the peak is not half as wide as the window's own, or its deviation is above a third of it.
+    None where the peak is less than half as wide as the window's, or its deviation above a third of its width.
     """
     step = float(np.median(np.diff(times_s)))
-    for count in _SEGMENTS:  # the longest windows that tell it: short ones widen the peak
+    for count in _SEGMENTS:  # the longest windows that show it: short ones widen the peak
         length = 2 * len(values) // (count + 1)
         if length < _SHORTEST or length * step * frequency_hz < _CYCLES:
             break

@@ -1,9 +1,8 @@
-"""Velocity and acceleration: lines that were found are differentiated exactly, what is left by differences.
+"""Velocity and acceleration: lines are differentiated exactly, the residual by finite differences.
 
-Differences alone would lose much of a vibration a few samples long, 17 % of the velocity at six samples a period. A
-sample's noise n and a line's error δ make the error D n + (d/dt − D) δ, D the differences; what errs in proportion to
-the motion does so in proportion to its derivative. Motion that is in no line and faster than a quarter of the rate is
-not in the deviations.
+Differences alone would lose much of a fast vibration, 17 % of the velocity at six samples a period. A sample's noise n
+and a line's error δ give the error D n + (d/dt − D) δ with the differences D; errors proportional to the motion are
+proportional to its derivative, too. The deviations do not cover motion outside of lines above a quarter of the rate.
 """
 
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ class Derivatives:
 
 
 def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak]) -> Derivatives:
-    """Differentiate values [T, A] at times [T] whose `peaks` were found."""
+    """Differentiate values [T, A] at times [T] with known `peaks`."""
     velocity, acceleration, left = np.zeros_like(values), np.zeros_like(values), values.copy()
     for peak in peaks:
         omega = 2j * np.pi * peak.frequency_hz - (0.0 if peak.line is None else peak.line.decay_per_s)
@@ -40,7 +39,7 @@ def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak
 def deviations_of(
     found: Derivatives, times_s: np.ndarray, noise: np.ndarray, share: np.ndarray, peaks: Sequence[Peak]
 ) -> Derivatives:
-    """Standard deviations of `found`, of samples with noise [T, A] and errors that are a `share` [A] of the motion."""
+    """Return standard deviations of `found` for samples with noise [T, A] and errors of a `share` [A] of the motion."""
     step = float(np.median(np.diff(times_s)))
     variances = [_difference_variance(noise**2, times_s), _second_variance(noise**2, times_s)]
     for peak in peaks:
@@ -56,7 +55,7 @@ def deviations_of(
 
 
 def _difference_variance(variance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """[T, A] of `np.gradient` of independent samples."""
+    """Return the variance [T, A] of `np.gradient` of independent samples."""
     out = np.empty_like(variance)
     before, after = np.diff(times_s)[:-1, None], np.diff(times_s)[1:, None]
     total, old, mid, new = before + after, variance[:-2], variance[1:-1], variance[2:]

@@ -1,8 +1,8 @@
-"""What the pass through the pictures found, in a byte for each number, kept in RUN/residuals.safetensors.
+"""Cache of the pass through the pictures, with a byte for each number, in RUN/residuals.safetensors.
 
 Jᵀ W (1 − Q Qᵀ W) r_f of N Gaussians takes 48 bytes for each frame, and most of it is noise. Kept are the Gaussians that
-a picture shows, each in steps of a 127th of its own largest size over time, halves of the data apart. Rounding adds
-some 1e-4 of the noise's variance, and less to a sum over a region, in which rounding errors average out.
+a picture shows, each in steps of a 127th of its largest size over time, for each half of the data. Rounding adds some
+1e-4 of the noise's variance, and less to a sum over a region, where rounding errors average out.
 """
 
 import logging
@@ -21,10 +21,10 @@ from tg4mm.run.tensor_file import model_hash
 
 HALVES = 2
 _STEPS = 127
-_TINY = 1e-30  # of a step: less is 0
+_TINY = 1e-30  # smaller steps are 0
 PART = "residuals"
-_VERSION = 3  # a file of another is made anew
-_MOST = 1 << 30  # bytes; what is more is found anew each time
+_VERSION = 3  # a file of another version is made again
+_MOST = 1 << 30  # bytes; more is not cached
 _TYPES = torch.int8, torch.uint8, torch.int16, torch.int32, torch.float16
 Wanted = Mapping[str, tuple[DTypeLike, tuple[int, ...]]]
 _LOG = logging.getLogger("tg4mm")
@@ -32,18 +32,15 @@ _LOG = logging.getLogger("tg4mm")
 
 @dataclass(frozen=True)
 class Sides:
-    """The right-hand sides of F frames on one clock, for both halves of the data.
+    """The right-hand sides of F frames on one clock, for both halves of the data; 0 for Gaussians not in `rows`."""
 
-    Zero for Gaussians that `rows` lacks.
-    """
-
-    rows: np.ndarray  # [n] int32 of the Gaussians, ascending
+    rows: np.ndarray  # [n] int32 indices of Gaussians, ascending
     values: np.ndarray  # [2, F, n, 6] int8
-    steps: np.ndarray  # [2, n, 6] float32: what a step of `values` is worth
+    steps: np.ndarray  # [2, n, 6] float32: the size of a step of `values`
 
     @staticmethod
     def of(sides: np.ndarray) -> "Sides":
-        """From [2, F, N, 6]."""
+        """Pack an array [2, F, N, 6]."""
         largest = np.zeros((len(sides), *sides.shape[2:]), np.float32)
         for half, own in enumerate(sides):
             for frame in own:
@@ -58,15 +55,10 @@ class Sides:
         return Sides(rows, values, steps)
 
     def __len__(self) -> int:
-        """F."""
         return self.values.shape[1]
 
-    @property
-    def nbytes(self) -> int:
-        return self.rows.nbytes + self.values.nbytes + self.steps.nbytes
-
     def summed(self, motions: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """[2, F, K]: E · s_f of motions E [K, N, 6] that are zero but at the Gaussians `wanted` [m]."""
+        """Return E · s_f [2, F, K] for motions E [K, N, 6] that are zero except at the Gaussians `wanted` [m]."""
         mine = np.flatnonzero(np.isin(self.rows, wanted))
         own = motions[:, self.rows[mine]].astype(np.float64)
         out = np.empty((HALVES, len(self), len(motions)))
@@ -77,12 +69,12 @@ class Sides:
         return out
 
     def arrays(self, name: str) -> dict[str, np.ndarray]:
-        """For a file."""
+        """Return the arrays for a file."""
         return {f"rows_{name}": self.rows, f"values_{name}": self.values, f"steps_{name}": self.steps}
 
     @staticmethod
     def restored(arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int) -> "Sides":
-        """From what `arrays` gave of so many frames and Gaussians. Raises ValueError for anything else."""
+        """Restore from `arrays` for so many frames and Gaussians. Raises ValueError for anything else."""
         rows = arrays.get(f"rows_{name}", np.zeros(0))
         of_rows = (HALVES, len(np.atleast_1d(rows)), DOF)
         wanted = {
@@ -96,15 +88,13 @@ class Sides:
         return Sides(*(arrays[key] for key in wanted))
 
 
-def check_arrays(
-    arrays: Mapping[str, np.ndarray], wanted: Mapping[str, tuple[DTypeLike, tuple[int, ...]]]
-) -> None:
-    """Raises ValueError where one of them is not there, or of another type or shape."""
+def check_arrays(arrays: Mapping[str, np.ndarray], wanted: Wanted) -> None:
+    """Raise ValueError for an array that is absent or of another type or shape."""
     for name, (kind, shape) in wanted.items():
         found = arrays.get(name)
         if found is None or found.dtype != kind or found.shape != shape:
-            said = "absent" if found is None else f"{found.dtype} {found.shape}"
-            raise ValueError(f"{name} is {said}, expected {np.dtype(kind)} {shape}")
+            shown = "absent" if found is None else f"{found.dtype} {found.shape}"
+            raise ValueError(f"{name} is {shown}, expected {np.dtype(kind)} {shape}")
 
 
 Kept = tuple[dict[str, np.ndarray], list[Sides]]
@@ -112,7 +102,7 @@ Kept = tuple[dict[str, np.ndarray], list[Sides]]
 
 @dataclass(frozen=True)
 class KeptPass:
-    """The file of one run, valid for the Gaussians and the motion that it was made with."""
+    """The cache file of one run, valid for the Gaussians and the motion with which it was made."""
 
     run: Run
     model: str  # digest
@@ -125,13 +115,13 @@ class KeptPass:
 
     @property
     def is_there(self) -> bool:
-        """Whether the run has such a file, of whatever model."""
+        """Whether the run has such a file, for any model."""
         return self.run.has_part(PART)
 
     def load(self, wanted: Wanted, n_frames: Mapping[str, int], n_gaussians: int) -> Kept | None:
-        """The arrays `wanted`, by name, type and shape, and the sides of the clocks of so many frames.
+        """Return the arrays `wanted`, by name, type and shape, and the sides of clocks of so many frames.
 
-        None where there are none, or they belong to another model, or are damaged.
+        None where they are absent, damaged, or belong to another model.
         """
         if not self.run.has_part(PART):
             return None
@@ -154,10 +144,7 @@ class KeptPass:
         return arrays, sides
 
     def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
-        """Write the arrays if that was requested and they take at most 1 GiB.
-
-        A folder that cannot be written is no error.
-        """
+        """Write the arrays if requested and at most 1 GiB; a folder that cannot be written is not an error."""
         if not self.may_save or sum(a.nbytes for a in arrays.values()) > _MOST:
             return
         tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}

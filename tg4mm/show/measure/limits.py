@@ -1,8 +1,8 @@
-"""What a measurement cannot determine, a line each, and how much of a large motion its linear answer lacks.
+"""Limits of a measurement, a line each, and how much of a large motion its linear answer misses.
 
-A sensor's answer is linear in the pictures' changes. How far that holds depends on the texture: blurred edges move by
-pixels and stay in proportion, fine speckle does not by half a pixel. So the mean picture is moved by the answer and
-compared with the frame: the rest, through the gradients of the moved picture, is what the answer lacks.
+A sensor's answer is linear in the pictures' changes. The linear range depends on the texture: blurred edges stay
+proportional over pixels, fine speckle not over half a pixel. So the mean picture is moved by the answer and compared
+with the frame: the residual, through the gradients of the moved picture, gives the missing motion.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,18 +20,18 @@ from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.result.reading import pixel_rows
 
 _FRAMES = 6  # of the largest motion
-_LOOKED_AT_PX = 0.3  # less is in proportion in every picture that a camera takes
+_LOOKED_AT_PX = 0.3  # smaller motion is in the linear range of every camera picture
 _EDGE = 0.02  # of the strongest change: pixels that change less do not count
 _MARGIN = 6  # pixels around them
-_HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
-_OTHER = 0.5  # of the largest changes: what is no motion of the region, from here on its numbers are none
-_LACKING = 0.05  # of the largest motion: what the answer lacks of it, from here on it is said
+_HIDDEN = 0.5  # of a motion: the part hidden by errors of the scene at rest that is reported
+_OTHER = 0.5  # of the largest changes: the part not explained by motion of the region that is reported
+_LACKING = 0.05  # of the largest motion: the missing part that is reported
 
 
 def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float, float] | None:
-    """Largest motion in pixels, the share of it that the answer lacks, the share's deviation, and `other_share`.
+    """Return the largest motion in pixels, the missing share of it with its deviation, and `other_share`.
 
-    None for a moving camera, for a flat capture, whose motion is iterated, and for a motion that is small.
+    None for a moving camera, for a flat capture, whose motion is iterated, and for a small motion.
     """
     if scene.is_moving or not scene.views:
         return None
@@ -57,13 +57,13 @@ def lacking(scene: Prepared, result: SensorResult) -> tuple[float, float, float,
 
 
 def weights_of(scene: Prepared, result: SensorResult, view: MeasuredView) -> np.ndarray:
-    """[H, W]: how much a view's pixels tell of a sensor's translations."""
+    """Return the sensitivity [H, W] of a view's pixels to a sensor's translations."""
     fields = result.body.motions(scene.means, result.body.weights)[: len(result.series.axes)]
     return np.asarray((np.asarray(view.view.jvp(fields)) ** 2).sum((0, 3)))
 
 
 def box_of(weights: np.ndarray) -> tuple[tuple[slice, slice], np.ndarray]:
-    """The box around the pixels that count, with a margin, and which of its pixels these are [h, w] bool."""
+    """Return the box around the pixels that count, with a margin, and the mask [h, w] of these pixels in it."""
     inside = weights > _EDGE * weights.max()
     down, right = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
     rows, columns = (slice(max(int(i[0]) - _MARGIN, 0), int(i[-1]) + 1 + _MARGIN) for i in (down, right))
@@ -73,25 +73,24 @@ def box_of(weights: np.ndarray) -> tuple[tuple[slice, slice], np.ndarray]:
 def missing_share(
     mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray
 ) -> tuple[float, float]:
-    """Return by what share pictures [F, H, W, 3] moved more along motions [F, 2], pixels right and down.
+    """Return the share by which pictures [F, H, W, 3] moved beyond motions [F, 2], pixels right and down.
 
-    mean [H, W, 3] the picture that they moved from; weights [H, W]: where it counts. The second number is the standard
-    error over the frames.
+    mean [H, W, 3]: the picture at rest; weights [H, W] of its pixels. The second number is the standard error over the
+    frames.
     """
     shares = []
     for (x, y), left, columns, _ in _compared(mean, pictures, moved, weights):
         found = np.linalg.lstsq(columns, left, rcond=None)[0][:2]
         shares.append(float(found @ [x, y]) / (x * x + y * y))
-    return float(np.mean(shares)), float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(
-        shares
-    ) > 1 else 0.0
+    error = float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else 0.0
+    return float(np.mean(shares)), error
 
 
 def other_share(mean: np.ndarray, pictures: np.ndarray, moved: np.ndarray, weights: np.ndarray) -> float:
-    """Return the share of the changes in a region that is no motion of it: an occluder, or a light.
+    """Return the share of the changes in a region that its motion does not explain, 0 … 1: an occluder, or a light.
 
-    As `missing_share`; the first half of the pictures has the largest motions, the second the smallest, whose leftovers
-    are noise. Of each half the median picture counts. From 0 to 1; 0 where nothing but noise changes.
+    Arguments: `missing_share`. The first half of the pictures has the largest motions, the second the smallest, whose
+    residuals are noise. The median picture of each half counts. 0 where only noise changes.
     """
     before, after = [], []
     for _, left, columns, change in _compared(mean, pictures, moved, weights):
@@ -120,96 +119,15 @@ def _compared(
         there = shift(some, (motion[1], motion[0], 0), order=3, mode="nearest")
         slope_down, slope_right = np.gradient(there, axis=(0, 1))
         columns = np.stack([-slope_right[own], -slope_down[own], there[own], np.ones_like(there[own])], -1)
-        yield (
-            motion,
-            (picture[box] - there)[own].ravel(),
-            columns.reshape(-1, 4),
-            (picture[box] - some)[own].ravel(),
-        )
-
-
-def _of_region(result: SensorResult) -> list[str]:
-    """What a region of a flat capture shows beside its motion."""
-    if (motion := result.motion) is None:
-        return []
-    out = []
-    if motion.hidden.any():
-        out.append(
-            f"{result.name}: something passes in {int(motion.hidden.sum())} of {len(motion.hidden)} frames; the motion "
-            "is interpolated there"
-        )
-    size = float(np.linalg.norm(motion.whole - np.median(motion.whole, 0), axis=1).max())
-    if (other := motion.other_share) > _OTHER:
-        out.append(
-            f"{result.name}: {100 * other:.0f} % of its largest changes are not explained by a motion of "
-            f"{size:.2g} px: something passes, light changes, or parts move differently, and its numbers may show it"
-        )
-    elif size > 1 and not motion.is_iterated:
-        out.append(
-            f"{result.name} moves by up to {size:.2g} px, and was measured in one step: it may move by more; choose a "
-            "smaller region"
-        )
-    return out
+        residual, change = (picture[box] - there)[own].ravel(), (picture[box] - some)[own].ravel()
+        yield motion, residual, columns.reshape(-1, 4), change
 
 
 def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
     """Return the limits of the capture, then those of the sensors."""
-    out = list(scene.notes)
-    if not scene.capture.kind.sees_depth:
-        where = (
-            "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
-        )
-        out.append(f"a flat capture shows only motion across the line of sight, {where}")
-    elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
-        out.append(
-            "one camera hardly shows motion along its line of sight: there waveforms have a much larger ±"
-        )
-    if len(scene.clocks) > 1:
-        out.append(
-            "the cameras' clocks are independent: peaks combine all cameras, assuming a steady vibration; a "
-            "waveform is that of one camera, which hardly shows motion along its line of sight"
-        )
-    if scene.is_moving:
-        out.append(
-            "slow motion, and common motion of the scene: both are removed as motion of the moving camera"
-        )
-    if hz := scene.fit.undetermined_hz:
-        named = ", ".join(f"{f:.4g}" for f in hz)
-        out.append(
-            f"which of two parts that move against each other at {named} Hz stands still: every ± is at least as large "
-            "as the motion"
-        )
-    if len(scene.means) and not scene.fit.uncertainty:
-        out.append(
-            "the run has no uncertainty of its Gaussians: every ± covers noise only, and shapes include noise"
-        )
+    out = [*scene.notes, *_of_capture(scene)]
     for result in results:
-        out += _of_region(result)
-        if (found := lacking(scene, result)) is not None:
-            size, share, deviation, other = found
-            if other > _OTHER:
-                out.append(
-                    f"{result.name}: {100 * other:.0f} % of its largest changes are not explained by a motion of "
-                    f"{size:.2g} px: something passes, or light changes, and its numbers may show it"
-                )
-            elif share > max(_LACKING, 2 * deviation):
-                out.append(
-                    f"{result.name} moves by up to {size:.2g} px, beyond the linear range of its picture: "
-                    f"the largest motions are underestimated by {100 * share:.0f} %"
-                )
-        for series in result.all_series:
-            is_hidden = (series.false_share > _HIDDEN) & series.is_resolved
-            if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
-                where = f" in {series.clock}" if series.clock else ""
-                out.append(
-                    f"{result.name}: motion along {', '.join(hidden)}{where} is hardly visible: most of what the "
-                    "scene at rest would show of it is not in the pictures"
-                )
-        longest = max(len(s.times_s) for s in result.all_series)
-        if longest < FEWEST:
-            out.append(f"{result.name}: {longest} frames are too few for a spectrum, {FEWEST} are needed")
-        elif not result.spectrum.peaks:
-            out.append(f"{result.name}: nothing stands out of the noise floor")
+        out += [*_of_region(result), *_of_sensor(scene, result)]
     sure = {
         round(peak.frequency_hz, 3)
         for r in results
@@ -217,3 +135,78 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         if main_is_above(peak, orbit)
     }
     return tuple(out + frequency_notes(sorted(sure), scene.observations))
+
+
+def _of_capture(scene: Prepared) -> Iterator[str]:
+    if not scene.capture.kind.sees_depth:
+        where = (
+            "in pixels of its picture" if scene.scale is None else "of the plane that its scale was marked on"
+        )
+        yield f"a flat capture shows only motion across the line of sight, {where}"
+    elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
+        yield "one camera hardly shows motion along its line of sight: there waveforms have a much larger ±"
+    if len(scene.clocks) > 1:
+        yield (
+            "the cameras' clocks are independent: peaks combine all cameras, assuming a steady vibration; a "
+            "waveform is that of one camera, which hardly shows motion along its line of sight"
+        )
+    if scene.is_moving:
+        yield "slow motion, and common motion of the scene: both are removed as motion of the moving camera"
+    if hz := scene.fit.undetermined_hz:
+        yield (
+            f"which of two parts that move against each other at {', '.join(f'{f:.4g}' for f in hz)} Hz stands still: "
+            "every ± is at least as large as the motion"
+        )
+    if len(scene.means) and not scene.fit.uncertainty:
+        yield "the run has no uncertainty of its Gaussians: every ± covers noise only, and shapes include noise"
+
+
+def _of_region(result: SensorResult) -> Iterator[str]:
+    """Yield the limits of a region of a flat capture."""
+    if (motion := result.motion) is None:
+        return
+    if motion.hidden.any():
+        yield (
+            f"{result.name}: something passes in {int(motion.hidden.sum())} of {len(motion.hidden)} frames; the motion "
+            "is interpolated there"
+        )
+    size = float(np.linalg.norm(motion.whole - np.median(motion.whole, 0), axis=1).max())
+    if (other := motion.other_share) > _OTHER:
+        yield _unexplained(result, other, size, "something passes, light changes, or parts move differently")
+    elif size > 1 and not motion.is_iterated:
+        yield (
+            f"{result.name} moves by up to {size:.2g} px, and was measured in one step: it may move by more; choose a "
+            "smaller region"
+        )
+
+
+def _unexplained(result: SensorResult, share: float, size: float, why: str) -> str:
+    return (
+        f"{result.name}: {100 * share:.0f} % of its largest changes are not explained by a motion of "
+        f"{size:.2g} px: {why}, and its numbers may show it"
+    )
+
+
+def _of_sensor(scene: Prepared, result: SensorResult) -> Iterator[str]:
+    if (found := lacking(scene, result)) is not None:
+        size, share, deviation, other = found
+        if other > _OTHER:
+            yield _unexplained(result, other, size, "something passes, or light changes")
+        elif share > max(_LACKING, 2 * deviation):
+            yield (
+                f"{result.name} moves by up to {size:.2g} px, beyond the linear range of its picture: "
+                f"the largest motions are underestimated by {100 * share:.0f} %"
+            )
+    for series in result.all_series:
+        is_hidden = (series.false_share > _HIDDEN) & series.is_resolved
+        if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
+            where = f" in {series.clock}" if series.clock else ""
+            yield (
+                f"{result.name}: motion along {', '.join(hidden)}{where} is hardly visible: most of what the "
+                "scene at rest would show of it is not in the pictures"
+            )
+    longest = max(len(s.times_s) for s in result.all_series)
+    if longest < FEWEST:
+        yield f"{result.name}: {longest} frames are too few for a spectrum, {FEWEST} are needed"
+    elif not result.spectrum.peaks:
+        yield f"{result.name}: nothing stands out of the noise floor"

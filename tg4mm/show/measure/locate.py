@@ -1,10 +1,11 @@
-"""Which Gaussians a sensor's region holds, and as which rigid body it is measured."""
+"""The Gaussians in a sensor's region, and the rigid body as which it is measured."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from tg4mm.capture import load_capture
+from tg4mm.core.phasors import scale_top
 from tg4mm.core.regions import Scale
 from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.jacobian.view import blend_sum
@@ -14,17 +15,17 @@ from tg4mm.show.measure.rigid import Body
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensors import OF_PICTURE, STILL, MeasureError, Sensor
 
-_LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
-_BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth
+_LEAST_SHARE = 0.05  # of a pixel region's largest blending weight: Gaussians with less do not belong to it
+_BEHIND = 3.0  # radii of a pixel region: the depth that its surface may span
 _SAME_SCALE = 0.1  # by which two lengths in one scene may differ
 _SEEN = 1e-3  # pixels of blending weight that a region must have
 OF_ONE_CAMERA = "right", "up", "sight"
 
 
 def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
-    """[N] float32, 0 … 1: how much each Gaussian belongs to the sensor. `clusters`: indices by number.
+    """Return how much each Gaussian belongs to the sensor, [N] float32, 0 … 1. `clusters`: indices by number.
 
-    Raises MeasureError where the region is empty, where no picture shows it, or for a camera or cluster that is none.
+    Raises MeasureError for an empty region, one that no picture shows, and an unknown camera or cluster.
     """
     means = scene.means
     if sensor.region == "all":
@@ -32,7 +33,11 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     elif sensor.region in ("box", "sphere"):
         out = _inside(sensor, means)
     elif sensor.region == "cluster":
-        out = _of_cluster(sensor, len(means), clusters)
+        out, number = np.zeros(len(means)), int(sensor.values[0])
+        if number not in clusters:
+            there = ", ".join("still" if k == STILL else str(k) for k in sorted(clusters)) or "none"
+            raise MeasureError(f"sensor {sensor}: there is no such cluster; there are: {there}")
+        out[clusters[number]] = 1
     else:
         out = _of_pixel(sensor, scene)
     weights = np.asarray(out, np.float32)
@@ -47,10 +52,9 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
 
 
 def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]]:
-    """The rigid body of a region, and its axes' names: x, y, z of the world, or of one fixed camera right, up, sight.
+    """Return the rigid body of a region, and its axes' names: x, y, z, or right, up, sight for one fixed camera.
 
-    One camera's axes go by the line of sight to the region's centre, away from the camera: motion along it is hardly
-    seen.
+    `sight` is the line of sight to the region's centre, away from the camera: motion along it is hardly visible.
     """
     seen = weights * scene.seen
     centre = (seen @ scene.means) / seen.sum()
@@ -65,10 +69,10 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]
 
 
 def plane_axes(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> np.ndarray:
-    """Return the axes [2, 3] of a flat capture: how what it shows moves for a unit right and up on its plane.
+    """Return the axes [2, 3] of a flat capture: its motion for a unit right and up on its plane.
 
     With a rectangle marked in the picture a unit is `scale.reference_m` × the focal length, in metres, on the
-    rectangle's plane; without one it is the picture's own.
+    rectangle's plane; without one it is that of the picture.
     """
     viewmat = frames.viewmat[:2, :3].astype(np.float64)
     flip = np.array([[1.0, 0.0], [0.0, -1.0]])
@@ -82,7 +86,7 @@ def plane_axes(scale: Scale | None, frames: PosedFrames, centre: np.ndarray) -> 
 def plane_depth(scene: Prepared, weights: np.ndarray | None = None) -> float:
     """Return the distance of a flat capture's plane from the camera, scene units.
 
-    weights [N]: of the Gaussians that show it; without them, or without any Gaussian, the whole plane's.
+    weights [N]: of the Gaussians that show it; without them, or without any Gaussian, the complete plane's.
     """
     frames = scene.observations.frames[0]
     if not len(scene.means):
@@ -98,10 +102,9 @@ def px_per_unit(frames: PosedFrames, centre: np.ndarray) -> float:
 
 
 def unit_scale(scale: Scale, scene: Prepared) -> float:
-    """Metres per scene unit by what was marked in the one fixed camera's picture; its depths are the model's.
+    """Return metres per scene unit from the marks in the one fixed camera's picture; depths are the model's.
 
-    Raises MeasureError where there are several cameras or it moves, where an end lies on nothing, or where the dataset
-    has another scale.
+    Raises MeasureError for several cameras, a moving one, an end on the background, or a dataset of another scale.
     """
     if scene.is_moving or len(scene.observations.frames) != 1:
         raise MeasureError("a scale marked in a picture needs one fixed camera: give tg4mm sfm --length")
@@ -121,7 +124,7 @@ def unit_scale(scale: Scale, scene: Prepared) -> float:
 
 
 def _point_at(scene: Prepared, at: tuple[float, float]) -> np.ndarray:
-    """[3] what is seen at a pixel of the one view."""
+    """Return the position [3] that is seen at a pixel of the one view."""
     sensor = Sensor("end", "pixel", (*at, 1.5), scene.observations.frames[0].name)
     check_pixel(sensor, [sensor.camera], scene.observations.size)
     weights = _of_pixel(sensor, scene)
@@ -129,13 +132,13 @@ def _point_at(scene: Prepared, at: tuple[float, float]) -> np.ndarray:
         raise MeasureError(f"a length's end at pixel {at[0]:g}, {at[1]:g} shows the background")
     frames = scene.views[0].frames
     viewmat, K = frames.viewmat.astype(np.float64), frames.K.astype(np.float64)
-    depth = _weighted_median(scene.means @ viewmat[2, :3] + viewmat[2, 3], weights)
+    depth = scale_top(scene.means @ viewmat[2, :3] + viewmat[2, 3], weights, 0.5)
     x = np.linalg.solve(K, [*at, 1.0]) * depth
     return np.asarray(viewmat[:3, :3].T @ (x - viewmat[:3, 3]))
 
 
 def sight_axes(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """[3, 3], rows: the picture's right and up as seen at `centre`, and the line of sight."""
+    """Return the rows [3, 3]: the picture's right and up as seen at `centre`, and the line of sight."""
     sight = viewmat[:3, :3].T @ viewmat[:3, 3] + centre
     sight = sight / np.linalg.norm(sight)
     right = viewmat[0, :3] - (viewmat[0, :3] @ sight) * sight
@@ -143,18 +146,8 @@ def sight_axes(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(right, sight), sight])
 
 
-def _of_cluster(sensor: Sensor, n: int, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
-    number = int(sensor.values[0])
-    if number not in clusters:
-        there = ", ".join("still" if k == STILL else str(k) for k in sorted(clusters))
-        raise MeasureError(f"sensor {sensor}: there is no such cluster; there are: {there or 'none'}")
-    out = np.zeros(n)
-    out[clusters[number]] = 1
-    return out
-
-
 def check_sensors(run: Run, sensors: Sequence[Sensor]) -> None:
-    """Before the pictures are read. Raises MeasureError for a region that the run does not have."""
+    """Check sensors before pictures are read. Raises MeasureError for a region that the run does not have."""
     capture = load_capture(run.dataset, split="train")
     names, size = [f.name for f in frames_of(capture)[1]], (capture.width, capture.height)
     means = run.load_space().means.numpy().astype(np.float64)
@@ -166,10 +159,10 @@ def check_sensors(run: Run, sensors: Sequence[Sensor]) -> None:
 
 
 def check_pixel(sensor: Sensor, cameras: Sequence[str], size: tuple[int, int]) -> None:
-    """Raise MeasureError for a camera that is none of these, or a pixel outside the picture of `size` (w, h)."""
+    """Raise MeasureError for an unknown camera, or a pixel outside the picture of `size` (w, h)."""
     if sensor.camera not in cameras:
         known = ", ".join(cameras[:8]) + (" …" if len(cameras) > 8 else "")
-        raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
+        raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is not a camera; cameras: {known}")
     x, y = np.mean(corners_of(sensor), 0)
     if not (0 <= x <= size[0] and 0 <= y <= size[1]):
         raise MeasureError(
@@ -178,13 +171,13 @@ def check_pixel(sensor: Sensor, cameras: Sequence[str], size: tuple[int, int]) -
 
 
 def corners_of(sensor: Sensor) -> np.ndarray:
-    """Return a polygon's corners [P, 2] in pixels; of a pixel, itself."""
+    """Return a polygon's corners [P, 2] in pixels, or the pixel itself."""
     values = sensor.values[:2] if sensor.region == "pixel" else sensor.values
     return np.array(values).reshape(-1, 2)
 
 
 def _inside(sensor: Sensor, means: np.ndarray) -> np.ndarray:
-    """[N] bool of a box or a sphere."""
+    """Whether each mean [N, 3] lies in a box or a sphere."""
     if sensor.region == "sphere":
         away = np.linalg.norm(means - np.array(sensor.values[:3]), axis=1)
         return np.asarray(away <= sensor.values[3])
@@ -194,13 +187,13 @@ def _inside(sensor: Sensor, means: np.ndarray) -> np.ndarray:
 
 def _check_holds(sensor: Sensor, means: np.ndarray, weights: np.ndarray) -> None:
     if not weights.any():
-        low, high = (np.percentile(means, p, axis=0) for p in (1, 99))
-        span = f"from ({_numbers(low)}) to ({_numbers(high)})"
+        low, high = (", ".join(f"{v:.3g}" for v in np.percentile(means, p, axis=0)) for p in (1, 99))
+        span = f"from ({low}) to ({high})"
         raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
 
 
 def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
-    """The surface seen around a pixel: Gaussians by how much of them blends into the neighbourhood."""
+    """Return the surface seen around a pixel: Gaussians by the part of them that blends into the neighbourhood."""
     names = [f.name for f in scene.observations.frames]
     check_pixel(sensor, names, scene.observations.size)
     view = scene.views[names.index(str(sensor.camera))]
@@ -218,16 +211,6 @@ def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     out = np.where(inside > _LEAST_SHARE * inside.max(), inside / np.maximum(whole, 1e-12), 0)
     viewmat, focal = view.frames.viewmat.astype(np.float64), float(view.frames.K[0, 0])
     depth = scene.means @ viewmat[2, :3] + viewmat[2, 3]
-    at = _weighted_median(depth, inside)
+    at = scale_top(depth, inside, 0.5)
     reach = _BEHIND * max(radius, 1.0) * at / focal
     return np.where(np.abs(depth - at) <= reach, np.minimum(2 * out, 1), 0)
-
-
-def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order[min(int(np.searchsorted(total, total[-1] / 2)), len(values) - 1)]])
-
-
-def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{v:.3g}" for v in values)

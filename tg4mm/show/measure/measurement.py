@@ -1,4 +1,4 @@
-"""A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
+"""A measurement: displacement over time of every sensor and quantities derived from it; clusters and shapes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -40,22 +40,22 @@ from tg4mm.show.measure.shapes import Shape, shapes_of
 from tg4mm.show.measure.spectrum import USUAL_PERIOD
 from tg4mm.show.measure.video import looked_at
 
-_LONG = 5e5  # pixels times views and sensors: from here on progress is shown
+_LONG = 5e5  # pixels times views and sensors beyond which progress is shown
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Everything that was measured in one call: `sensors`, also by name as `found["tip"]`."""
+    """The results of one call: `sensors`, also by name as `found["tip"]`."""
 
     prepared: Prepared  # what was measured
-    sensors: tuple[SensorResult, ...]  # in the order asked for
+    sensors: tuple[SensorResult, ...]  # in the order requested
     clusters: Clusters  # groups of Gaussians that move alike
-    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency that sensors show
-    reference: str  # name of the sensor that phases are against
-    notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
-    clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
-    look: Found | None = None  # of one fixed camera: what the look at its regions found
-    marked_scale_m: float | None = None  # metres per scene unit by what was marked in the picture
+    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency of the sensors' peaks
+    reference: str  # name of the sensor that phases refer to
+    notes: tuple[str, ...] = ()  # limits of this capture, and sensors without a significant peak
+    clip_phases: ClipPhases | None = None  # if cameras have independent clocks
+    look: Found | None = None  # result of the look at one fixed camera's regions
+    marked_scale_m: float | None = None  # metres per scene unit by the marks in the picture
 
     @property
     def unit_scale_m(self) -> float | None:
@@ -87,15 +87,15 @@ def measure(
             before one fixed camera; of a flat capture these in place of clusters.
         reference: name of the sensor that phases and coherence refer to; `None`: the first.
         clusters: `Measurement.clusters` of an earlier call; `None` finds them.
-        band: (low, high) in Hz: every sensor has a peak there, found or not; its ± says how little a short record
-            tells. `None`: that of the run's training, if it was given one. Not of clips.
-        scale: marked in the one camera's picture; by a rectangle, a flat capture's right and up are its plane's.
+        band: (low, high) in Hz: every sensor gets a peak there, significant or not; its ± includes the uncertainty of
+            a short record. `None`: that of the run's training, if it was given one. Not for clips.
+        scale: marked in the one camera's picture; with a rectangle, a flat capture's right and up are its plane's.
 
     Returns:
         A waveform with its deviation, a spectrum with its noise floor, and peaks for each sensor, in scene units.
 
     Raises:
-        MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is none of the sensors.
+        MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is not a sensor.
         CaptureError: the band does not fit the record.
     """
     if isinstance(run, Run):
@@ -106,17 +106,17 @@ def measure(
     has_gaussians = len(scene.means) > 0
     groups = clusters or (clusters_of(scene) if has_gaussians else Clusters({}, {}))
     found = looked_at(scene) if sensors is None and not has_gaussians else scene.found
-    own = region_sensors(scene, found) if found is not None else []
-    usual = [*own, Sensor("all", "all")] if own else default_sensors(groups)
-    if scene.capture.kind.sees_depth:
-        usual = [*default_sensors(groups), *own]
-    wanted = checked_names(sensors if sensors is not None else usual)
+    regions = region_sensors(scene, found) if found is not None else []
+    if scene.capture.kind.sees_depth or not regions:
+        defaults = [*default_sensors(groups), *regions]
+    else:
+        defaults = [*regions, Sensor("all", "all")]
+    wanted = checked_names(sensors if sensors is not None else defaults)
     if not wanted:
         raise MeasureError("no sensor was named")
-    if reference is not None and reference not in [s.name for s in wanted]:
-        raise MeasureError(
-            f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
-        )
+    names = [s.name for s in wanted]
+    if reference is not None and reference not in names:
+        raise MeasureError(f"reference {reference!r} is not a sensor; sensors: {', '.join(names)}")
     results, phases = _results(scene, wanted, groups.members)
     observations = scene.observations
     asked = band or asked_band(scene.fit.config.band, observations.fps)
@@ -124,26 +124,26 @@ def measure(
         check_band_told(check_band(asked, observations.fps), observations.duration_s)
         results = [r.with_(band=asked) for r in results]
     results = with_losses(scene, results)
-    first = reference or wanted[0].name
-    against = next(r for r in results if r.name == first)
+    first = reference or names[0]
+    against = results[names.index(first)]
     results = [r if r is against else r.with_(relation=relation_of(r, against)) for r in results]
-    shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
     if scale is not None:
         notes = (*notes, f"the scale is known to {100 * scale.share:.2g} % by its marks, which no ± contains")
+    shapes = shapes_of(scene, results)
     return Measurement(scene, tuple(results), groups, shapes, first, notes, phases, found, metres)
 
 
 def measure_one(scene: Prepared, sensor: Sensor) -> SensorResult:
-    """One sensor by itself, quickly: without clusters, shapes, and what the scene cannot tell.
+    """Measure one sensor quickly, without clusters, shapes and notes.
 
-    Raises MeasureError as `measure` does, and for a cluster, since none are looked for.
+    Raises MeasureError as `measure` does, and for a cluster, since none are computed.
     """
     return _results(scene, [sensor], {})[0][0]
 
 
 def default_sensors(clusters: Clusters) -> list[Sensor]:
-    """Every cluster that moves alike, what stands still, and the whole scene."""
+    """Return a sensor for every cluster, the static one included, and one for the complete scene."""
     out = [Sensor(name, "cluster", (float(k),)) for k, name in clusters.names.items()]
     return [*out, Sensor("all", "all")]
 
@@ -156,22 +156,23 @@ def _results(
         return _flat_results(scene, wanted, clusters), None
     bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
     views = [scene.views if scene.is_moving else [scene.views[v] for v in c.views] for c in scene.clocks]
-    # a moving camera's views are made when they are asked for
+    of_fixed = (len(v.halves) for own in views for v in own)
     halves = (
-        HALVES * len(scene.views) if scene.is_moving else sum(len(v.halves) for own in views for v in own)
-    )
-    total = halves * len(bodies)
+        HALVES * len(scene.views) if scene.is_moving else sum(of_fixed)
+    )  # a moving camera's are made on demand
     width, height = scene.observations.size
     is_long = len(scene.views) * len(wanted) * width * height > _LONG
-    with progress("sensors", total, "steps") if is_long else nullcontext(lambda done: None) as update:
+    shown = progress("sensors", halves * len(bodies), "steps") if is_long else nullcontext(lambda done: None)
+    with shown as update:
         done = count(1)
         series = [
             _series(scene, clock, own, bodies, lambda: update(next(done)))
             for clock, own in zip(scene.clocks, views, strict=True)
         ]
-    clips, phases = (
-        _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
-    )
+    clips: Sequence[Together | None] = [None] * len(wanted)
+    phases = None
+    if len(scene.clocks) > 1:
+        clips, phases = _of_clips(scene, series, bodies)
     results = [
         _result(scene, s, body, [own[b] for own in series], clips[b])
         for b, (s, (body, _)) in enumerate(zip(wanted, bodies, strict=True))
@@ -185,11 +186,10 @@ def _flat_results(
     with progress("sensors", len(wanted), "sensors", brief=True) as update:
         done = count(1)
         found = flat_sensors(scene, wanted, clusters, lambda: update(next(done)))
-    out = []
-    for sensor, own in zip(wanted, found, strict=True):
-        result = _result(scene, sensor, own.body, [own.series], None)
-        out.append(replace(result, mask=own.mask, motion=own.motion))
-    return out
+    return [
+        replace(_result(scene, sensor, own.body, [own.series], None), mask=own.mask, motion=own.motion)
+        for sensor, own in zip(wanted, found, strict=True)
+    ]
 
 
 def _series(
@@ -199,11 +199,8 @@ def _series(
     bodies: Sequence,
     step: Callable[[], None],
 ) -> list[Series]:
-    own = [body for body, _ in bodies]
     assert clock.sides is not None
-    equations = equations_of(
-        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving, step,
-    )  # fmt: skip
+    equations = equations_of([body for body, _ in bodies], scene, clock, views, step)
     out = []
     for e, (body, labels) in zip(equations, bodies, strict=True):
         axes = body.axes
@@ -236,18 +233,17 @@ def _result(
     best = int(np.argmax(scales))
     between = scene.between if len(series) == 1 else None
     period = scene.observations.codec_period or (None if scene.video is None else USUAL_PERIOD)
-    found = tuple(series), scales[best], frames[best].name, clips, period, between
-    return SensorResult(sensor, body, *found)
+    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period, between)
 
 
 def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
-    """A disc as large as each vibration's region at the region's centre."""
+    """Return a disc as large as each vibration's region, at the region's centre."""
     camera = scene.observations.frames[0].name
     out: list[Sensor] = []
     for line in found.vibrations:
         radius = found.cell_px * float(np.sqrt(line.region.sum() / np.pi))
         name, taken = f"{line.hz:.4g} Hz", [sensor.name for sensor in out]
-        if name in taken:  # a part that moves at this frequency in another way
+        if name in taken:  # another part at this frequency
             name += f" {1 + sum(other.startswith(name) for other in taken)}"
         out.append(Sensor(name, "pixel", (*line.centre_px, radius), camera))
     return out
@@ -255,7 +251,7 @@ def region_sensors(scene: Prepared, found: Found) -> list[Sensor]:
 
 @dataclass(frozen=True)
 class Unit:
-    """What scene units are multiplied by, and what that is called."""
+    """A unit of length: its names, and its number per scene unit."""
 
     name: str  # in text: mm, units, px
     column: str  # in a column's name: mm, scene_units, px
@@ -264,7 +260,7 @@ class Unit:
 
 
 def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
-    """Return the unit of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
+    """Return the unit of a measurement; for a flat capture that at one sensor."""
     if (scale := measurement.unit_scale_m) is not None:
         return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
     if not measurement.prepared.capture.kind.sees_depth:

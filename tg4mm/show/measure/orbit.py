@@ -1,10 +1,9 @@
-"""The ellipse that a sensor runs through at one frequency, in the directions that the cameras tell.
+"""The ellipse that a sensor traces at one frequency, in the directions that the cameras resolve.
 
-One camera hardly tells its line of sight, cameras that stand together hardly their common one. A direction that is
-so little told would fill the ellipse's main axis with its noise and hide what is seen well. So directions, those of the
-covariance's eigenvectors, are left out from the least sure one on: each that is within twice its own deviation of 0, as
-long as it is less sure than twice the others together, or the main axis does not stand out of twice its deviation. What
-is left out has a place of its own.
+One camera hardly resolves its line of sight, and cameras that stand together hardly their common one. Such a direction
+would fill the ellipse's main axis with its noise and hide what is well resolved. So the covariance's eigenvectors are
+left out from the least certain one on: each that is within twice its deviation of 0, as long as it is more than twice
+as uncertain as the others together, or the main axis does not exceed twice its deviation. `hidden` has these.
 """
 
 from dataclasses import dataclass
@@ -13,12 +12,12 @@ import numpy as np
 
 from tg4mm.show.measure.spectrum import Peak
 
-TWICE = 2.0  # deviations that an amplitude is to exceed
+TWICE = 2.0  # deviations: a smaller amplitude is not significant
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """A direction that is not told beside those that are."""
+    """A direction that is not resolved."""
 
     direction: np.ndarray  # [A] unit vector
     amplitude: float  # scene units, zero to peak
@@ -37,12 +36,12 @@ class Orbit:
 
     @property
     def direction(self) -> np.ndarray:
-        """[A] unit vector along the major axis."""
+        """Unit vector [A] along the major axis."""
         return self.major / max(float(np.linalg.norm(self.major)), 1e-300)
 
     @property
     def amplitude(self) -> float:
-        """Scene units, zero to peak, along the major axis."""
+        """Amplitude along the major axis, scene units, zero to peak."""
         return float(np.linalg.norm(self.major))
 
     @property
@@ -52,17 +51,14 @@ class Orbit:
 
 
 def orbit_of(peak: Peak) -> Orbit:
-    """Return the orbit of a peak, in the directions that are told."""
+    """Return the orbit of a peak, in the resolved directions."""
     return orbit_in(peak.phasor, peak.deviation, peak.is_resolved, peak.correlation)
 
 
 def orbit_in(
     phasor: np.ndarray, deviation: np.ndarray, some: np.ndarray, correlation: np.ndarray | None = None
 ) -> Orbit:
-    """Return the orbit of a phasor [A] along axes, with deviations [A] whose correlation [A, A] is given or none.
-
-    some [A] bool: the axes that count.
-    """
+    """Return the orbit of a phasor [A] along the axes `some` [A], with deviations [A] of correlation [A, A] or none."""
     error = np.where(some, deviation, 0.0)
     covariance = np.diag(error**2) if correlation is None else correlation * np.outer(error, error)
     covariance[~some] = covariance[:, ~some] = 0
@@ -85,7 +81,7 @@ def orbit_in(
 
 
 def _ellipse(m: np.ndarray, covariance: np.ndarray) -> Orbit:
-    """The phasor m [A] turned so that its real and imaginary part are perpendicular."""
+    """Turn the phasor m [A] so that its real and imaginary part are perpendicular."""
     phase = 0.5 * float(np.angle((m**2).sum()))
     turned = m * np.exp(-1j * phase)
     major, minor = turned.real, turned.imag
@@ -97,6 +93,6 @@ def _ellipse(m: np.ndarray, covariance: np.ndarray) -> Orbit:
 
 
 def main_is_above(peak: Peak, orbit: Orbit) -> bool:
-    """Whether a peak is a line, asked for, or above the floor, and its main axis above twice its own deviation."""
+    """Whether a peak is a line, requested, or above the floor, and its main axis above twice its deviation."""
     is_resolved = peak.line is not None or peak.asked is not None or bool(peak.is_above.any())
     return is_resolved and orbit.stands_out

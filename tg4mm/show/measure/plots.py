@@ -1,25 +1,21 @@
 """Plots by matplotlib, one page a sensor: waveform, spectrum, orbit; and a picture of the regions."""
 
-import io
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.look import Found
 from tg4mm.capture.pictures import over_white
-from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.charts import COLOURS, STYLE
+from tg4mm.core.pages.charts import COLOURS
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
 from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.measure.sensors import STILL, Sensor, file_name
-from tg4mm.show.measure.series import Series
+from tg4mm.show.measure.sensors import STILL, file_name
 from tg4mm.show.measure.spectrum import is_resolved
+from tg4mm.show.plotting import pyplot, save
 from tg4mm.show.regions import COLOURS as REGION_COLOURS
 from tg4mm.show.regions import composite, write_labels
 from tg4mm.show.render.cameras import Camera
@@ -33,48 +29,27 @@ _CAMERAS = 6  # that are tried
 _VISIBLE = 0.3  # of what a pixel shows: it belongs to the region
 
 
-def write_plots(measurement: Measurement, out: Path, endings: Sequence[str] = PLOTS) -> list[Path]:
-    """OUT/plots/<sensor>.svg and .png of every sensor; of a flat capture composite.svg and .png, too.
+def write_plots(measurement: Measurement, out: Path, endings: Sequence[str] = PLOTS) -> None:
+    """Write OUT/plots/<sensor>.svg and .png for every sensor, and composite.svg and .png for a flat capture.
 
     endings: of `PLOTS`; files of the others that an earlier measurement left are removed.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    folder, paths = out / "plots", []
+    folder = out / "plots"
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*"):
         if old.suffix.removeprefix(".") in set(PLOTS) - set(endings):
             old.unlink()
-    count = len(measurement.sensors)
-    with plt.rc_context(STYLE), progress("plots", count, "sensors") as update:
+    with pyplot() as plt, progress("plots", len(measurement.sensors), "sensors") as update:
         for done, result in enumerate(measurement.sensors, 1):
             figure = _figure(plt, result, unit_of(measurement, result))
-            paths += _saved(plt, figure, folder / file_name(result.name), endings)
+            save(
+                plt, figure, [folder / f"{file_name(result.name)}.{e}" for e in sorted(endings, reverse=True)]
+            )
             update(done)
         if measurement.look is not None:
-            paths += _saved(plt, _composite(plt, measurement.look), folder / "composite", endings)
-    return paths
-
-
-def _saved(plt: Any, figure: Any, stem: Path, endings: Sequence[str]) -> list[Path]:
-    paths = []
-    for ending in sorted(endings, reverse=True):
-        data = io.BytesIO()
-        figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
-        figure.set_layout_engine("none")  # the first picture has laid it out
-        paths.append(stem.with_name(f"{stem.name}.{ending}"))
-        write_atomic(paths[-1], partial(Path.write_bytes, data=data.getvalue()))
-    plt.close(figure)
-    return paths
-
-
-def _composite(plt: Any, found: Found) -> Any:
-    figure = plt.figure(figsize=(10, 4), layout="constrained")
-    composite(figure.add_subplot(), found)
-    return figure
+            figure = plt.figure(figsize=(10, 4), layout="constrained")
+            composite(figure.add_subplot(), measurement.look)
+            save(plt, figure, [folder / f"composite.{e}" for e in sorted(endings, reverse=True)])
 
 
 def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
@@ -87,28 +62,23 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     return figure
 
 
-def _told(series: Series) -> list[int]:
-    """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
-    return np.flatnonzero(series.is_resolved).tolist()
-
-
 def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
-    """Displacement over time with a band of one standard deviation; of clips the first one's."""
+    """Draw displacement over time with a band of one standard deviation; of the first clip if there are several."""
     series = result.series
     marker = "." if len(series.times_s) <= _MARKED else ""
-    hidden = [series.labels[k] for k in range(len(series.labels)) if k not in _told(series)]
-    for k in _told(series):
+    resolved = np.flatnonzero(series.is_resolved).tolist()
+    hidden = [label for k, label in enumerate(series.labels) if k not in resolved]
+    for k in resolved:
         value, error = series.displacement[:, k] * unit.factor, series.deviation[:, k] * unit.factor
-        axes.plot(
-            series.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=series.labels[k]
-        )
+        style = {"color": COLOURS[k], "lw": 1.2, "marker": marker, "ms": 3, "label": series.labels[k]}
+        axes.plot(series.times_s, value, **style)
         axes.fill_between(series.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
     axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
-    words = [f"clip {series.clock}"] if series.clock else []
-    words += ["band: one standard deviation"]
-    words += [f"{', '.join(hidden)} hardly seen, left out"] if hidden else []
-    axes.set_title("; ".join(words), fontsize=8, loc="left")
-    if _told(series):
+    title = [f"clip {series.clock}"] if series.clock else []
+    title += ["band: one standard deviation"]
+    title += [f"{', '.join(hidden)} hardly seen, left out"] if hidden else []
+    axes.set_title("; ".join(title), fontsize=8, loc="left")
+    if resolved:
         axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, frameon=False)
     if unit.name != "px":
         scale = result.px_per_unit / unit.factor
@@ -117,20 +87,19 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
 
 
 def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
-    """Amplitude over frequency, noise floor dashed, peaks named."""
+    """Draw amplitude over frequency with the noise floor dashed and the peaks' frequencies."""
     found = result.spectrum
-    told = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
-    for k in told:
-        axes.semilogy(
-            found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1,
-            label=result.labels[k],
-        )  # fmt: skip
-        floor = found.floor[:, k] * unit.factor
-        axes.semilogy(
-            found.freqs_hz, floor, color=COLOURS[k], lw=1, ls=(0, (4, 3)), label=f"{result.labels[k]}, floor"
+    resolved = np.flatnonzero(is_resolved(found.typical_floor)).tolist()
+    for k in resolved:
+        label, colour = result.labels[k], COLOURS[k]
+        amplitude, floor = (
+            np.maximum(found.amplitude[:, k] * unit.factor, 1e-12),
+            found.floor[:, k] * unit.factor,
         )
-    lowest = min((float(found.typical_floor[k]) for k in told), default=1e-9) * unit.factor
-    top = max((float(found.amplitude[:, k].max()) for k in told), default=1.0) * unit.factor
+        axes.semilogy(found.freqs_hz, amplitude, color=colour, lw=1.1, label=label)
+        axes.semilogy(found.freqs_hz, floor, color=colour, lw=1, ls=(0, (4, 3)), label=f"{label}, floor")
+    lowest = min((float(found.typical_floor[k]) for k in resolved), default=1e-9) * unit.factor
+    top = max((float(found.amplitude[:, k].max()) for k in resolved), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4
     for peak, orbit in zip(found.peaks, result.orbits, strict=True):
         axes.annotate(
@@ -144,25 +113,17 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
 
 def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
     series = result.series
-    told, size = _told(series), np.abs(series.displacement).max(0)
-    pair = sorted(sorted(told, key=lambda k: -size[k])[:2])
-    if len(pair) < 2:
+    resolved, size = np.flatnonzero(series.is_resolved).tolist(), np.abs(series.displacement).max(0)
+    if len(resolved) < 2:
         axes.set_axis_off()
         return
-    a, b = pair
-    axes.plot(
-        series.displacement[:, a] * unit.factor,
-        series.displacement[:, b] * unit.factor,
-        ".",
-        ms=3,
-        color="#777777",
-    )
+    a, b = sorted(sorted(resolved, key=lambda k: -size[k])[:2])
+    x, y = series.displacement[:, [a, b]].T * unit.factor
+    axes.plot(x, y, ".", ms=3, color="#777777")
     turn = np.exp(2j * np.pi * np.arange(65) / 64)
     for peak in result.records[0].peaks[:3]:
-        axes.plot(
-            (peak.phasor[a] * turn).real * unit.factor, (peak.phasor[b] * turn).real * unit.factor, lw=1.3,
-            label=f"{peak.frequency_hz:.4g} Hz",
-        )  # fmt: skip
+        x, y = (np.outer(peak.phasor[[a, b]], turn)).real * unit.factor
+        axes.plot(x, y, lw=1.3, label=f"{peak.frequency_hz:.4g} Hz")
     axes.set(xlabel=f"{series.labels[a]}, {unit.name}", ylabel=f"{series.labels[b]}, {unit.name}")
     axes.set_aspect("equal", adjustable="datalim")
     axes.locator_params(nbins=4)
@@ -172,11 +133,14 @@ def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
 
 
 def parts_picture(found: Measurement) -> np.ndarray | None:
-    """The scene at rest, [h, w, 3] uint8, with the sensors' regions in colour and their names; None without any.
+    """Draw the scene at rest, [h, w, 3] uint8, with the sensors' regions in colour and their names; None without any.
 
-    From the camera that sees most of them. What stands still and the whole scene are no regions.
+    From the camera that sees most of them. The static cluster and the complete scene are no regions.
     """
-    parts = [s for s in found.sensors if _is_part(s.sensor)]
+    static = "cluster", (float(STILL),)
+    parts = [
+        s for s in found.sensors if s.sensor.region != "all" and (s.sensor.region, s.sensor.values) != static
+    ]
     if not parts:
         return None
     scene = found.prepared
@@ -197,7 +161,7 @@ def parts_picture(found: Measurement) -> np.ndarray | None:
 
 
 def _coloured(rest: np.ndarray, shares: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """A picture [H, W, 3] in which pixels with a large share [H, W, S] of a region have its colour, and its name."""
+    """Tint pixels of a picture [H, W, 3] with a large share [H, W, S] of a region in its colour, and write its name."""
     height, width = rest.shape[:2]
     shown = np.repeat(rest.mean(2, keepdims=True), 3, 2) * (1 - _PALE) + _PALE
     labels = []
@@ -213,7 +177,3 @@ def _coloured(rest: np.ndarray, shares: np.ndarray, names: Sequence[str]) -> np.
     out = Image.fromarray(to_bytes(shown)).resize((scale * width, scale * height), Image.Resampling.BICUBIC)
     write_labels(out, [(name, (scale * x, scale * y)) for name, (x, y) in labels])
     return np.asarray(out)
-
-
-def _is_part(sensor: Sensor) -> bool:
-    return sensor.region != "all" and (sensor.region, sensor.values) != ("cluster", (float(STILL),))

@@ -1,12 +1,11 @@
-"""A run, or a fit without one, made ready to be measured: one pass through its pictures, of which sensors need none.
+"""Prepare a run, or a fit without one, for measurements: one pass through its pictures, which sensors then do not need.
 
-Of a moving camera every frame is a view with a pose, Jacobian and nuisance of its own. The run keeps the scene at rest
-as it was refined on all frames, not their poses: these are corrected once more, by the motion stage's own step. What is
-left of a frame is I_f − Î_f − J_f M x(τ_f), exposure and pose projected out; the slow part of a sensor's answer, which
-the scene at rest still gets wrong with the viewpoint, is taken out as polynomials.
+For a moving camera every frame is a view with its own pose, Jacobian and nuisance. The run keeps the scene at rest as
+it was refined on all frames, but not their poses, which the motion stage's own step corrects once more. The residual of
+a frame is I_f − Î_f − J_f M x(τ_f), with exposure and pose projected out. The slow part of a sensor's answer, which
+depends on errors of the scene at rest that change with the viewpoint, is removed as polynomials.
 """
 
-import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages import look_of
-from tg4mm.show.measure.kept import HALVES, Kept, KeptPass, Sides, Wanted
+from tg4mm.show.measure.kept import HALVES, KeptPass, Sides, Wanted
 from tg4mm.show.measure.residuals import (
     MeasuredView,
     halves_of,
@@ -44,23 +43,22 @@ from tg4mm.show.measure.residuals import (
     unpacked_mean,
     weighed,
 )
-from tg4mm.show.measure.scene import ModalFields, Prepared, SharedClock, clock_phases, zeros_in_room
+from tg4mm.show.measure.scene import ModalFields, Prepared, SharedClock, clock_phases, zeros_on_disk
 from tg4mm.show.measure.sensors import MeasureError
 
-_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`temporal/moving.py`)
-_MOST_SLOW = 12  # polynomials' degree
+_PERIODS = 8.0  # of the lowest frequency that a moving camera resolves (`temporal/moving.py`)
+_MOST_SLOW = 12  # degree of the polynomials
 _ALL = np.ones(12, bool)
-_LOG = logging.getLogger("tg4mm")
 
 
 @dataclass(frozen=True)
 class FrameViews(Sequence[MeasuredView]):
-    """The views of all frames, made when they are asked for: together they take gigabytes."""
+    """The views of all frames, each made on demand: together they take gigabytes."""
 
     gaussians: Gaussians
     frames: Sequence[PosedFrames]
     size: tuple[int, int]
-    level: np.ndarray  # [F] weight of every pixel of a frame: one over the mean square of what is left of it
+    level: np.ndarray  # [F] weight of every pixel of a frame: one over the mean square of its residual
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -76,96 +74,10 @@ class FrameViews(Sequence[MeasuredView]):
         return (self[k] for k in range(len(self)))
 
     def of(self, k: int, view: ViewJacobian, level: float) -> MeasuredView:
-        """Frame k with pixels of one weight; both halves are squares of its picture."""
+        """Return frame k with equal pixel weights; both halves are squares of its picture."""
         nuisance = Nuisance(view, self.frames[k], self.gaussians.means.numpy(), _ALL)
         weights = np.full(self.size[::-1], level, np.float32)
         return MeasuredView(view, self.frames[k], nuisance, view.over_white, weights, (0, 1))
-
-
-def prepare_moving(
-    fit: MotionFit,
-    folder: Path | None,
-    capture: Capture,
-    observations: Observations,
-    modal: ModalFields,
-    kept: KeptPass | None,
-) -> Prepared:
-    """`prepare` of a camera that moves."""
-    gaussians = fit.gaussians
-    times = np.array([f.times_s[0] for f in observations.frames])
-    series = modal.series(times)
-    count = len(times)
-    wanted: Wanted = {
-        "viewmats": (np.float64, (count, 4, 4)),
-        "level": (np.float64, (count,)),
-        "seen": (np.float64, (len(gaussians),)),
-    }
-    found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
-    if found is None:
-        arrays, sides = _passed(folder, observations, gaussians, modal, series)
-        if kept is not None:
-            kept.save(arrays | sides.arrays("0"), ())
-    else:
-        arrays, (sides,) = found
-    frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
-    views = FrameViews(gaussians, frames, observations.size, arrays["level"])
-    clock = SharedClock("", tuple(range(len(frames))), times, sides, series)
-    observations = replace(observations, frames=frames)
-    return Prepared(
-        fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),
-        slow=_slow_functions(times, modal.freqs_hz),
-    )  # fmt: skip
-
-
-def _passed(
-    folder: Path | None,
-    observations: Observations,
-    gaussians: Gaussians,
-    modal: ModalFields,
-    series: np.ndarray,
-) -> tuple[dict[str, np.ndarray], Sides]:
-    frames, _, _ = corrected_poses(gaussians, observations, 0)
-    n, count = len(gaussians), len(frames)
-    width, height = observations.size
-    sides = zeros_in_room((HALVES, count, n, DOF), folder)
-    out = FrameViews(gaussians, frames, observations.size, np.ones(count))
-    seen = np.zeros(n)
-    with progress("pictures", count, "frames") as update:
-        for k, picture in enumerate(pictures_of(observations)):
-            view = view_jacobian(gaussians, frames[k], observations.size)
-            left = left_of(picture, view.over_white)
-            if len(modal.fields):
-                field = np.tensordot(series[:, k].astype(np.float32), modal.fields, 1)
-                left -= view.jvp(np.ascontiguousarray(field[None]))[0]
-            _pull_back(out, k, view, left, sides)
-            seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
-            update(k + 1)
-    arrays = {
-        "viewmats": np.stack([f.viewmat for f in frames], dtype=np.float64),
-        "level": out.level,
-        "seen": seen,
-    }
-    return arrays, Sides.of(sides)
-
-
-def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, sides: np.ndarray) -> None:
-    """The level of frame k, by what is left of it without exposure and pose, and its sides.
-
-    All pixels of a frame count alike: what is left holds the motion that the run's modes do not show.
-    """
-    first = out.of(k, view, 1)
-    own = without(first.nuisance, first.mean, left[None])
-    out.level[k] = 1 / max(float((own**2).mean()), 1e-12)
-    for half, model in out.of(k, view, out.level[k]).models():
-        model.adjoint(left[None], sides[half, k : k + 1])
-
-
-def _slow_functions(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
-    """[S, F]: polynomials up to half the lowest frequency that is told, `_PERIODS` in the record, or was asked for."""
-    span = max(float(np.ptp(times_s)), 1e-9)
-    periods = min(_PERIODS, *(float(f) * span for f in freqs_hz if f > 0), _PERIODS)
-    degree = int(np.clip(round(periods / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
-    return legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree).T
 
 
 def prepare(run: Run, keep: bool = True) -> Prepared:
@@ -173,8 +85,8 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
 
     Args:
         run: a finished run.
-        keep: keep what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
-            Gaussian, if that is under 1 GiB and the folder can be written. Nothing is kept of a flat capture.
+        keep: cache what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
+            Gaussian, if that is under 1 GiB and the folder can be written. Nothing is cached for a flat capture.
 
     Returns:
         What `measure` takes.
@@ -194,7 +106,7 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
     check_readout(run.path, run.dataset, fit.figures, capture.rows_s)
     kept = KeptPass.of(run, keep)
     pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
-    return _prepared(fit, run.path, capture, observe(capture, pictures), kept)
+    return _prepared(_unread(fit, capture, observe(capture, pictures), run.path), kept)
 
 
 def prepare_fit(
@@ -216,187 +128,219 @@ def prepare_fit(
     """
     if capture.n_timesteps < 2:
         raise MeasureError(f"{capture.root}: has one timestep; a measurement needs pictures over time")
-    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None)
+    return _prepared(_unread(fit, capture, observe(capture, images or pictures_for(capture)), None), None)
 
 
-def _prepared(
-    fit: MotionFit,
-    folder: Path | None,
-    capture: Capture,
-    observations: Observations,
-    kept: KeptPass | None,
-) -> Prepared:
-    modal = ModalFields.of(fit.motion, len(fit.gaussians))
-    if observations.clock == Clock.moving:
-        return prepare_moving(fit, folder, capture, observations, modal, kept)
-    own = _Fixed(fit, folder, capture, observations, modal, kept)
-    found = own.flat() if not capture.kind.sees_depth else own.prepared()
-    if len(observations.frames) != 1:
-        return found
-    between = between_frames(capture.root, len(observations.frames[0].rows))
-    look = None if folder is None else look_of(Run.open(folder))
-    return replace(found, video=video_file(capture.root), between=between, found=look)
+def _unread(fit: MotionFit, capture: Capture, observations: Observations, folder: Path | None) -> Prepared:
+    """Return the scene before any picture is read."""
+    n = len(fit.gaussians)
+    return Prepared(fit, folder, capture, observations, ModalFields.of(fit.motion, n), (), (), np.zeros(n))
 
 
-@dataclass(frozen=True)
-class _Fixed:
-    fit: MotionFit
-    folder: Path | None
-    capture: Capture
-    observations: Observations
-    modal: ModalFields
-    kept: KeptPass | None
+def _prepared(scene: Prepared, kept: KeptPass | None) -> Prepared:
+    if scene.is_moving:
+        return _moving(scene, kept)
+    scene = _fixed(scene, kept) if scene.capture.kind.sees_depth else _flat(scene)
+    if len(scene.observations.frames) != 1:
+        return scene
+    root = scene.capture.root
+    between = between_frames(root, len(scene.observations.frames[0].rows))
+    look = None if scene.folder is None else look_of(Run.open(scene.folder))
+    return replace(scene, video=video_file(root), between=between, found=look)
 
-    @property
-    def gaussians(self) -> Gaussians:
-        return self.fit.gaussians
 
-    def flat(self) -> Prepared:
-        """Prepare a capture whose sensors are regions of the picture (`flat.py`).
+def _moving(scene: Prepared, kept: KeptPass | None) -> Prepared:
+    """Prepare the capture of a moving camera."""
+    gaussians, observations = scene.gaussians, scene.observations
+    times = np.array([f.times_s[0] for f in observations.frames])
+    series, count = scene.modal.series(times), len(times)
+    wanted: Wanted = {
+        "viewmats": (np.float64, (count, 4, 4)),
+        "level": (np.float64, (count,)),
+        "seen": (np.float64, (len(gaussians),)),
+    }
+    found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
+    if found is None:
+        arrays, sides = _moving_pass(scene, series)
+        if kept is not None:
+            kept.save(arrays | sides.arrays("0"), ())
+    else:
+        arrays, (sides,) = found
+    frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
+    return replace(
+        scene,
+        observations=replace(observations, frames=frames),
+        views=FrameViews(gaussians, frames, observations.size, arrays["level"]),
+        clocks=(SharedClock("", tuple(range(count)), times, sides, series),),
+        seen=arrays["seen"].astype(np.float64),
+        slow=_slow_functions(times, scene.modal.freqs_hz),
+    )
 
-        Shake is taken out, nothing is read.
-        """
-        observations, notes = self.observations, []
-        if "pose" in self.fit.figures.get("nuisance", ["pose"]):
-            found = self._look()
-            observations, notes = found.observations, found.notes
-        seen = seen_weights(rest_views(self.gaussians, self.observations), len(self.gaussians))
-        clocks = tuple(replace(c, sides=None) for c in self._clocks(self.observations.frames))
-        return Prepared(
-            self.fit, self.folder, self.capture, observations, self.modal, (), clocks, seen, tuple(notes)
+
+def _moving_pass(scene: Prepared, series: np.ndarray) -> tuple[dict[str, np.ndarray], Sides]:
+    """Read every frame: corrected poses, levels, blending weights, and the right-hand sides.
+
+    All pixels of a frame have the same weight: the residual holds the motion that the run's modes do not show.
+    """
+    gaussians, observations, fields = scene.gaussians, scene.observations, scene.modal.fields
+    frames, _, _ = corrected_poses(gaussians, observations, 0)
+    n, count, (width, height) = len(gaussians), len(frames), observations.size
+    sides = zeros_on_disk((HALVES, count, n, DOF), scene.folder)
+    out = FrameViews(gaussians, frames, observations.size, np.ones(count))
+    seen = np.zeros(n)
+    with progress("pictures", count, "frames") as update:
+        for k, picture in enumerate(pictures_of(observations)):
+            view = view_jacobian(gaussians, frames[k], observations.size)
+            left = left_of(picture, view.over_white)
+            if len(fields):
+                field = np.tensordot(series[:, k].astype(np.float32), fields, 1)
+                left -= view.jvp(np.ascontiguousarray(field[None]))[0]
+            first = out.of(k, view, 1)
+            cleaned = without(first.nuisance, first.mean, left[None])
+            out.level[k] = 1 / max(float((cleaned**2).mean()), 1e-12)
+            for half, model in out.of(k, view, out.level[k]).models():
+                model.adjoint(left[None], sides[half, k : k + 1])
+            seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
+            update(k + 1)
+    viewmats = np.stack([f.viewmat for f in frames], dtype=np.float64)
+    return {"viewmats": viewmats, "level": out.level, "seen": seen}, Sides.of(sides)
+
+
+def _slow_functions(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
+    """Return polynomials [S, F] up to half the lowest resolved (`_PERIODS` in the record) or known frequency."""
+    span = max(float(np.ptp(times_s)), 1e-9)
+    periods = min(_PERIODS, *(float(f) * span for f in freqs_hz if f > 0), _PERIODS)
+    degree = int(np.clip(round(periods / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
+    return legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree).T
+
+
+def _flat(scene: Prepared) -> Prepared:
+    """Prepare a capture whose sensors are regions of the picture (`flat.py`): only camera shake is removed."""
+    seen = seen_weights(rest_views(scene.gaussians, scene.observations), len(scene.gaussians))
+    scene = replace(scene, clocks=_clocks(scene), seen=seen)
+    if "pose" not in scene.fit.figures.get("nuisance", ["pose"]):
+        return scene
+    found = _look(scene)
+    return replace(scene, observations=found.observations, notes=tuple(found.notes))
+
+
+def _fixed(scene: Prepared, kept: KeptPass | None) -> Prepared:
+    """Prepare a capture of fixed cameras, from what an earlier call has cached or from the pictures."""
+    clocks, frames, (width, height) = _clocks(scene), scene.observations.frames, scene.observations.size
+    wanted: Wanted = {
+        "mean": (np.int16, (len(frames), height, width, 3)),
+        "active": (np.uint8, (len(frames), COLUMNS)),
+        "weights": (np.float16, (len(frames), height, width)),
+        "unit": (np.float32, (len(frames),)),
+    }
+    n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
+    found = None if kept is None else kept.load(wanted, n_frames, len(scene.gaussians))
+    if kept is not None and found is not None:
+        arrays, sides = found
+        views = _views(scene, frames, unpacked_mean(arrays["mean"]), arrays["active"].astype(bool))
+        weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
+        views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
+        notes = kept.notes
+    else:
+        observations, means, active, notes = _looked(scene)
+        means = unpacked_mean(packed_mean(means))  # as a later call will have it
+        views, sides = _pass(scene, observations, _views(scene, observations.frames, means, active), clocks)
+        if kept is not None:
+            _keep(kept, views, sides, notes)
+    clocks = tuple(replace(c, sides=s) for c, s in zip(clocks, sides, strict=True))
+    seen = seen_weights([v.view for v in views], len(scene.gaussians))
+    return replace(scene, views=views, clocks=clocks, seen=seen, notes=tuple(notes))
+
+
+def _look(scene: Prepared) -> FixedCameras:
+    """Look at the pictures as the motion stage does: shake, exposure, mean pictures."""
+    return prepare_fixed_cameras(
+        scene.gaussians, scene.observations, scene.fit.config, "cpu", no_checkpoint, refines=False
+    )
+
+
+def _looked(scene: Prepared) -> tuple[Observations, np.ndarray, np.ndarray, list[str]]:
+    """Return observations without shake, mean pictures [V, H, W, 3], active nuisance columns [V, 12], and notes."""
+    known = scene.fit.figures.get("nuisance")
+    if known is not None and "pose" not in known:  # the motion stage found no shake
+        active = np.zeros((len(scene.observations.frames), COLUMNS), bool)
+        active[:, EXPOSURE] = "exposure" in known
+        return scene.observations, mean_pictures(scene.observations), active, []
+    found = _look(scene)
+    return found.observations, found.sums.mean, np.stack([n.active for n in found.nuisances]), found.notes
+
+
+def _views(
+    scene: Prepared, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
+) -> list[MeasuredView]:
+    views = rest_views(scene.gaussians, scene.observations)
+    nuisances = nuisances_of(views, frames, scene.gaussians.means.numpy(), active[0])
+    is_shared = scene.observations.clock == Clock.synchronous
+    halves = halves_of(len(frames) if is_shared else 1, True)
+    return [
+        MeasuredView(
+            view, own, replace(nuisance, active=active[v]), means[v], np.ones(means[v].shape[:2], np.float32),
+            halves[v if is_shared else 0],
         )
+        for v, (view, own, nuisance) in enumerate(zip(views, frames, nuisances, strict=True))
+    ]  # fmt: skip
 
-    def prepared(self) -> Prepared:
-        clocks = self._clocks(self.observations.frames)
-        found = None if self.kept is None else self._found(self.kept, clocks)
-        sides: list[Sides]
-        if self.kept is not None and found is not None:
-            arrays, sides = found[0], list(found[1])
-            means = unpacked_mean(arrays["mean"])
-            views = self._views(self.observations.frames, means, arrays["active"].astype(bool))
-            weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
-            views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
-            notes = tuple(self.kept.notes)
-        else:
-            observations, means, active, seen_notes = self._seen()
-            means, notes = (
-                unpacked_mean(packed_mean(means)),
-                tuple(seen_notes),
-            )  # as a later call will have it
-            views = self._views(observations.frames, means, active)
-            views, sides = self._passed(observations, views, clocks)
-            if self.kept is not None:
-                self._keep(self.kept, views, sides, notes)
-        clocks = [replace(c, sides=s) for c, s in zip(clocks, sides, strict=True)]
-        return Prepared(
-            self.fit, self.folder, self.capture, self.observations, self.modal, views, tuple(clocks),
-            seen_weights([v.view for v in views], len(self.gaussians)), notes,
-        )  # fmt: skip
 
-    def _found(self, kept: KeptPass, clocks: Sequence[SharedClock]) -> Kept | None:
-        """What an earlier call has kept."""
-        count, (width, height) = len(self.observations.frames), self.observations.size
-        wanted: Wanted = {
-            "mean": (np.int16, (count, height, width, 3)),
-            "active": (np.uint8, (count, COLUMNS)),
-            "weights": (np.float16, (count, height, width)),
-            "unit": (np.float32, (count,)),
-        }
-        n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
-        return kept.load(wanted, n_frames, len(self.gaussians))
+def _clocks(scene: Prepared) -> tuple[SharedClock, ...]:
+    """Return the clocks of fixed cameras, without right-hand sides."""
+    frames, modal = scene.observations.frames, scene.modal
+    if scene.observations.clock == Clock.synchronous:
+        times = frames[0].times_s
+        series = modal.series(times - times[0])  # the modes begin with the first picture
+        return (SharedClock("", tuple(range(len(frames))), times, None, _centred(series)),)
+    phases = [clock_phases(scene.fit.figures, own.name, modal.freqs_hz) for own in frames]
+    return tuple(
+        SharedClock(own.name, (v,), own.times_s, None, _centred(modal.series(own.times_s, ahead)))
+        for v, (own, ahead) in enumerate(zip(frames, phases, strict=True))
+    )
 
-    def _look(self) -> FixedCameras:
-        """Look at the pictures as the motion stage does: shake, exposure, mean pictures."""
-        return prepare_fixed_cameras(
-            self.gaussians, self.observations, self.fit.config, "cpu", no_checkpoint, refines=False
-        )
 
-    def _seen(self) -> tuple[Observations, np.ndarray, np.ndarray, list[str]]:
-        """Observations without shake, mean pictures [V, H, W, 3], active nuisance columns [V, 12], notes.
+def _pass(
+    scene: Prepared, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
+) -> tuple[list[MeasuredView], list[Sides]]:
+    """Read every picture: return the views with weights, and the right-hand sides of every clock."""
+    out, sides = list(views), []
+    counts = [len(v.frames.rows) for v in views]
+    total, done = sum(len(sampled(n)) for n in counts) + sum(counts), 0
+    with progress("pictures", total, "frames") as update:
 
-        Where the motion stage says that no camera shakes, there is no need to look again.
-        """
-        known = self.fit.figures.get("nuisance")
-        if known is not None and "pose" not in known:
-            active = np.zeros((len(self.observations.frames), COLUMNS), bool)
-            active[:, EXPOSURE] = "exposure" in known
-            return self.observations, mean_pictures(self.observations), active, []
-        found = self._look()
-        active = np.stack([n.active for n in found.nuisances])
-        return found.observations, found.sums.mean, active, found.notes
+        def step(frames: int) -> None:
+            nonlocal done
+            done += frames
+            update(done)
 
-    def _views(
-        self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
-    ) -> list[MeasuredView]:
-        views = rest_views(self.gaussians, self.observations)
-        nuisances = nuisances_of(views, frames, self.gaussians.means.numpy(), active[0])
-        is_shared = self.observations.clock == Clock.synchronous
-        halves = halves_of(len(frames) if is_shared else 1, True)
-        return [
-            MeasuredView(
-                view, own, replace(nuisance, active=active[v]), means[v], np.ones(means[v].shape[:2], np.float32),
-                halves[v if is_shared else 0],
-            )
-            for v, (view, own, nuisance) in enumerate(zip(views, frames, nuisances, strict=True))
-        ]  # fmt: skip
+        for clock in clocks:
+            own = zeros_on_disk((HALVES, len(clock.times_s), len(scene.gaussians), DOF), scene.folder)
+            for v in clock.views:
+                shown = shown_fields(views[v].view, scene.modal.fields)
+                out[v] = weighed(observations, views[v], shown, clock.series, step)
+                pull_back(observations, out[v], shown, clock.series, own, step)
+            sides.append(Sides.of(own))
+    return out, sides
 
-    def _clocks(self, frames: Sequence[PosedFrames]) -> list[SharedClock]:
-        nothing = Sides.of(np.zeros((HALVES, 0, 0, DOF), np.float32))
-        if self.observations.clock == Clock.synchronous:
-            times = frames[0].times_s
-            series = _centred(self.modal.series(times - times[0]))  # the modes begin with the first picture
-            return [SharedClock("", tuple(range(len(frames))), times, nothing, series)]
-        out = []
-        for v, own in enumerate(frames):
-            phases = clock_phases(self.fit.figures, own.name, self.modal.freqs_hz)
-            series = _centred(self.modal.series(own.times_s, phases))
-            out.append(SharedClock(own.name, (v,), own.times_s, nothing, series))
-        return out
 
-    def _passed(
-        self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
-    ) -> tuple[list[MeasuredView], list[Sides]]:
-        """Views with weights, and the sides of every clock, for which every picture is read."""
-        out, sides = list(views), []
-        counts = [len(v.frames.rows) for v in views]
-        total, done = sum(len(sampled(n)) for n in counts) + sum(counts), 0
-        with progress("pictures", total, "frames") as update:
-
-            def step(frames: int) -> None:
-                nonlocal done
-                done += frames
-                update(done)
-
-            for clock in clocks:
-                own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
-                for v in clock.views:
-                    shown = shown_fields(views[v].view, self.modal.fields)
-                    out[v] = weighed(observations, views[v], shown, clock.series, step)
-                    pull_back(observations, out[v], shown, clock.series, own, step)
-                sides.append(Sides.of(own))
-        return out, sides
-
-    def _keep(
-        self,
-        kept: KeptPass,
-        views: Sequence[MeasuredView],
-        sides: Sequence[Sides],
-        notes: Sequence[str],
-    ) -> None:
-        weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
-        arrays = {
-            "mean": np.stack([packed_mean(v.mean) for v in views]),
-            "active": np.stack([v.nuisance.active for v in views]).astype(np.uint8),
-            "weights": np.stack(weights),
-            "unit": np.array(units),
-        }
-        for c, own in enumerate(sides):
-            arrays |= own.arrays(str(c))
-        kept.save(arrays, notes)
+def _keep(
+    kept: KeptPass, views: Sequence[MeasuredView], sides: Sequence[Sides], notes: Sequence[str]
+) -> None:
+    weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
+    arrays = {
+        "mean": np.stack([packed_mean(v.mean) for v in views]),
+        "active": np.stack([v.nuisance.active for v in views]).astype(np.uint8),
+        "weights": np.stack(weights),
+        "unit": np.array(units),
+    }
+    for c, own in enumerate(sides):
+        arrays |= own.arrays(str(c))
+    kept.save(arrays, notes)
 
 
 def seen_weights(views: Sequence[ViewJacobian], n_gaussians: int) -> np.ndarray:
-    """[N] blending weight of every Gaussian, pixels, summed over views."""
+    """Return the blending weight [N] of every Gaussian, pixels, summed over views."""
     out = np.zeros(n_gaussians)
     for view in views:
         out += blend_sum(view, np.ones((*view.transmittance.shape, 3), np.float32))[:, 0]

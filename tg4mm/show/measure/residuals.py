@@ -1,10 +1,10 @@
-"""What a run's motion leaves of every frame, pulled back to the Gaussians: the one pass through the pictures.
+"""Residuals of every frame after the run's motion, pulled back to the Gaussians: the one pass through the pictures.
 
-Of frame f of view v, r_f = I_f − Ī_v − J_v M x(τ_f): the frame's change less what the run's modes show of it. Kept are
-Jᵀ W (1 − Q Qᵀ W) r_f of every Gaussian, summed over the views of one clock, for two halves of the data each by itself.
-A sensor's motion is a sum of these over its region and a few products with the Jacobian (`rigid.py`): nothing needs the
-pictures again. With a rolling shutter, each band of rows has times of its own (docs/method.md), and sums over a band
-are interpolated to the frames' times.
+For frame f of view v, r_f = I_f − Ī_v − J_v M x(τ_f): the frame's change less the part that the run's modes explain.
+Kept are Jᵀ W (1 − Q Qᵀ W) r_f of every Gaussian, summed over the views of one clock, separately for two halves of the
+data. A sensor's motion is a sum of these over its region and a few products with the Jacobian (`rigid.py`): the
+pictures are not needed again. With a rolling shutter, each band of rows has its times (docs/method.md), and sums over a
+band are interpolated to the frames' times.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,20 +24,19 @@ from tg4mm.fit.motion.split_half import LEAST, chessboard
 from tg4mm.show.measure.kept import HALVES
 
 AT_ONCE = 8  # frames
-Step = Callable[[int], None]  # is told how many more frames are done
+Step = Callable[[int], None]  # called with the number of frames that were done
 _SMOOTHING_PX = 1.5
-_SAMPLE = 128  # frames that tell the pixels' noise
+_SAMPLE = 128  # frames for the pixels' noise
 
 
 def by_band(frames: PosedFrames, height: int, series: np.ndarray) -> np.ndarray:
-    """[B, R, F]: functions of the frames' times [R, F] at the times of every band."""
-    return np.stack(
-        [later(frames.times_s, series, band.delay_s) for band in bands_of(frames.readout_s, height)]
-    )
+    """Return functions of the frames' times [R, F] at the times of every band, [B, R, F]."""
+    bands = bands_of(frames.readout_s, height)
+    return np.stack([later(frames.times_s, series, band.delay_s) for band in bands])
 
 
 def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndarray) -> None:
-    """Brings `sides` [2, F, N, 6] of N Gaussians, each at the time of its row of the picture, to the frames' times.
+    """Interpolate `sides` [2, F, N, 6], each Gaussian's at the time of its picture row, to the frames' times in place.
 
     rows [N]: pixels from the upper edge.
     """
@@ -49,24 +48,23 @@ def to_middle(frames: PosedFrames, height: int, rows: np.ndarray, sides: np.ndar
             continue
         for half in sides:
             own = half[:, some]
-            half[:, some] = later(frames.times_s, own.reshape(len(own), -1).T, -band.delay_s).T.reshape(
-                own.shape
-            )
+            moved = later(frames.times_s, own.reshape(len(own), -1).T, -band.delay_s).T
+            half[:, some] = moved.reshape(own.shape)
 
 
 @dataclass(frozen=True)
 class MeasuredView:
-    """One pose: its Jacobian, and the pixel weights and nuisance of each half of the data that it is in."""
+    """One pose: its Jacobian, and its nuisance and pixel weights in each half of the data that it belongs to."""
 
     view: ViewJacobian
     frames: PosedFrames
     nuisance: Nuisance
-    mean: np.ndarray  # [H, W, 3] the picture that changes are from
+    mean: np.ndarray  # [H, W, 3] the picture that changes are relative to
     weights: np.ndarray  # [H, W] float32, per squared pixel value
     halves: tuple[int, ...]  # (0,), (1,) or, by squares of the picture, (0, 1)
 
     def masked(self, half: int) -> np.ndarray:
-        """[H, W]: the weights in one half."""
+        """Return the weights [H, W] in one half."""
         if len(self.halves) == 1:
             return self.weights
         height, width = self.weights.shape
@@ -74,13 +72,13 @@ class MeasuredView:
         return self.weights * (board if half == 0 else 1 - board)
 
     def models(self) -> Iterator[tuple[int, ObservationModel]]:
-        """Each half, and what its pixels show."""
+        """Yield each half and its observation model."""
         for half in self.halves:
             yield half, ObservationModel.of(self.frames, self.nuisance, self.mean, self.masked(half))
 
 
 def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
-    """Which half of the data every view of one clock is in: by turns, or of few views both, by squares."""
+    """Assign the views of one clock to the halves of the data: alternately, or few views to both, by squares."""
     if is_fixed and n_views >= LEAST:
         return [(k % HALVES,) for k in range(n_views)]
     return [(0, 1)] * n_views
@@ -89,9 +87,9 @@ def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
 def leftover(
     observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray]]:
-    """A few frames at a time, [f, H, W, 3]: the changes less Σ_r series[b, r, f] shown[r] ([R, H, W, 3], J x_r).
+    """Yield changes less Σ_r series[b, r, f] shown[r] ([R, H, W, 3], J x_r), [f, H, W, 3], a few frames at a time.
 
-    series [B, R, F]: of `by_band`.
+    series [B, R, F]: from `by_band`.
     """
     rows, bands = view.frames.rows, bands_of(view.frames.readout_s, len(view.mean))
     for first in range(0, len(rows), AT_ONCE):
@@ -107,10 +105,10 @@ def leftover(
 
 
 def inverse_noise(energy: np.ndarray) -> np.ndarray:
-    """[H, W] float32: weights of pixels whose residuals have the mean squares `energy` [H, W].
+    """Return weights [H, W] float32 of pixels whose residuals have the mean squares `energy` [H, W].
 
-    One over the variance, smoothed by 1.5 px, to which the picture's mean is added: none counts for more than twice as
-    much as an average pixel, and what has no noise at all (a cut-out's white) decides nothing by itself.
+    One over the variance, smoothed by 1.5 px, plus the picture's mean: no pixel has more than twice the average weight,
+    not even one without noise (a cut-out's white).
     """
     smooth = gaussian_filter(energy, _SMOOTHING_PX, mode="reflect")
     level = max(float(smooth.mean()), 1e-12)
@@ -119,25 +117,25 @@ def inverse_noise(energy: np.ndarray) -> np.ndarray:
 
 
 def packed_weights(weights: np.ndarray) -> tuple[np.ndarray, np.float32]:
-    """Weights [...] as float16 and the power of two that they are multiplied by; once packed they stay the same."""
+    """Return weights [...] as float16 and the power of two that scales them; packing again changes nothing."""
     unit = np.float32(2.0 ** np.ceil(np.log2(max(float(weights.max()), 1e-30))))
     return (weights / unit).astype(np.float16), unit
 
 
 def packed_mean(mean: np.ndarray) -> np.ndarray:
-    """A picture's values, 0 … 1, as int16 in steps of 1 / 65535."""
+    """Return a picture's values, 0 … 1, as int16 in steps of 1 / 65535."""
     return (np.rint(np.clip(mean, 0, 1) * 65535) - 32768).astype(np.int16)
 
 
 def unpacked_mean(packed: np.ndarray) -> np.ndarray:
-    """float32 of `packed_mean`."""
+    """Return the values of `packed_mean` as float32."""
     return (packed.astype(np.float32) + 32768) / np.float32(65535)
 
 
 def weighed(
     observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray, step: Step
 ) -> MeasuredView:
-    """The view with pixel weights from what is left of its frames, nuisance taken out."""
+    """Return the view with pixel weights from its frames' residuals without nuisance."""
     energy = np.zeros(view.mean.shape[:2], np.float32)
     some = sampled(len(view.frames.rows))
     frames = replace(view.frames, rows=view.frames.rows[some], times_s=view.frames.times_s[some])
@@ -151,9 +149,8 @@ def weighed(
 
 
 def sampled(n_frames: int) -> np.ndarray:
-    """At most 128 frames, drawn once: the variance over some 28 pixels that are smoothed together is sure to 2 %."""
-    drawn = np.random.default_rng(0).permutation(n_frames)[:_SAMPLE]
-    return np.sort(drawn)
+    """Draw at most 128 frames: the variance over the some 28 pixels smoothed together is then known to 2 %."""
+    return np.sort(np.random.default_rng(0).permutation(n_frames)[:_SAMPLE])
 
 
 def pull_back(
@@ -164,9 +161,9 @@ def pull_back(
     out: np.ndarray,
     step: Step,
 ) -> None:
-    """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians.
+    """Add the residuals of the view's frames, pulled back to the Gaussians, to `out` [2, F, N, 6].
 
-    Where rows are read one after another, what a Gaussian's row says is brought to the time of the frame.
+    With a rolling shutter they are interpolated from the times of the Gaussians' rows to those of the frames.
     """
     frames, height, models = view.frames, len(view.mean), list(view.models())
     own = np.zeros_like(out) if frames.readout_s else out
@@ -181,7 +178,7 @@ def pull_back(
 
 
 def shown_fields(view: ViewJacobian, fields: np.ndarray) -> np.ndarray:
-    """[R, H, W, 3]: what fields [R, N, 6] change in the picture, to first order."""
+    """Return the changes of the picture [R, H, W, 3] due to fields [R, N, 6], to first order."""
     if not len(fields):
         return np.zeros((0, *view.transmittance.shape, 3), np.float32)
     return np.array(view.jvp(fields))

@@ -1,32 +1,36 @@
 """A region's rigid motion in every frame, by least squares through the Jacobian.
 
-E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: translations along the
-sensor's axes and rotations about its centre, three each, each Gaussian by its weight w. D is the same for the region
-and for what goes with it, by weights w' ≥ w (`companions`). With the residual's pull-back s_f (`residuals.py`) and the
-run's modal motion x_f, whose picture was taken out of the residual,
+E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: three translations along
+the sensor's axes and three rotations about its centre, each Gaussian with its weight w. D is the same for the region
+and for Gaussians that move with it, with weights w' ≥ w (`companions`). With the residual's pull-back s_f
+(`residuals.py`) and the run's modal motion x_f, whose contribution was removed from the residual,
 
     A u_f  =  E·s_f + E·JᵀWJ (w' x_f)        A = E·JᵀWJ D,  noise of the right-hand side B = E·JᵀWJ E
 
-so that what the run's modes show of Gaussians elsewhere stays out, and inside the pictures alone decide. With E in D's
-place a region cut out of a larger body would be held by the modes of what lies around it: its seam does not open.
+so that the modes determine only Gaussians elsewhere, and the pictures alone those inside. With E in place of D, a
+region cut out of a larger body would be held by the modes of its surroundings, since its seam does not open.
 
-A is what the scene at rest would show of a motion, and not all of that is in the pictures: texture that the scene at
-rest has and the pictures lack tells of no motion and draws the answer to zero, along an edge most of all (errors in
-variables, Fuller 1987). With e the scene at rest less the mean picture, a motion changes the pictures by J D less the
-change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
+A is the change that the scene at rest predicts for a motion, and not all of it is in the pictures: texture that the
+scene at rest has and the pictures lack carries no information on motion and biases the answer towards zero, along an
+edge most of all (errors in variables, Fuller 1987). With e the scene at rest less the mean picture, a motion changes
+the pictures by J D less the change of e, so that the answer to a true motion u* is (1 − A⁻¹ F) u*,
 
     F_kl  =  E_k·JᵀW (motion_l·∇e)
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import false_changes
-from tg4mm.show.measure.kept import HALVES, Sides
+from tg4mm.show.measure.kept import HALVES
 from tg4mm.show.measure.residuals import MeasuredView
+
+if TYPE_CHECKING:
+    from tg4mm.show.measure.scene import Prepared, SharedClock
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,9 @@ class Body:
     axes: np.ndarray  # [A, 3], rows: unit vectors in the world; two of a flat capture, else three
 
     def motions(self, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """[6, N, 6] float32: by one scene unit along each of three axes, and by one radian times `radius` about each.
+        """Return motions [6, N, 6] float32: one scene unit along each axis, one radian times `radius` about each.
 
-        E for the body's own weights [N], D for those of `companions`.
+        E for the body's weights [N], D for those of `companions`.
         """
         away = means - self.centre
         out = np.zeros((2 * len(self.axes), len(means), DOF), np.float32)
@@ -55,7 +59,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations of one body with K unknowns on one clock, halves of the data apart."""
+    """The equations of one body with K unknowns on one clock, for each half of the data."""
 
     normals: np.ndarray  # [2, F or 1, K, K] A
     noise: np.ndarray  # [2, F or 1, K, K] B
@@ -63,7 +67,7 @@ class Equations:
     false: np.ndarray  # [2, K, K] F; 0 of a moving camera, which has no mean picture
 
     def along(self, axes: np.ndarray) -> "Equations":
-        """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
+        """Return the equations for other axes [3, 3], whose rows are unit vectors in the old axes."""
         turn = np.kron(np.eye(2), axes)
         normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
         return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
@@ -71,19 +75,16 @@ class Equations:
 
 def equations_of(
     bodies: Sequence[Body],
-    means: np.ndarray,
+    scene: "Prepared",
+    clock: "SharedClock",
     views: Sequence[MeasuredView],
-    sides: Sides,
-    fields: np.ndarray,
-    series: np.ndarray,
-    is_moving: bool,
     step: Callable[[], None],
 ) -> list[Equations]:
-    """The equations of several bodies in one pass over a clock's views.
+    """Return the equations of several bodies from one pass over a clock's views.
 
-    sides: what the pictures say of every Gaussian. fields [R, N, 6], series [R, F]. A moving camera has one view for
-    each frame. `step` is called after each body in each half of each view.
+    A moving camera has one view for each frame. `step` is called after each body in each half of each view.
     """
+    means, fields, series, is_moving = scene.means, scene.modal.fields, clock.series, scene.is_moving
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
     trials = [body.motions(means, w) for body, w in zip(bodies, around, strict=True)]
@@ -110,15 +111,16 @@ def equations_of(
                 step()
         view.nuisance.release()
     for b, e in enumerate(motions):
-        known[b] += sides.summed(e, np.flatnonzero(bodies[b].weights))
+        assert clock.sides is not None
+        known[b] += clock.sides.summed(e, np.flatnonzero(bodies[b].weights))
     return [Equations(normals[b], noise[b], known[b], false[b]) for b in range(len(bodies))]
 
 
 def companions(body: Body, fields: np.ndarray) -> np.ndarray:
-    """[N] float32 w': the body's weights, and elsewhere by how much a Gaussian moves as the body does, 0 … 1.
+    """Return w' [N] float32: the body's weights, and elsewhere how closely a Gaussian moves with the body, 0 … 1.
 
-    That is told by the run's modal fields [R, N, 6]: ⟨m_n, m⟩ / ⟨m, m⟩ with m the body's mean displacement. Where the
-    run has no motion in the body, nothing goes with it.
+    By the run's modal fields [R, N, 6]: ⟨m_n, m⟩ / ⟨m, m⟩ with m the body's mean displacement. Without motion in the
+    body, nothing moves with it.
     """
     shifts, own = fields[..., :3], body.weights / body.weights.sum()
     mean = np.einsum("n,rnc->rc", own, shifts)

@@ -1,4 +1,4 @@
-"""What a measurement is made of: the run or fit, its views and clocks, and what was read of its pictures."""
+"""The input of a measurement: the run or fit, its views and clocks, and the data read from its pictures."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -23,12 +23,12 @@ from tg4mm.show.measure.kept import Sides
 from tg4mm.show.measure.residuals import MeasuredView
 
 _WEAKEST = 1e-9  # of the strongest field's energy
-IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies in a temporary file
+IN_MEMORY = 1 << 30  # bytes of a pass through the pictures in memory; more lies in a temporary file
 
 
 @dataclass(frozen=True)
 class ModalFields:
-    """Motion at a time: Σ_r (mixing @ [Re g; Im g])_r fields[r], with the modes' gains g."""
+    """The motion as real fields: Σ_r (mixing @ [Re g; Im g])_r fields[r] at a time, with the modes' gains g."""
 
     fields: np.ndarray  # [R, N, 6] float32, displacement (scene units) and rotation vector (radians)
     mixing: np.ndarray  # [R, 2K] float64
@@ -36,7 +36,7 @@ class ModalFields:
 
     @staticmethod
     def of(motion: ModalMotion | None, n_gaussians: int) -> "ModalFields":
-        """Make the fields of a run's motion; no field where it has none."""
+        """Return the fields of a run's motion; none without motion."""
         if motion is None or not len(motion.freqs_hz):
             return ModalFields(np.zeros((0, n_gaussians, DOF), np.float32), np.zeros((0, 0)), np.zeros(0))
         both = np.concatenate([motion.displacement, motion.rotation], 2).reshape(len(motion.freqs_hz), -1)
@@ -48,7 +48,7 @@ class ModalFields:
         return ModalFields(fields, kept, np.asarray(motion.freqs_hz, np.float64))
 
     def series(self, times_s: np.ndarray, phases: np.ndarray | None = None) -> np.ndarray:
-        """[R, F]: the functions of time on a clock whose motion is ahead by phases [K], radians."""
+        """Return the functions of time [R, F] on a clock whose motion is ahead by phases [K], radians."""
         angles = 2 * np.pi * self.freqs_hz[:, None] * times_s
         if phases is not None:
             angles = angles + phases[:, None]
@@ -56,7 +56,7 @@ class ModalFields:
 
 
 def clock_phases(figures: Mapping[str, Any], name: str, freqs_hz: np.ndarray) -> np.ndarray | None:
-    """[K] radians of camera `name` from a fit's figures, where every camera has a clock of its own; None elsewhere."""
+    """Return the phases [K] of camera `name` in radians from a fit's figures; None if cameras share a clock."""
     known = figures.get("clip_phases_deg", {}).get(name)
     if known is None:
         return None
@@ -67,43 +67,42 @@ def clock_phases(figures: Mapping[str, Any], name: str, freqs_hz: np.ndarray) ->
 
 @dataclass(frozen=True)
 class SharedClock:
-    """Views whose frames were taken at the same times: all of a synchronous capture, one of a clip."""
+    """Views whose frames have the same times: all of a synchronous capture, one of a clip."""
 
     name: str  # "" where there is one clock
     views: tuple[int, ...]
     times_s: np.ndarray  # [F] seconds
-    sides: Sides | None  # `residuals.py`; None: of a flat capture
+    sides: Sides | None  # right-hand sides (`residuals.py`); None for a flat capture
     series: np.ndarray  # [R, F] of the modal fields
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A run or fit made ready by `prepare` or `prepare_fit`: `measure` takes it any number of times."""
+    """A run or fit prepared by `prepare` or `prepare_fit`, for any number of calls of `measure`."""
 
     fit: MotionFit  # the scene and its motion
     folder: Path | None  # the run's; None: there is no run
     capture: Capture  # its pictures' cameras and times
     observations: Observations  # of the motion stage: views, clocks, pictures
     modal: ModalFields  # the motion as a few fields and their functions of time
-    views: Sequence[MeasuredView]  # what was read of each view's pictures; none of a flat capture
-    clocks: tuple[SharedClock, ...]  # views whose frames were taken at the same times
+    views: Sequence[MeasuredView]  # data read from each view's pictures; none for a flat capture
+    clocks: tuple[SharedClock, ...]  # views whose frames have the same times
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
-    notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
-    # [S, F] functions of time that a moving camera cannot tell from its own motion
-    slow: np.ndarray | None = None
+    notes: tuple[str, ...] = ()  # limits of this capture, a line each
+    slow: np.ndarray | None = None  # [S, F] functions of time that equal a moving camera's motion
     scale: Scale | None = None  # marked in the picture
-    video: VideoFile | None = None  # that the one camera's pictures are of
-    between: np.ndarray | None = None  # [T] bool: its frames that the codec predicts from both sides
-    found: Found | None = None  # what the look at the one camera's pictures found
+    video: VideoFile | None = None  # of the one camera
+    between: np.ndarray | None = None  # [T] bool: its B-frames
+    found: Found | None = None  # result of the look at the one camera's pictures
 
     @property
     def gaussians(self) -> Gaussians:
-        """At rest."""
+        """The Gaussians at rest."""
         return self.fit.gaussians
 
     @property
     def means(self) -> np.ndarray:
-        """[N, 3] scene units."""
+        """Positions [N, 3] at rest, scene units."""
         return np.asarray(self.gaussians.means.numpy(), np.float64)
 
     @property
@@ -130,7 +129,7 @@ class GreyPictures:
         return 255
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        """Return opaque pictures, grey in all channels."""
+        """Return opaque pictures that are grey in all channels."""
 
         def strip(part: slice) -> np.ndarray:
             grey = self.data[list(rows), part, :, None].astype(np.uint8)
@@ -139,7 +138,7 @@ class GreyPictures:
         return strip
 
 
-def zeros_in_room(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:
-    """Zeros [*shape] float32 to add to, beyond 1 GiB in a temporary file, of `folder` if that can be written."""
+def zeros_on_disk(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:
+    """Return zeros [*shape] float32, beyond 1 GiB in a temporary file, in `folder` if that can be written."""
     where = folder if folder is not None and os.access(folder, os.W_OK) else None
     return mapped_zeros(shape, np.float32, where, IN_MEMORY)

@@ -1,4 +1,4 @@
-"""What one sensor measured: displacement over time on every clock, peaks, and how it moves against another sensor."""
+"""Result of one sensor: displacement over time on every clock, peaks, and its motion relative to another sensor."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,18 +28,18 @@ _SHORTEST = 16  # samples of a segment
 
 @dataclass(frozen=True)
 class PhaseAt:
-    """At one frequency of the reference's peaks: motion along each sensor's own main direction."""
+    """The phase at one of the reference's peaks, of motion along each sensor's main direction."""
 
     frequency_hz: float
     amplitude: float  # of this sensor, scene units
     phase: float  # radians, this sensor's less the reference's, −π … π
-    deviation: float  # radians; π: not told
-    is_above: bool  # whether this sensor stands out of its floor there
+    deviation: float  # radians; π: unknown
+    is_above: bool  # whether this sensor exceeds its floor there
 
 
 @dataclass(frozen=True)
 class Relation:
-    """Against the sensor `reference`."""
+    """The motion relative to the sensor `reference`."""
 
     reference: str
     phases: tuple[PhaseAt, ...]
@@ -51,7 +51,7 @@ class Relation:
 
 @dataclass(frozen=True)
 class Record:
-    """A sensor on one clock: its series, and its peaks' phasors along the series' axes and on its clock."""
+    """A sensor's series on one clock, and its peaks' phasors along the series' axes and on that clock."""
 
     series: Series
     peaks: tuple[Peak, ...]
@@ -70,14 +70,14 @@ class Record:
 
 @dataclass(frozen=True)
 class SensorResult:
-    """One sensor. Arrays are in scene units; a direction that is not observed has the deviation inf and the value 0.
+    """The result of one sensor, in scene units; a direction that is not observed has deviation inf and value 0.
 
-    Where cameras have clocks of their own, spectrum, peaks and orbits are of all clips together, along the world's x,
-    y, z (`axes`, `labels`). A waveform is a clip's own, along its camera's axes: `records` has all of them; `series`,
-    `times_s`, `displacement`, `deviation`, `velocity` and `acceleration` are the first one's, along `series.axes`.
+    If the cameras have independent clocks, spectrum, peaks and orbits combine all clips, along the world's x, y, z
+    (`axes`, `labels`). A waveform belongs to one clip, along its camera's axes: `records` has all of them; `series`,
+    `times_s`, `displacement`, `deviation`, `velocity` and `acceleration` are the first clip's, along `series.axes`.
     """
 
-    sensor: Sensor  # what was asked for
+    sensor: Sensor  # as requested
     body: Body  # the Gaussians of the region and their weights
     all_series: tuple[Series, ...]  # one for each clock
     px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
@@ -85,14 +85,13 @@ class SensorResult:
     together: Together | None = None  # of clips
     codec_period: int | None = None  # frames, of the video's compression
     between: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
-    losses: tuple[Loss, ...] = ()  # of every peak, what compression let through; none where it was not tested
-    faded: tuple[
-        Loss, ...
-    ] = ()  # the same of peaks that decay when they are weaker by e; none where nothing decays
-    band: tuple[float, float] | None = None  # Hz, asked for: a peak is there, found or not
+    losses: tuple[Loss, ...] = ()  # for every peak, the part that compression let through; () if not tested
+    # the same for decaying peaks when they are weaker by a factor e; () where nothing decays
+    faded: tuple[Loss, ...] = ()
+    band: tuple[float, float] | None = None  # Hz, requested: it gets a peak, significant or not
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
-    mask: np.ndarray | None = None  # [H, W] of a flat capture: weights of the region's pixels
-    motion: RegionMotion | None = None  # of a flat capture: what the region showed
+    mask: np.ndarray | None = None  # [H, W] weights of the region's pixels, for a flat capture
+    motion: RegionMotion | None = None  # measured motion of the region, for a flat capture
 
     @property
     def name(self) -> str:
@@ -101,20 +100,19 @@ class SensorResult:
 
     @property
     def extent(self) -> str:
-        """How many Gaussians, or pixels of a flat capture, it is measured by."""
-        if self.mask is not None:
-            return f"{int((self.mask > 0).sum()):,} pixels"
-        return f"{int((self.body.weights > 0).sum()):,} Gaussians"
+        """The number of Gaussians, or of pixels in a flat capture."""
+        weights, what = (self.body.weights, "Gaussians") if self.mask is None else (self.mask, "pixels")
+        return f"{int((weights > 0).sum()):,} {what}"
 
     def with_(self, **changes: Any) -> "SensorResult":
-        """`dataclasses.replace` of what the spectrum does not depend on: it is not worked out again."""
+        """Replace fields that the spectrum does not depend on, and keep the computed spectrum."""
         out = replace(self, **changes)
         if "spectrum" in self.__dict__:
             out.__dict__["spectrum"] = self.spectrum
         return out
 
     def loss_of(self, k: int) -> Loss | None:
-        """What the video's compression let through of peak k; None where it was not tested."""
+        """Return which part of peak k the video's compression let through; None if not tested."""
         return self.losses[k] if self.losses else None
 
     @property
@@ -124,7 +122,7 @@ class SensorResult:
 
     @property
     def clips(self) -> tuple[Series, ...]:
-        """The series of every clip; none where all cameras share one clock."""
+        """The series of every clip; () if all cameras share one clock."""
         return self.all_series if self.together is not None else ()
 
     @property
@@ -149,11 +147,11 @@ class SensorResult:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The names of the axes: x, y, z; right, up, sight of one fixed camera; right, up of a flat capture."""
+        """Names of the axes: x, y, z; right, up, sight for one fixed camera; right, up for a flat capture."""
         return self.series.labels if self.together is None else WORLD
 
     def pixels(self, along: np.ndarray) -> float:
-        """Pixels of a motion by one scene unit along a direction [A] of the axes."""
+        """Return the pixels of a motion by one scene unit along a direction [A] in the axes."""
         if len(self.labels) != 2:  # turned away from the camera it would be fewer
             return self.px_per_unit
         return self.px_per_unit * float(np.linalg.norm(along @ self.axes))
@@ -167,8 +165,7 @@ class SensorResult:
             own = self.series
             found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.between)
             if self.band is not None:
-                record = own.times_s, own.displacement, own.noise, own.model_share
-                found = with_band(found, self.band, *record)
+                found = with_band(found, self.band, own.times_s, own.displacement, own.noise, own.model_share)
             found = replace(found, peaks=tuple(replace(p, correlation=own.correlation) for p in found.peaks))
         longest = max((s.times_s for s in self.all_series), key=len)
         fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
@@ -176,7 +173,7 @@ class SensorResult:
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """On every clock."""
+        """The series and peaks on every clock."""
         own = (self.spectrum.peaks,) if self.together is None else self.together.of_clips
         return tuple(Record(series, peaks) for series, peaks in zip(self.all_series, own, strict=True))
 
@@ -197,41 +194,22 @@ class SensorResult:
 
     @cached_property
     def damping(self) -> tuple[Damping | None, ...]:
-        """The damping of each peak; None where it is not known.
-
-        For clips by the one in which the peak stands out most.
-        """
-        best = [
-            max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
-        ]
-        found = [
-            None if record.peaks[k].asked else damping_of(record.series, record.peaks[k])
-            for k, record in enumerate(best)
-        ]
-        if not self.faded:
-            return tuple(found)
-        return tuple(map(with_loss, found, self.losses, self.faded))
+        """The damping of each peak, from the clip in which it is strongest; None where it is unknown."""
+        found = []
+        for k in range(len(self.spectrum.peaks)):
+            record = max(self.records, key=lambda r: strength_of(r.peaks[k]))
+            found.append(None if record.peaks[k].asked else damping_of(record.series, record.peaks[k]))
+        return tuple(map(with_loss, found, self.losses, self.faded) if self.faded else found)
 
 
 def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
-    """Return no coherence: it is undefined for clips."""
+    """Compare a sensor with the reference: phases at its peaks, and coherence, which is undefined for clips."""
     phases = []
-    at_peaks = _at(result, reference)
-    for k, peak in enumerate(reference.spectrum.peaks):
+    for peak, (own, is_above) in zip(reference.spectrum.peaks, _at(result, reference), strict=False):
         orbit = orbit_of(peak)
-        own, is_above = at_peaks[k]
-        phase, amplitude = own.phase - orbit.phase, own.amplitude
-        mine, its = (o.deviation / max(o.amplitude, 1e-300) for o in (own, orbit))
-        error = float(np.hypot(mine, its))
-        phases.append(
-            PhaseAt(
-                peak.frequency_hz,
-                amplitude,
-                float((phase + np.pi) % (2 * np.pi) - np.pi),
-                min(error, np.pi),
-                is_above,
-            )
-        )
+        phase = float((own.phase - orbit.phase + np.pi) % (2 * np.pi) - np.pi)
+        error = float(np.hypot(*(o.deviation / max(o.amplitude, 1e-300) for o in (own, orbit))))
+        phases.append(PhaseAt(peak.frequency_hz, own.amplitude, phase, min(error, np.pi), is_above))
     freqs, coherence, segments = np.zeros(0), np.zeros(0), 0
     if result.together is None:
         freqs, coherence, segments = _coherence(result.series, reference.series)
@@ -240,36 +218,29 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
 
 
 def _at(result: SensorResult, reference: SensorResult) -> list[tuple[Orbit, bool]]:
-    """A sensor's orbit at each of the reference's peaks, and whether it stands out."""
+    """Return a sensor's orbit at each of the reference's peaks, and whether it is significant; [] if it is blind."""
     peaks, level = reference.spectrum.peaks, result.spectrum.floor.min(0)
-    if result.together is not None:
-        own = [
-            min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - q.frequency_hz)) for q in peaks
-        ]
+    if (clips := result.together) is not None:
+        own = [min(clips.everywhere, key=lambda p: abs(p.frequency_hz - q.frequency_hz)) for q in peaks]
         return [(orbit_of(p), bool((p.amplitude > level)[p.is_resolved].any())) for p in own]
     lines = [p.line for p in peaks if p.line is not None]
-    series, out = result.series, []
-    told = series.is_resolved
-    values = series.displacement[:, told]
-    found: list[Line | Tone] = []
-    if lines:
-        found += fit_lines(values, series.times_s, lines).lines
-    known = np.sqrt((series.noise[:, told] ** 2).mean(0))
-    for p in peaks[len(lines) :]:  # what was asked for comes last: at the reference's own frequency
+    series, resolved, out = result.series, result.series.is_resolved, []
+    if not resolved.any():  # such as the complete scene before a moving camera
+        return []
+    values, known = series.displacement[:, resolved], np.sqrt((series.noise[:, resolved] ** 2).mean(0))
+    found: list[Line | Tone] = [*fit_lines(values, series.times_s, lines).lines] if lines else []
+    for p in peaks[len(lines) :]:  # a requested band comes last: at the reference's frequency
         found.append(tone_in(values, series.times_s, (0.999 * p.frequency_hz, 1.001 * p.frequency_hz), known))
     for one in found:
         phasor, error = np.zeros(len(level), complex), np.zeros(len(level))
-        phasor[told], error[told] = one.phasor, one.amplitude_deviation
+        phasor[resolved], error[resolved] = one.phasor, one.amplitude_deviation
         is_above = bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())
-        out.append((orbit_in(phasor, error, told, series.correlation), is_above))
+        out.append((orbit_in(phasor, error, resolved, series.correlation), is_above))
     return out
 
 
 def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the coherence of motion along each one's direction of largest variance.
-
-    Nothing of short records and those with long gaps.
-    """
+    """Return the coherence along each one's direction of largest variance; empty for short records and long gaps."""
     times, x = on_even_clock(a.times_s, _along_main(a))
     y, n = on_even_clock(b.times_s, _along_main(b))[1], len(times)
     length = 2 * n // (_SEGMENTS + 1)
@@ -283,6 +254,7 @@ def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _along_main(series: Series) -> np.ndarray:
+    """Return the displacement [T] along the direction of largest variance."""
     values = np.where(series.is_resolved, series.displacement, 0)
     main = np.linalg.eigh(values.T @ values)[1][:, -1]
     return np.asarray(values @ main)

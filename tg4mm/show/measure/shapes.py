@@ -1,7 +1,6 @@
 """Operating deflection shapes: how every Gaussian moves at the frequencies of peaks, also as animated pictures."""
 
-import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,10 +18,10 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.render.cameras import Camera
-from tg4mm.show.render.image import render_image
+from tg4mm.show.render.image import render
 
 _SAME = 0.75  # of 1 / duration: nearer than this two frequencies are one
-_TOLD = 2.0  # deviations that a Gaussian's motion must stand out of
+_SIGNIFICANT = 2.0  # deviations that a Gaussian's motion must exceed
 _MOST = 6
 FRAMES = 16  # of a period
 _SHOWN_PX = 0.02  # of the picture's width: what the strongest motion is magnified to
@@ -41,17 +40,15 @@ class Shape:
 
 
 def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, ...]:
-    """At the peaks of all sensors together, strongest first, where the run's modes move at all."""
+    """Return the shapes at the peaks of all sensors, strongest first, where the run's modes move at all."""
     motion = scene.fit.motion
     if motion is None or not len(motion.freqs_hz):
         return ()
     resolution = 1 / scene.observations.duration_s
-    found: list[tuple[float, float]] = []
-    for result in results:
-        for peak, orbit in zip(result.spectrum.peaks, result.orbits, strict=True):
-            found.append((orbit.amplitude, peak.frequency_hz))
+    pairs = (zip(result.orbits, result.spectrum.peaks, strict=True) for result in results)
+    found = sorted(((o.amplitude, p.frequency_hz) for pair in pairs for o, p in pair), reverse=True)
     hz: list[float] = []
-    for _, f in sorted(found, reverse=True):
+    for _, f in found:
         if all(abs(f - other) > _SAME * resolution for other in hz):
             hz.append(f)
     deviation = scene.fit.uncertainty.get("displacement")
@@ -61,7 +58,9 @@ def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, 
         size = np.sqrt((np.abs(phasors) ** 2).sum(1))
         if not size.any():
             continue
-        least = 0.0 if deviation is None else _TOLD * deviation * np.sqrt(2)  # of amplitudes, not of rms
+        least = (
+            0.0 if deviation is None else _SIGNIFICANT * deviation * np.sqrt(2)
+        )  # of amplitudes, not of rms
         out.append(Shape(f, phasors, size > least))
     return tuple(out)
 
@@ -79,7 +78,7 @@ def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndar
 
 
 def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> list[tuple[Path, float]]:
-    """OUT/shapes/<frequency>Hz.gif of every shape, and by what its motion is magnified (1 + α)."""
+    """Write OUT/shapes/<frequency>Hz.gif of every shape; returns the files and the magnifications (1 + α)."""
     folder, written = out / "shapes", []
     shown = [s for s in shapes if s.is_above.any()]
     if not shown:
@@ -91,23 +90,16 @@ def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> l
             gain = max(_SHOWN_PX * camera.width / max(pixels, 1e-9), 1.0)
             pictures = []
             for frame, gaussians in enumerate(_period(scene, shape, gain)):
-                pictures.append(
-                    to_bytes(
-                        np.asarray(
-                            render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height)
-                        )
-                    )
-                )
+                pictures.append(to_bytes(render(gaussians, camera)))
                 update(k * FRAMES + frame + 1)
             path = folder / f"{f'{shape.frequency_hz:.3f}'.replace('.', '_')}Hz.gif"
-            data = _gif(pictures)
-            write_atomic(path, partial(Path.write_bytes, data=data))
+            write_atomic(path, partial(_write_gif, pictures))
             written.append((path, gain))
     return written
 
 
-def _period(scene: Prepared, shape: Shape, gain: float):
-    """The Gaussians at each frame."""
+def _period(scene: Prepared, shape: Shape, gain: float) -> Iterator[Gaussians]:
+    """Return the Gaussians at each frame."""
     phasors = np.where(shape.is_above[:, None], shape.phasors, 0).astype(np.complex64)[None]
     motion = ModalMotion(np.array([1.0]), phasors, np.zeros_like(phasors), float(FRAMES), FRAMES)
     greyed = _greyed(scene.gaussians, ~shape.is_above & (np.abs(shape.phasors).sum(1) > 0))
@@ -122,28 +114,23 @@ def _greyed(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
 
 
 def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
-    """The camera in which the shape moves by most pixels, and how many (99th percentile of what is seen)."""
+    """Return the camera in which the shape moves by most pixels, and how many (99th percentile of the visible)."""
     rows = np.flatnonzero(shape.is_above & (scene.seen > 0.5))
     rows = rows if len(rows) else np.flatnonzero(shape.is_above)
     best, most = 0, -1.0
     for k, frames in enumerate(scene.observations.frames):
         across = np.abs(shape.phasors[rows] @ frames.viewmat[:2, :3].T)
         depth = scene.means[rows] @ frames.viewmat[2, :3] + frames.viewmat[2, 3]
-        pixels = float(
-            np.percentile(np.linalg.norm(across, axis=1) * frames.K[0, 0] / np.maximum(depth, 1e-6), 99)
-        )
-        if pixels > most:
+        shift = np.linalg.norm(across, axis=1) * frames.K[0, 0] / np.maximum(depth, 1e-6)
+        if (pixels := float(np.percentile(shift, 99))) > most:
             best, most = k, pixels
     return Camera.of(scene.observations.frames[best], scene.observations.size), most
 
 
-def _gif(pictures: list[np.ndarray]) -> bytes:
-    """Return a GIF of pictures [H, W, 3] uint8."""
-    data = io.BytesIO()
+def _write_gif(pictures: Sequence[np.ndarray], path: Path) -> None:
     height, width = pictures[0].shape[:2]
     k = -(-_LONGER // max(height, width))
-    images = [Image.fromarray(p).resize((k * width, k * height), Image.Resampling.BICUBIC) for p in pictures]
-    images[0].save(
-        data, "GIF", save_all=True, append_images=images[1:], duration=_MILLISECONDS, loop=0, disposal=1
+    first, *rest = (
+        Image.fromarray(p).resize((k * width, k * height), Image.Resampling.BICUBIC) for p in pictures
     )
-    return data.getvalue()
+    first.save(path, "GIF", save_all=True, append_images=rest, duration=_MILLISECONDS, loop=0, disposal=1)

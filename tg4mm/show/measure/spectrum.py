@@ -1,16 +1,16 @@
-"""Amplitude spectrum of a sensor with its noise floor, the peaks that stand out of it, and what may have made them.
+"""Amplitude spectrum of a sensor, its noise floor, the peaks above it, and their possible origins.
 
 The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero
-to peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
-√(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone passes anywhere in the whole spectrum, on any of the
-axes, in one record of a hundred; s is what is known of the samples, and where that is more, what is left around a
-frequency when the lines are taken out. Peaks are the record's lines (`core.lines`), each tested.
+to peak, at its frequency. There, noise of standard deviation s_f has a Rayleigh distribution with the parameter
+√(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone exceeds anywhere in the spectrum, on any axis, in one
+record of a hundred; s is the stated deviation of the samples, or the residual around a frequency without the lines if
+that is larger. Peaks are the record's lines (`core.lines`), each tested.
 
 A peak may be a harmonic: where pictures do not change in proportion to motion, f makes peaks at 2f and 3f too. It may
-also be a sideband made by a video codec. Every P frames one is predicted forward, those between it from both sides and
-more coarsely, so that a motion of f Hz also appears at k / (P Δt) ± f. Seen on H.264 of x264, P = 4: 3.4 Hz at 30 Hz
-made peaks at 7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec removes most of a small
-motion, what is left is up to three times the sideband. Encoders without such a period make lines at these places too.
+also be a sideband from a video codec. Every Pth frame is predicted forward, those between from both sides and more
+coarsely, so that a motion of f Hz also appears at k / (P Δt) ± f. H.264 of x264, P = 4: 3.4 Hz at 30 Hz made peaks at
+7.5 − 3.4 and 15 − 3.4 Hz, thirty times weaker (docs/measure.md). Where the codec removes most of a small motion, the
+rest is up to three times the sideband. Encoders without such a period make lines at these frequencies too.
 """
 
 from collections.abc import Sequence
@@ -21,18 +21,18 @@ import numpy as np
 from tg4mm.core.lines import Line, Lines, find_lines
 from tg4mm.core.lines.band import Tone, tone_in
 
-CHANCE = 0.01  # that noise alone passes the floor anywhere
+CHANCE = 0.01  # that noise alone exceeds the floor anywhere
 OVERSAMPLED = 8  # frequencies to each 1 / duration
-_TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_UNRESOLVED = 10.0  # times the deviation of the best direction: a direction beyond it is not resolved
 _ORDERS = 2, 3
 NEAR = 0.5  # of 1 / duration
 SURE = 3.0  # deviations
-USUAL_PERIOD = 4  # frames, of a video whose kinds of frames show none
-WEAKER = 2.5  # times weaker than the vibration that it comes of, at least
+USUAL_PERIOD = 4  # frames, for a video whose frame types show none
+WEAKER = 2.5  # times weaker than the vibration that causes it, at least
 
 
 def frequency_grid(times_s: np.ndarray) -> np.ndarray:
-    """[F] Hz, from 0 to half the frame rate."""
+    """Return frequencies [F] in Hz, from 0 to half the frame rate."""
     step = float(np.median(np.diff(times_s)))
     duration = float(np.ptp(times_s)) + step  # frames may be missing
     count = int(duration / (2 * step) * OVERSAMPLED + 1e-9) + 1
@@ -40,41 +40,41 @@ def frequency_grid(times_s: np.ndarray) -> np.ndarray:
 
 
 def sinusoid_columns(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """[T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
+    """Return the columns [T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
     angles = 2 * np.pi * times_s[:, None] * np.asarray(hz)[None]
     return np.concatenate([np.ones((len(times_s), 1)), np.cos(angles), -np.sin(angles)], 1)
 
 
 def hann(times_s: np.ndarray) -> np.ndarray:
-    """[T] Hann's window over the record."""
+    """Return Hann's window [T] over the record."""
     step = float(np.median(np.diff(times_s)))
     share = (times_s - times_s[0] + step / 2) / (np.ptp(times_s) + step)
     return np.sin(np.pi * share) ** 2
 
 
 def transformed(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """[F, 3] complex: 2 Σ w u exp(−i 2πν t) / Σ w of values [T, 3] less their mean; a sinusoid has its phasor there."""
+    """Return 2 Σ w u exp(−i 2πν t) / Σ w [F, 3], complex, of values [T, 3] less their mean: a sinusoid's phasor."""
     window = hann(times_s)
     turned = np.exp(-2j * np.pi * grid[:, None] * times_s) * window
-    own = values - (window @ values) / window.sum()
-    return np.asarray(turned @ own * (2 / window.sum()))
+    centred = values - (window @ values) / window.sum()
+    return np.asarray(turned @ centred * (2 / window.sum()))
 
 
 def rayleigh(times_s: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """[3] parameter of the distribution of |`transformed`| of noise with standard deviations [T, 3]."""
+    """Return the parameter [3] of the distribution of |`transformed`| for noise with standard deviations [T, 3]."""
     window = hann(times_s)
     return np.asarray(np.sqrt(2 * (window[:, None] ** 2 * deviation**2).sum(0)) / window.sum())
 
 
 def floor_factor(n_samples: int) -> float:
-    """The floor over `rayleigh`: the level that noise alone passes anywhere in one record of a hundred."""
+    """Return the floor over `rayleigh`: the level that noise alone exceeds anywhere in one record of a hundred."""
     return float(np.sqrt(-2 * np.log(CHANCE / (3 * max(n_samples // 2, 1)))))
 
 
 def is_resolved(level: np.ndarray) -> np.ndarray:
-    """[3] bool of a floor [3]: seen, and not ten times less sure than the best direction, as one camera's sight is."""
+    """Whether each floor [3] is finite and at most ten times the lowest (one camera's sight is beyond that)."""
     finite = np.where(np.isfinite(level), level, np.inf)
-    return np.isfinite(level) & (finite <= _TOLD * finite.min())
+    return np.isfinite(level) & (finite <= _UNRESOLVED * finite.min())
 
 
 @dataclass(frozen=True)
@@ -104,18 +104,18 @@ class Sideband:
 def harmonics_of(
     hz: Sequence[float], deviation: Sequence[float], size: Sequence[float], fps: float, resolution: float
 ) -> list[Harmonic | None]:
-    """For each of several peaks, the strongest peak that it may be a harmonic of; None where there is none.
+    """Return for each peak the strongest peak of which it may be a harmonic, or None.
 
-    hz and deviation of the frequencies, size: amplitudes; resolution: 1 / duration, Hz. What lies above half the frame
-    rate is looked for where it appears in the record.
+    hz and deviation of the frequencies, size: amplitudes; resolution: 1 / duration, Hz. Harmonics above half the frame
+    rate are sought at their aliases.
     """
 
     def of(k: int) -> Harmonic | None:
         for j in sorted(range(len(hz)), key=lambda j: -size[j]):
             for order in _ORDERS if size[j] > size[k] else ():
                 error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
-                is_told = SURE * deviation[j] < resolution  # else many a peak would be near
-                if is_told and abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
+                is_sharp = SURE * deviation[j] < resolution  # else too many peaks would be near
+                if is_sharp and abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
                     return Harmonic(order, hz[j])
         return None
 
@@ -123,7 +123,7 @@ def harmonics_of(
 
 
 def seen_at(hz: float, fps: float) -> float:
-    """Where a frequency appears in samples taken at `fps` Hz."""
+    """Return the alias of a frequency in samples taken at `fps` Hz."""
     return abs(hz - round(hz / fps) * fps)
 
 
@@ -136,10 +136,12 @@ class Peak:
     phasor: np.ndarray  # [A] complex, scene units, along the series' axes
     deviation: np.ndarray  # [A] standard deviation of the amplitudes, scene units; inf where not observed
     floor: np.ndarray  # [A] of the spectrum at this frequency
-    line: Line | None = None  # along the axes that are seen; None: of clips, steady
-    harmonic: Harmonic | None = None  # a stronger peak that this may be a harmonic of
-    sideband: Sideband | None = None  # a stronger peak of which a video codec may have made this
-    asked: Tone | None = None  # what was asked for by its band and does not stand out; None: it was found
+    line: Line | None = None  # along the observed axes; None for clips: steady
+    harmonic: Harmonic | None = None  # a stronger peak of which this may be a harmonic
+    sideband: Sideband | None = None  # a stronger peak from which a video codec may have made this
+    asked: Tone | None = (
+        None  # the tone in a requested band, which is not significant; None: a peak that was found
+    )
     correlation: np.ndarray | None = None  # [A, A] of the axes' deviations; None: they are independent
 
     @property
@@ -149,16 +151,16 @@ class Peak:
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """[A] bool: axes that are seen, and not ten times less sure than the best one, as one camera's sight is."""
+        """[A] bool: observed axes that are at most ten times as uncertain as the best (`is_resolved`)."""
         return is_resolved(self.floor)
 
     @property
     def is_above(self) -> np.ndarray:
-        """[A] bool: whether the amplitude stands out of the floor, and of twice its own deviation."""
+        """[A] bool: whether the amplitude exceeds the floor and twice its deviation."""
         return np.asarray((self.amplitude > self.floor) & (self.amplitude > 2 * self.deviation))
 
     def envelope(self, times_s: np.ndarray) -> np.ndarray:
-        """[T], 1 at most."""
+        """Return the envelope [T], at most 1."""
         return np.ones(len(times_s)) if self.line is None else self.line.envelope(times_s)
 
     @property
@@ -192,8 +194,8 @@ def spectrum_of(
 ) -> Spectrum:
     """Return the spectrum of values [T, A] with noise of deviations [T, A] at times [T], even or uneven.
 
-    model_share [A]: standard deviation of errors that grow with the motion, over its length; of the peaks' deviations.
-    between [T] bool: of pictures that a codec predicts from both sides (`core.lines`).
+    model_share [A]: standard deviation of errors that grow with the motion, over its length; part of the peaks'
+    deviations. between [T] bool: B-frames (`core.lines`).
     """
     grid = frequency_grid(times_s)
     is_seen = np.isfinite(deviation).all(0)
@@ -203,7 +205,8 @@ def spectrum_of(
     floor = np.full((len(grid), len(is_seen)), np.inf)
     factor = float(rayleigh(times_s, np.ones((len(times_s), 1)))[0]) * floor_factor(len(times_s))
     floor[:, is_seen] = factor * (known if found is None else np.maximum(known, _levels(found, grid)))
-    peaks = [] if found is None else [_peak(line, grid, floor, is_seen, model_share) for line in found.lines]
+    lines = [] if found is None else found.lines
+    peaks = [_peak(n, floor[int(np.abs(grid - n.hz).argmin())], is_seen, model_share) for n in lines]
     amplitude = np.abs(transformed(grid, times_s, values))
     return Spectrum(grid, amplitude, floor, with_harmonics(ordered(peaks), times_s))
 
@@ -216,9 +219,9 @@ def with_band(
     deviation: np.ndarray,
     model_share: np.ndarray,
 ) -> Spectrum:
-    """With the tone of values [T, A] in a band (Hz) among the peaks, where none of them lies in it.
+    """Add the tone of values [T, A] in a band (Hz) to the peaks if none of them lies in it.
 
-    Its ± holds what a record of a period or two leaves open (`core/lines/band.py`). Arguments as of `spectrum_of`.
+    Its ± includes the uncertainty of a record of one or two periods (`core/lines/band.py`). Arguments: `spectrum_of`.
     """
     is_seen = np.isfinite(deviation).all(0)
     if not is_seen.any() or any(band[0] <= p.frequency_hz <= band[1] for p in found.peaks):
@@ -226,39 +229,33 @@ def with_band(
     known = np.sqrt((deviation[:, is_seen] ** 2).mean(0))
     tone = tone_in(values[:, is_seen], times_s, band, known)
     level = found.floor[int(np.abs(found.freqs_hz - tone.hz).argmin())]
-    phasor, own = np.zeros(len(is_seen), complex), np.full(len(is_seen), np.inf)
-    phasor[is_seen] = tone.phasor
-    own[is_seen] = np.hypot(
-        tone.amplitude_deviation, model_share[is_seen] * np.linalg.norm(phasor[is_resolved(level)])
-    )
-    peak = Peak(tone.hz, tone.hz_deviation, phasor, own, level, asked=tone)
+    peak = replace(_peak(tone, level, is_seen, model_share), asked=tone)
     return replace(found, peaks=(*found.peaks, peak))
 
 
 def _levels(found: Lines, grid: np.ndarray) -> np.ndarray:
-    """[F, A] the noise's standard deviation at frequencies [F]."""
-    return np.stack([np.interp(grid, found.hz, own) for own in found.noise.T], 1)
+    """Return the noise's standard deviation [F, A] at frequencies [F]."""
+    return np.stack([np.interp(grid, found.hz, level) for level in found.noise.T], 1)
 
 
-def _peak(
-    line: Line, grid: np.ndarray, floor: np.ndarray, is_seen: np.ndarray, model_share: np.ndarray | None
-) -> Peak:
-    """Along all axes: 0, of infinite deviation, where nothing is seen."""
+def _peak(line: Line | Tone, level: np.ndarray, is_seen: np.ndarray, model_share: np.ndarray | None) -> Peak:
+    """Return a peak along all axes: 0 with infinite deviation along axes that are not observed."""
     phasor, deviation = np.zeros(len(is_seen), complex), np.full(len(is_seen), np.inf)
     phasor[is_seen], deviation[is_seen] = line.phasor, line.amplitude_deviation
-    level = floor[int(np.abs(grid - line.hz).argmin())]
     if model_share is not None:
         deviation = np.hypot(deviation, model_share * np.linalg.norm(phasor[is_resolved(level)]))
-    return Peak(line.hz, line.hz_deviation, phasor, deviation, level, line)
+    return Peak(
+        line.hz, line.hz_deviation, phasor, deviation, level, line if isinstance(line, Line) else None
+    )
 
 
 def ordered(peaks: Sequence[Peak]) -> tuple[Peak, ...]:
-    """By falling amplitude over the floor."""
+    """Sort by falling amplitude over the floor."""
     return tuple(sorted(peaks, key=strength_of, reverse=True))
 
 
 def with_harmonics(peaks: Sequence[Peak], times_s: np.ndarray) -> tuple[Peak, ...]:
-    """The peaks of a record at these times; those that may be a harmonic of a stronger one say so."""
+    """Mark the peaks of a record at these times that may be a harmonic of a stronger one."""
     step = float(np.median(np.diff(times_s)))
     size = [size_of(p) for p in peaks]
     hz, deviation = [p.frequency_hz for p in peaks], [p.frequency_deviation_hz for p in peaks]
@@ -267,12 +264,12 @@ def with_harmonics(peaks: Sequence[Peak], times_s: np.ndarray) -> tuple[Peak, ..
 
 
 def size_of(peak: Peak) -> float:
-    """Amplitude along the axes that are told, scene units."""
+    """Return the amplitude along the resolved axes, scene units."""
     return float(np.linalg.norm(peak.amplitude[peak.is_resolved]))
 
 
 def strength_of(peak: Peak) -> float:
-    """Amplitude over floor, of the axis where that is largest."""
+    """Return the largest amplitude over floor of all axes."""
     scale = np.where(np.isfinite(peak.floor), np.maximum(peak.floor, 1e-300), np.inf)
     return float((peak.amplitude / scale).max())
 
@@ -280,7 +277,7 @@ def strength_of(peak: Peak) -> float:
 def with_sidebands(
     peaks: Sequence[Peak], period: int | None, fps: float, duration_s: float
 ) -> tuple[Peak, ...]:
-    """The peaks; weak ones that may be a stronger one's sideband say so. period: frames, `codec_period`."""
+    """Mark weak peaks that may be a stronger one's sideband. period: frames, `codec_period`."""
     if period is None:
         return tuple(peaks)
     carriers = [k * fps / period for k in range(1, period // 2 + 1)]

@@ -1,10 +1,11 @@
-"""A measurement in files of other programs: CSV and XLSX tables, HDF5 and MAT arrays, SEP005 dictionaries."""
+"""A measurement in files of other programs: CSV and XLSX tables, HDF5 and MAT arrays, SEP005 dictionaries.
+
+`arrays_of` holds every array by its name; tables and SEP005 dictionaries are made from it.
+"""
 
 import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,14 @@ from tg4mm.core.files import write_atomic
 from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
 from tg4mm.show.measure.sensor_result import Record, SensorResult
 
-MOST_ROWS = 1_048_575  # of a sheet, beside its head
+MOST_ROWS = 1_048_575  # of a sheet, below its head
 _EVEN = 0.02  # of a step
-_QUANTITIES = {"displacement": ("", "d"), "velocity": ("/s", "v"), "acceleration": ("/s²", "a")}
+_QUANTITIES = {
+    "displacement": ("", "d"),
+    "velocity": ("/s", "v"),
+    "acceleration": ("/s²", "a"),
+}  # unit, SEP005
+_TEXTS = {"sensor", "clock", "axis", "name", "unit"}  # columns: a sensor may be called 1e3
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,7 @@ class Table:
 
 
 def tables_of(found: Measurement) -> list[Table]:
-    """series, spectra and peaks."""
+    """Return the tables series, spectra and peaks."""
     u = unit_of(found).column
     v, a = f"{u}_per_s", f"{u}_per_s2"
     series = [
@@ -44,39 +50,35 @@ def tables_of(found: Measurement) -> list[Table]:
         f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz", "sideband_of_hz", "damping_deviation",
         "phase_deviation_rad",
     ]  # fmt: skip
+    arrays = arrays_of(found)
     return [
-        Table("series", series, _series_rows(found)),
-        Table("spectra", spectra, _spectrum_rows(found)),
-        Table("peaks", peaks, _peak_rows(found)),
+        Table("series", series, _series_rows(arrays)),
+        Table("spectra", spectra, _spectrum_rows(arrays)),
+        Table("peaks", peaks, _peak_rows(found, arrays)),
     ]
 
 
-def write_csv_files(found: Measurement, out: Path) -> list[Path]:
-    """OUT/series.csv, spectra.csv and peaks.csv."""
-    paths = []
+def write_csv_files(found: Measurement, out: Path) -> None:
+    """Write OUT/series.csv, spectra.csv and peaks.csv."""
+
+    def write(table: Table, path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(chain([table.head], table.rows))
+
     for table in tables_of(found):
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(chain([table.head], table.rows))
-        paths.append(out / f"{table.name}.csv")
-        write_atomic(paths[-1], partial(Path.write_text, data=text.getvalue(), encoding="utf-8"))
-    return paths
+        write_atomic(out / f"{table.name}.csv", lambda path, own=table: write(own, path))
 
 
 def write_xlsx(found: Measurement, path: Path) -> None:
-    """The same tables as sheets, and `settings_of` as rows of name, value and unit; numbers are cells of numbers."""
+    """Write the same tables as sheets, and `settings_of` as rows of name, value and unit; numbers as numbers."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
     names = {"spectra": "spectrum", "peaks": "lines"}
     settings = [(name, *value) for name, value in settings_of(found).items()]
-    tables = [*tables_of(found), Table("settings", ("name", "value", "unit"), settings)]
-    for table in tables:
-        rows, part = iter(table.rows), 1
-        while True:
-            block = list(islice(rows, MOST_ROWS))
-            if part > 1 and not block:
-                break
-            name = names.get(table.name, table.name)
+    for table in [*tables_of(found), Table("settings", ("name", "value", "unit"), settings)]:
+        rows, part, name = iter(table.rows), 1, names.get(table.name, table.name)
+        while (block := list(islice(rows, MOST_ROWS))) or part == 1:
             sheet = book.create_sheet(name if part == 1 else f"{name} {part}")
             sheet.freeze_panes = "A2"
             sheet.append(list(table.head))
@@ -86,11 +88,8 @@ def write_xlsx(found: Measurement, path: Path) -> None:
     write_atomic(path, book.save)
 
 
-_TEXTS = {"sensor", "clock", "axis", "name", "unit"}  # columns: a sensor may be called 1e3
-
-
-def _cell(value: Any, is_text: bool = False) -> Any:
-    """A number where a text is one; what is not finite is left empty; a text that begins as a formula is text."""
+def _cell(value: Any, is_text: bool) -> Any:
+    """Return a cell: text of a number as number, nothing for what is not finite, and no text as a formula."""
     if isinstance(value, str):
         try:
             value = value if is_text else float(value)
@@ -101,56 +100,51 @@ def _cell(value: Any, is_text: bool = False) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _series_rows(found: Measurement) -> Iterable[Sequence[Any]]:
-    for result in found.sensors:
-        factor = unit_of(found, result).factor
-        for record in result.records:
-            series, own, sure = record.series, record.derivatives, record.derivative_deviations
-            columns = series.displacement, series.deviation, own.velocity, own.acceleration
-            values = np.stack([*columns, sure.velocity, sure.acceleration], -1)
-            for t, time in enumerate(series.times_s):
-                for k, label in enumerate(series.labels):
-                    yield (
-                        result.name,
-                        series.clock,
-                        f"{time:.6f}",
-                        label,
-                        *(_number(v, factor) for v in values[t, k]),
-                    )
+def _series_rows(sensors: Sequence[dict[str, Any]]) -> Iterable[Sequence[Any]]:
+    names = [
+        *_with_deviation("displacement"),
+        "velocity",
+        "acceleration",
+        "velocity_deviation",
+        "acceleration_deviation",
+    ]
+    for sensor in sensors:
+        for own in sensor["series"]:
+            values = np.stack([own[name] for name in names], -1)
+            for time, axes in zip(own["time"], values, strict=True):
+                for label, row in zip(own["axes"], axes, strict=True):
+                    yield sensor["name"], own["clock"], f"{time:.6f}", label, *(f"{v:.6g}" for v in row)
 
 
-def _spectrum_rows(found: Measurement) -> Iterable[Sequence[Any]]:
-    for result in found.sensors:
-        factor, spectrum = unit_of(found, result).factor, result.spectrum
-        for f, hz in enumerate(spectrum.freqs_hz):
-            for k, label in enumerate(result.labels):
-                values = spectrum.amplitude[f, k], spectrum.floor[f, k]
-                yield result.name, label, f"{hz:.6g}", *(_number(v, factor) for v in values)
+def _spectrum_rows(sensors: Sequence[dict[str, Any]]) -> Iterable[Sequence[Any]]:
+    for sensor in sensors:
+        own = sensor["spectrum"]
+        for hz, sizes, floors in zip(own["frequency"], own["amplitude"], own["floor"], strict=True):
+            for label, size, floor in zip(sensor["axes"], sizes, floors, strict=True):
+                yield sensor["name"], label, f"{hz:.6g}", f"{size:.6g}", f"{floor:.6g}"
 
 
-def _peak_rows(found: Measurement) -> Iterable[Sequence[Any]]:
-    for result in found.sensors:
-        factor = unit_of(found, result).factor
-        for peak, damping in zip(result.spectrum.peaks, result.damping, strict=True):
+def _peak_rows(found: Measurement, sensors: Sequence[dict[str, Any]]) -> Iterable[Sequence[Any]]:
+    for result, sensor in zip(found.sensors, sensors, strict=True):
+        own = sensor["lines"]
+        for p, peak in enumerate(result.spectrum.peaks):
             hz = f"{peak.frequency_hz:.6g}", f"{peak.frequency_deviation_hz:.3g}"
+            ratio, sure = own["damping_ratio"][p], own["damping_ratio_deviation"][p]
+            zeta = ("", "") if result.damping[p] is None else (f"{ratio:.4g}", f"{sure:.3g}")
+            of_hz = ["" if o is None else f"{o.of_hz:.6g}" for o in (peak.harmonic, peak.sideband)]
             for k, label in enumerate(result.labels):
-                values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
-                phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
-                zeta = ("", "") if damping is None else (f"{damping.ratio:.4g}", f"{damping.deviation:.3g}")
-                of_hz = ["" if o is None else f"{o.of_hz:.6g}" for o in (peak.harmonic, peak.sideband)]
-                above, error = int(peak.is_above[k]), f"{peak.phase_deviation[k]:.3g}"
+                size, deviation, phase, floor = (
+                    f"{own[name][p, k]:.6g}"
+                    for name in ("amplitude", "amplitude_deviation", "phase", "floor")
+                )
+                above, error = int(peak.is_above[k]), f"{own['phase_deviation'][p, k]:.3g}"
                 yield (
-                    result.name, label, *hz, *values, phase, floor, above, zeta[0], *of_hz, zeta[1], error,
+                    result.name, label, *hz, size, deviation, phase, floor, above, zeta[0], *of_hz, zeta[1], error,
                 )  # fmt: skip
 
 
-def _number(value: float, factor: float) -> str:
-    """Six digits; inf where nothing is observed."""
-    return f"{value * factor:.6g}"
-
-
 def settings_of(found: Measurement) -> dict[str, tuple[Any, str]]:
-    """How it was measured: value and unit by name."""
+    """Return how it was measured: value and unit by name."""
     scene, first = found.prepared, found.sensors[0]
     return {
         "program": (f"tg4mm {__version__}", ""),
@@ -170,7 +164,7 @@ def settings_of(found: Measurement) -> dict[str, tuple[Any, str]]:
 
 
 def units_of(unit: Unit) -> dict[str, str]:
-    """Return the unit of every array, by its name; its deviation has the same. What has none is not in it."""
+    """Return the unit of every array that has one, by its name; its deviation has the same unit."""
     return {
         "time": "s", **{name: unit.name + per for name, (per, _) in _QUANTITIES.items()}, "amplitude": unit.name,
         "floor": unit.name, "frequency": "Hz", "phase": "rad",
@@ -178,7 +172,7 @@ def units_of(unit: Unit) -> dict[str, str]:
 
 
 def arrays_of(found: Measurement) -> list[dict[str, Any]]:
-    """One dictionary a sensor: texts, arrays, and dictionaries `spectrum` and `lines`, and a list `series`.
+    """Return a dictionary for each sensor: texts, arrays, dictionaries `spectrum` and `lines`, and a list `series`.
 
     Arrays are [T, A], [F, A] or [K, A] along the axes that `axes` names; lengths in the unit of the printed table.
     """
@@ -194,7 +188,6 @@ def _sensor(result: SensorResult, factor: float) -> dict[str, Any]:
 
     damping = [(np.nan, np.nan) if d is None else (d.ratio, d.deviation) for d in result.damping]
     ratio, sure = np.array(damping, float).reshape(-1, 2).T
-    phases = np.array([np.angle(p.phasor) for p in peaks], float).reshape(shape)
     return {
         "name": result.name,
         "region": str(result.sensor).partition("=")[2],
@@ -211,7 +204,7 @@ def _sensor(result: SensorResult, factor: float) -> dict[str, Any]:
             "frequency_deviation": np.array([p.frequency_deviation_hz for p in peaks], float),
             "amplitude": of_peaks("amplitude") * factor,
             "amplitude_deviation": of_peaks("deviation") * factor,
-            "phase": phases,
+            "phase": np.array([np.angle(p.phasor) for p in peaks], float).reshape(shape),
             "phase_deviation": of_peaks("phase_deviation"),
             "floor": of_peaks("floor") * factor,
             "damping_ratio": ratio,
@@ -222,21 +215,23 @@ def _sensor(result: SensorResult, factor: float) -> dict[str, Any]:
 
 def _series(record: Record, factor: float) -> dict[str, Any]:
     own, values, sure = record.series, record.derivatives, record.derivative_deviations
-    return {
-        "clock": own.clock,
-        "axes": list(own.labels),
-        "time": own.times_s,
-        "displacement": own.displacement * factor,
-        "displacement_deviation": own.deviation * factor,
-        "velocity": values.velocity * factor,
-        "velocity_deviation": sure.velocity * factor,
-        "acceleration": values.acceleration * factor,
-        "acceleration_deviation": sure.acceleration * factor,
-    }
+    motion = (
+        (own.displacement, own.deviation),
+        (values.velocity, sure.velocity),
+        (values.acceleration, sure.acceleration),
+    )
+    out: dict[str, Any] = {"clock": own.clock, "axes": list(own.labels), "time": own.times_s}
+    for name, pair in zip(_QUANTITIES, motion, strict=True):
+        out |= {key: array * factor for key, array in zip(_with_deviation(name), pair, strict=True)}
+    return out
+
+
+def _with_deviation(name: str) -> tuple[str, str]:
+    return name, f"{name}_deviation"
 
 
 def write_hdf5(found: Measurement, path: Path) -> None:
-    """Groups /settings and /sensors/1 …, whose attributes are texts; each dataset has the attribute `unit`."""
+    """Write groups /settings and /sensors/1 …, whose attributes are texts; each dataset has the attribute `unit`."""
     import h5py
 
     units = units_of(unit_of(found))
@@ -266,14 +261,23 @@ def write_hdf5(found: Measurement, path: Path) -> None:
 
 
 def write_mat(found: Measurement, path: Path) -> None:
-    """MATLAB's version 5: `settings` and `sensors`, cell arrays; `units`, a struct of texts by an array's name."""
+    """Write MATLAB's version 5: cell arrays `settings` and `sensors`; `units`, a struct of texts by an array's name."""
     from scipy.io import savemat
 
-    rows = [[name, value, unit] for name, (value, unit) in settings_of(found).items()]
+    def cells(values: list[Any]) -> np.ndarray:
+        out = np.empty(len(values), object)
+        out[:] = values
+        return out
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: plain(one) for name, one in value.items()}
+        return cells([plain(one) for one in value]) if isinstance(value, list) else value
+
     content = {
-        "settings": np.array(rows, object),
+        "settings": np.array([[name, *value] for name, value in settings_of(found).items()], object),
         "units": units_of(unit_of(found)),
-        "sensors": _cells([_for_mat(sensor) for sensor in arrays_of(found)]),
+        "sensors": plain(arrays_of(found)),
     }
 
     def write(temporary: Path) -> None:
@@ -283,23 +287,8 @@ def write_mat(found: Measurement, path: Path) -> None:
     write_atomic(path, write)
 
 
-def _cells(values: list[Any]) -> np.ndarray:
-    out = np.empty(len(values), object)
-    out[:] = values
-    return out
-
-
-def _for_mat(values: dict[str, Any]) -> dict[str, Any]:
-    out = {}
-    for name, value in values.items():
-        if isinstance(value, list):
-            value = _cells([_for_mat(v) if isinstance(v, dict) else v for v in value])
-        out[name] = _for_mat(value) if isinstance(value, dict) else value
-    return out
-
-
 def sep005(found: Measurement) -> list[dict[str, Any]]:
-    """Dictionaries as SEP005 has them, one for each sensor, clock, axis that is observed, and quantity.
+    """Return dictionaries as SEP005 has them, one for each sensor, clock, observed axis and quantity.
 
     Keys: `name` (SENSOR/AXIS/QUANTITY), `data` [T], `time` [T] seconds, `fs` Hz where the times are even, `unit_str`,
     `quantity` (d, v, a), `group` (the sensor), and beside the standard's own `deviation` [T], of the same unit.
@@ -313,16 +302,9 @@ def sep005(found: Measurement) -> list[dict[str, Any]]:
             for k in np.flatnonzero(record.series.is_observed):
                 for quantity, (_, letter) in _QUANTITIES.items():
                     parts = result.name, *filter(None, [series["clock"]]), series["axes"][k], quantity
+                    data, deviation = (series[name][:, k] for name in _with_deviation(quantity))
                     out.append(
-                        {
-                            "name": "/".join(parts),
-                            "data": series[quantity][:, k],
-                            "time": series["time"].tolist(),
-                            **rate,
-                            "unit_str": units[quantity],
-                            "quantity": letter,
-                            "group": result.name,
-                            "deviation": series[f"{quantity}_deviation"][:, k],
-                        }
-                    )
+                        {"name": "/".join(parts), "data": data, "time": series["time"].tolist(), **rate,
+                         "unit_str": units[quantity], "quantity": letter, "group": result.name, "deviation": deviation}
+                    )  # fmt: skip
     return out

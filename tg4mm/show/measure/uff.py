@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyuff
 from scipy.spatial import cKDTree
 
-from tg4mm.core.files import write_atomic
+from tg4mm.core.files import replacing
 from tg4mm.show.measure.measurement import Measurement, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.series import Series
@@ -32,19 +33,8 @@ _DEVIATION = "displacement, standard deviation"
 
 def write_uff(measurement: Measurement, path: Path) -> None:
     """Write the file, whole or not at all."""
-    import pyuff
-
-    sets = _sets(measurement)
-
-    def write(temporary: Path) -> None:
-        named = temporary.with_name(f"{temporary.name}.uff")  # pyuff wants the ending
-        try:
-            pyuff.UFF(str(named)).write_sets(sets, mode="overwrite")
-            named.replace(temporary)
-        finally:
-            named.unlink(missing_ok=True)
-
-    write_atomic(path, write)
+    with replacing(path, ".uff") as temporary:  # pyuff wants the ending
+        pyuff.UFF(str(temporary)).write_sets(_sets(measurement), mode="overwrite")
 
 
 def _sets(measurement: Measurement) -> list[dict[str, Any]]:
@@ -52,9 +42,9 @@ def _sets(measurement: Measurement) -> list[dict[str, Any]]:
     metres = unit.uff[1]
     rows = _thinned(scene.means, scene.seen)
     bodies = np.stack([r.body.centre for r in measurement.sensors])
-    places = np.concatenate([bodies, scene.means[rows]]) * metres
+    positions = np.concatenate([bodies, scene.means[rows]]) * metres
     numbers = np.concatenate([1 + np.arange(len(bodies)), FIRST_GAUSSIAN + np.arange(len(rows))])
-    out = [_units(unit.uff[0], unit.uff[2]), _nodes(numbers, places), *_lines(scene.means[rows])]
+    out = [_units(unit.uff[0], unit.uff[2]), _nodes(numbers, positions), *_lines(scene.means[rows])]
     for k, shape in enumerate(measurement.shapes):
         values = np.where(shape.is_above[:, None], shape.phasors, 0)[rows]
         own = np.stack([_at(r, shape.frequency_hz) for r in measurement.sensors])
@@ -81,33 +71,18 @@ def _thinned(means: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _units(code: int, text: str) -> dict[str, Any]:
-    import pyuff
-
     return pyuff.prepare_164(
         units_code=code, units_description=text, temp_mode=1, length=1.0, force=1.0, temp=1.0, temp_offset=0.0
     )
 
 
-def _nodes(numbers: np.ndarray, places: np.ndarray) -> dict[str, Any]:
-    import pyuff
-
-    n = len(numbers)
-    x, y, z = places.T
-    return pyuff.prepare_15(
-        node_nums=numbers,
-        def_cs=np.zeros(n, int),
-        disp_cs=np.zeros(n, int),
-        color=np.full(n, 8),
-        x=x,
-        y=y,
-        z=z,
-    )
+def _nodes(numbers: np.ndarray, positions: np.ndarray) -> dict[str, Any]:
+    (x, y, z), zeros = positions.T, np.zeros(len(numbers), int)
+    return pyuff.prepare_15(node_nums=numbers, def_cs=zeros, disp_cs=zeros, color=zeros + 8, x=x, y=y, z=z)
 
 
 def _lines(means: np.ndarray) -> list[dict[str, Any]]:
-    """Trace lines from every node to its nearest neighbours."""
-    import pyuff
-
+    """Return trace lines from every node to its nearest neighbours."""
     if len(means) < 2:
         return []
     _, near = cKDTree(means).query(means, min(_NEIGHBOURS, len(means) - 1) + 1)
@@ -120,8 +95,6 @@ def _lines(means: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _shape(k: int, hz: float, numbers: np.ndarray, values: np.ndarray) -> dict[str, Any]:
-    import pyuff
-
     return pyuff.prepare_55(
         model_type=1, id1="tg4mm operating deflection shape", id2=f"{hz:.6g} Hz, displacement, zero to peak",
         id3="NONE", id4="NONE", id5="NONE", analysis_type=5, data_ch=2, spec_data_type=_DISPLACEMENT, data_type=5,
@@ -140,35 +113,29 @@ def _at(result: SensorResult, hz: float) -> np.ndarray:
 
 
 def _functions(node: int, result: SensorResult, metres: float, unit: str) -> list[dict[str, Any]]:
-    """Waveforms of every clock, and one spectrum: of clips that of all of them together."""
+    """Return the waveforms of every clock, and one spectrum, for clips the one that combines them."""
     out = []
     for c, series in enumerate(result.all_series):
         steps = np.diff(series.times_s)
         is_even = bool(np.ptp(steps) < 0.02 * steps.mean())
-        of_time = {
-            "x": series.times_s,
-            "spacing": int(is_even),
-            "start": float(series.times_s[0]),
-            "step": float(steps.mean()),
-        }
+        of_time = {"spacing": int(is_even), "start": float(series.times_s[0]), "step": float(steps.mean())}
+        of_time |= {"x": series.times_s, "kind": (17, "s")}
         clip = f", clip {series.clock}" if series.clock else ""
         name = f"{result.name}{clip}{_hidden(series)}"
         for k, values in enumerate((series.displacement @ _frame(series)).T * metres):
-            out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
+            out.append(_function(node, k + 1, c, _TIME, name, values, of_time, unit))
         for k, values in enumerate(_world_deviation(series).T * metres):
             if np.isfinite(values).all():
-                out.append(
-                    _function(node, k + 1, c, _GENERAL, name, values, of_time, (17, "s"), unit, _DEVIATION)
-                )
+                out.append(_function(node, k + 1, c, _GENERAL, name, values, of_time, unit, _DEVIATION))
     name, hz, amplitudes = result.name, result.spectrum.freqs_hz, result.spectrum.amplitude
     if result.together is None:
         hz = frequency_grid(result.times_s)
         world = result.displacement @ _frame(result.series)
         amplitudes = np.abs(transformed(hz, result.times_s, world))
         name = f"{name}{_hidden(result.series)}"
-    of_hz = {"x": hz, "spacing": 1, "start": 0.0, "step": float(hz[1])}
+    of_hz = {"x": hz, "spacing": 1, "start": 0.0, "step": float(hz[1]), "kind": (18, "Hz")}
     for k, amplitude in enumerate(amplitudes.T * metres):
-        out.append(_function(node, k + 1, 0, _GENERAL, name, amplitude, of_hz, (18, "Hz"), unit, _SPECTRUM))
+        out.append(_function(node, k + 1, 0, _GENERAL, name, amplitude, of_hz, unit, _SPECTRUM))
     return out
 
 
@@ -191,16 +158,14 @@ def _hidden(series: Series) -> str:
 
 def _function(
     node: int, direction: int, case: int, kind: int, name: str, data: np.ndarray, x: dict[str, Any],
-    abscissa: tuple[int, str], unit: str, what: str = _WAVEFORM,
+    unit: str, what: str = _WAVEFORM,
 ) -> dict[str, Any]:  # fmt: skip
-    import pyuff
-
     return pyuff.prepare_58(
         binary=0, id1=name[:80], id2=what,
         id3="tg4mm measure", id4="NONE", id5="NONE", func_type=kind, ver_num=0, load_case_id=case, rsp_ent_name="NONE",
         rsp_node=node, rsp_dir=direction, ref_ent_name="NONE", ref_node=0, ref_dir=0, ord_data_type=4,
         num_pts=len(data), abscissa_spacing=x["spacing"], abscissa_min=x["start"], abscissa_inc=x["step"],
-        z_axis_value=0.0, abscissa_spec_data_type=abscissa[0], abscissa_axis_units_lab=abscissa[1],
+        z_axis_value=0.0, abscissa_spec_data_type=x["kind"][0], abscissa_axis_units_lab=x["kind"][1],
         abscissa_len_unit_exp=0, abscissa_force_unit_exp=0, abscissa_temp_unit_exp=0,
         ordinate_spec_data_type=_DISPLACEMENT, ordinate_len_unit_exp=1, ordinate_force_unit_exp=0,
         ordinate_temp_unit_exp=0, ordinate_axis_units_lab=unit, orddenom_spec_data_type=0, orddenom_len_unit_exp=0,

@@ -1,4 +1,4 @@
-"""Everything a measurement leaves in its folder: measure.json, files for other programs, plots, animated pictures."""
+"""The files of a measurement: measure.json, files for other programs, plots, animated pictures."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.codec import before_compression
-from tg4mm.capture.look import Found
 from tg4mm.core.files import to_json, write_json
 from tg4mm.core.pictures.decode import write_png
 from tg4mm.core.progress import progress
@@ -35,16 +34,16 @@ FORMATS: Mapping[str, tuple[str, Callable[[Measurement, Path], object]]] = {  # 
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
-    """Parse "csv,mat" or "csv mat". Raises MeasureError for what is none, and for none at all."""
+    """Parse "csv,mat" or "csv mat". Raises MeasureError for an unknown format, and for an empty list."""
     names = tuple(dict.fromkeys(text.replace(",", " ").split()))
     for name in names or ("",):
         if name not in FORMATS:
-            raise MeasureError(f"--formats {text!r}: {name!r} is no format; there are: {', '.join(FORMATS)}")
+            raise MeasureError(f"--formats {text!r}: {name!r} is no format; expected: {', '.join(FORMATS)}")
     return names
 
 
 def work_folder(out: Path) -> WorkFolder:
-    """OUT as the folder of a measurement: what is measured again is written anew."""
+    """Return OUT as the folder of a measurement; a second measurement replaces the first."""
     return WorkFolder(out, MARK, MeasureError)
 
 
@@ -55,10 +54,10 @@ def write_measurement(
     formats: Sequence[str] = tuple(FORMATS),
     plots: Sequence[str] = PLOTS,
 ) -> str:
-    """Everything into the folder OUT; returns the table, and where it lies. animate: the shape at every peak, too.
+    """Write all files into the folder OUT; returns the printed table and the paths.
 
-    formats: names of `FORMATS`, plots: of `PLOTS`; a file that an earlier measurement wrote there in another one is
-    removed.
+    animate: also the shape at every peak. formats: names of `FORMATS`, plots: of `PLOTS`; files of other formats from
+    an earlier measurement are removed.
     """
     write_json_file(found, out)
     with progress("files", len(FORMATS), "formats", brief=True) as update:
@@ -77,30 +76,27 @@ def write_measurement(
         write_png(out / REGIONS, parts)
     lines = [format_table(found)]
     if animate:
-        lines += [
-            f"{path}: magnified {gain:.3g} times\n"
-            for path, gain in write_animations(found.prepared, found.shapes, out)
-        ]
+        written = write_animations(found.prepared, found.shapes, out)
+        lines += [f"{path}: magnified {gain:.3g} times\n" for path, gain in written]
     return "".join([*lines, f"{out}\n"])
 
 
 def write_json_file(measurement: Measurement, out: Path) -> Path:
-    """OUT/measure.json (docs/measure.md); lengths in scene units, null for what is not observed."""
-    unit, is_judged = unit_of(measurement), bool(measurement.prepared.fit.uncertainty)
+    """Write OUT/measure.json (docs/measure.md); lengths in scene units, null for what is not observed."""
+    scene, clusters = measurement.prepared, measurement.clusters
+    is_judged, scale, found = bool(scene.fit.uncertainty), scene.scale, measurement.look
     value = {
         "format": "tg4mm",
         "kind": "measurement",
         "version": 1,
-        "run": None if (folder := measurement.prepared.folder) is None else str(folder),
+        "run": None if scene.folder is None else str(scene.folder),
         "unit_scale_m": measurement.unit_scale_m,
         "length_unit": "scene units",
-        "printed_unit": unit.name,
-        "marked_scale": None
-        if (s := measurement.prepared.scale) is None
-        else {"share": s.share, "tilted": bool(s.corners)},
+        "printed_unit": unit_of(measurement).name,
+        "marked_scale": None if scale is None else {"share": scale.share, "tilted": bool(scale.corners)},
         "reference": measurement.reference,
         "notes": list(measurement.notes),
-        "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
+        "clusters": {clusters.names[k]: len(v) for k, v in clusters.members.items()},
         "shapes": [
             {
                 "frequency_hz": s.frequency_hz,
@@ -108,8 +104,15 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
             }
             for s in measurement.shapes
         ],
-        "composite": None if (found := measurement.look) is None else _composite(found),
-        "clip_phases": _clip_phases(measurement.clip_phases),
+        "composite": None
+        if found is None
+        else {
+            "frequency_hz": found.hz.tolist(),
+            "power_over_noise": found.composite.tolist(),
+            "floor": found.composite_floor,
+            "cell_px": found.cell_px,
+        },
+        "clip_phases": None if (phases := measurement.clip_phases) is None else _clip_phases(phases),
         "sensors": [_sensor(r) for r in measurement.sensors],
     }
     path = out / MARK
@@ -117,27 +120,16 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
     return path
 
 
-def _composite(found: Found) -> dict[str, Any]:
-    """Return a flat capture's power over noise, mean over cells, and the level of 1 % false alarms."""
-    return {
-        "frequency_hz": found.hz.tolist(),
-        "power_over_noise": found.composite.tolist(),
-        "floor": found.composite_floor,
-        "cell_px": found.cell_px,
-    }
+def _clip_phases(phases: ClipPhases) -> list[dict[str, Any]]:
+    """Return by how many radians every clip is ahead of the common clock, at each of the frequencies."""
 
+    def by_clip(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(phases.clocks, values.tolist(), strict=True))
 
-def _clip_phases(phases: ClipPhases | None) -> list[dict[str, Any]] | None:
-    """Radians by which every clip is ahead of the common clock, at the frequencies that were found."""
-    if phases is None:
-        return None
+    columns = zip(phases.hz.tolist(), phases.radians.T, phases.deviation.T, strict=True)
     return [
-        {
-            "frequency_hz": float(f),
-            "phase_rad": dict(zip(phases.clocks, map(float, phases.radians[:, k]), strict=True)),
-            "deviation_rad": dict(zip(phases.clocks, map(float, phases.deviation[:, k]), strict=True)),
-        }
-        for k, f in enumerate(phases.hz)
+        {"frequency_hz": f, "phase_rad": by_clip(angles), "deviation_rad": by_clip(sure)}
+        for f, angles, sure in columns
     ]
 
 
@@ -184,10 +176,8 @@ def _series(record: Record) -> dict[str, Any]:
             }
             for p in record.peaks
         ],
-        "rotation_rad": None if series.rotation is None else _plain(series.rotation),
-        "rotation_deviation_rad": None
-        if series.rotation_deviation is None
-        else _plain(series.rotation_deviation),
+        "rotation_rad": _plain(series.rotation),
+        "rotation_deviation_rad": _plain(series.rotation_deviation),
     }
 
 
@@ -195,6 +185,7 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
     peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
     loss = result.loss_of(k)
     size, deviation = before_compression(orbit.amplitude, orbit.deviation, loss)
+    gain = (None, None) if loss is None or not np.isfinite(loss.gain) else (loss.gain, loss.deviation)
     return {
         "frequency_hz": peak.frequency_hz,
         "frequency_deviation_hz": peak.frequency_deviation_hz,
@@ -203,22 +194,22 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "phase_rad": np.angle(peak.phasor).tolist(),
         "floor": _plain(peak.floor),
         "is_above": [bool(b) for b in peak.is_above],
-        "harmonic_of_hz": None if peak.harmonic is None else peak.harmonic.of_hz,
-        "sideband_of_hz": None if peak.sideband is None else peak.sideband.of_hz,
-        "sideband_codec_hz": None if peak.sideband is None else peak.sideband.codec_hz,
-        "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
-        "change": None if peak.line is None else peak.line.change,
-        "begins_s": None if peak.line is None else peak.line.start_s,
+        "harmonic_of_hz": getattr(peak.harmonic, "of_hz", None),
+        "sideband_of_hz": getattr(peak.sideband, "of_hz", None),
+        "sideband_codec_hz": getattr(peak.sideband, "codec_hz", None),
+        "harmonic_order": getattr(peak.harmonic, "order", None),
+        "change": getattr(peak.line, "change", None),
+        "begins_s": getattr(peak.line, "start_s", None),
         "main_amplitude": size,
         "main_deviation": deviation,
-        "codec_gain": None if loss is None or not np.isfinite(loss.gain) else loss.gain,
-        "codec_gain_deviation": None if loss is None or not np.isfinite(loss.gain) else loss.deviation,
+        "codec_gain": gain[0],
+        "codec_gain_deviation": gain[1],
         "codec_mark": None if loss is None else loss.why or None,
         "main_is_above": main_is_above(peak, orbit),
         "main_direction": orbit.direction.tolist(),
         "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
-        "damping_ratio": None if damping is None else damping.ratio,
-        "damping_deviation": None if damping is None else damping.deviation,
+        "damping_ratio": getattr(damping, "ratio", None),
+        "damping_deviation": getattr(damping, "deviation", None),
         **({} if peak.asked is None else {"asked_band_hz": list(peak.asked.band)}),
     }
 
@@ -241,8 +232,10 @@ def _relation(result: SensorResult) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _plain(values: np.ndarray) -> list[Any]:
-    """Lists with None for what is not finite, six significant digits."""
+def _plain(values: np.ndarray | None) -> list[Any] | None:
+    """Return lists of six significant digits, with None for what is not finite."""
+    if values is None:
+        return None
     if values.ndim > 1:
         return [_plain(v) for v in values]
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in values]
