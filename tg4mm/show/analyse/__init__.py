@@ -1,11 +1,11 @@
-"""What an engineer computes of a measurement: levels with ±, averaged spectra, zones, transfers, modes, comparisons.
+"""Engineering quantities of a measurement: levels with ±, averaged spectra, zones, transfers, modes, comparisons.
 
     channels = read_channels(Path("measured"))                  # of `tg4mm measure`, or a CSV file with times
     levels_of(channels[0], "velocity", (10, 1000)).rms          # Value(value, deviation)
     density_of(channels[0])                                     # Welch, with its confidence interval
     transfer_of(channels[0], read_channels(Path("hammer.csv"))[0])   # H1, H2, coherence, lag ±
 
-docs/engineering.md says what each is.
+docs/engineering.md defines them.
 """
 
 from tg4mm.show.analyse.channel import AnalyseError, Channel, read_channels

@@ -44,14 +44,17 @@ _RESOLVED = 10.0  # times as uncertain as the best axis: beyond it an axis is le
 
 @dataclass(frozen=True)
 class Channel:
-    """`noise` is the standard deviation of each sample's independent noise, `share` that of errors over the motion."""
+    """One value on an even clock.
+
+    `noise` is the standard deviation of each sample's independent noise, `share` that of errors over the motion.
+    """
 
     name: str
     quantity: str
-    base: str  # mm, px, units, N, V: what a displacement would have
+    base: str  # mm, px, units, N, V: the unit of a displacement
     times_s: np.ndarray  # [T] even
     values: np.ndarray  # [T]
-    noise: float = float("nan")  # nan: none is stated
+    noise: float = float("nan")  # nan: not stated
     share: float = 0.0
 
     @property
@@ -61,7 +64,7 @@ class Channel:
 
     @property
     def duration_s(self) -> float:
-        """With the last sample's own step."""
+        """Duration including the last sample's step."""
         return len(self.times_s) / self.rate
 
     @property
@@ -71,7 +74,7 @@ class Channel:
 
     @cached_property
     def lines(self) -> tuple[Line, ...]:
-        """The strongest eight at most, strongest first."""
+        """The channel's lines, at most eight, strongest first."""
         return find_lines(self.values, self.times_s, np.nan_to_num(self.noise)).lines
 
 
@@ -81,13 +84,11 @@ def unit_of(quantity: str, base: str) -> str:
 
 
 def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
-    """Those of a folder that `tg4mm measure` wrote, of a CSV file with a column of times, or of a universal file.
+    """Read the channels of a folder of `tg4mm measure`, a CSV file with a column of times, or a universal file.
 
-    names: these alone.
-
-    A measurement's are called SENSOR/AXIS. An axis ten times as uncertain as the best one, of which no motion stands
-    out, is left out unless named.
-    Raises AnalyseError for anything else, and for a name that is none.
+    names: only these. Channels of a measurement are called SENSOR/AXIS. An axis ten times as uncertain as the best one
+    and without significant motion is left out unless named. Raises AnalyseError for anything else, and for an unknown
+    name.
     """
     if not path.exists():
         raise AnalyseError(f"{path} does not exist")
@@ -98,17 +99,17 @@ def read_channels(path: Path, names: Sequence[str] = ()) -> list[Channel]:
     by_name = {c.name: c for c in found}
     for name in names:
         if name not in by_name:
-            raise AnalyseError(f"--channel {name!r} is none of {path}; there are: {', '.join(by_name)}")
+            raise AnalyseError(f"--channel {name!r} is not in {path}; channels: {', '.join(by_name)}")
     return [by_name[name] for name in names] if names else found
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turns what a wrong measure.json makes of Python into AnalyseError."""
+    """Turn Python's errors about a damaged measure.json into AnalyseError."""
     try:
         yield
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
-        raise AnalyseError(f"{path / 'measure.json'} is no measurement that can be read: {error!r}") from None
+        raise AnalyseError(f"{path / 'measure.json'} is not a readable measurement: {error!r}") from None
 
 
 def _of_folder(path: Path, every: bool) -> list[Channel]:
@@ -126,7 +127,7 @@ def _of_folder(path: Path, every: bool) -> list[Channel]:
 
 
 def length_of(content: Any, sensor: Any) -> tuple[str, float]:
-    """The unit of a sensor's lengths and how many make a scene unit: mm, or pixels of the view that sees it largest."""
+    """Return the unit of a sensor's lengths and its number per scene unit: mm, or pixels of the best view."""
     if str(content["printed_unit"]) == "mm":
         return "mm", 1000.0 * float(content["unit_scale_m"] or 0)
     return "px", float(sensor["px_per_unit"])
@@ -149,17 +150,20 @@ def _of_series(content: Any, sensor: Any, series: Any, every: bool) -> list[Chan
 
 
 def _taken(peaks: Any, axis: int) -> float:
-    """Share of the motion along an axis that compression may have taken: of the peaks, weighted by their power."""
-    told = [p for p in peaks if p.get("codec_gain")]
-    gain = np.array([p["codec_gain"] for p in told], float)
-    sure = np.array([p["codec_gain_deviation"] for p in told], float)
-    power = np.array([p["amplitude"][axis] for p in told], float) ** 2
+    """Return the share of motion along an axis that compression may have removed, averaged by the peaks' power."""
+    known = [
+        (p["codec_gain"], p["codec_gain_deviation"], p["amplitude"][axis])
+        for p in peaks
+        if p.get("codec_gain")
+    ]
+    gain, sure, size = np.array(known, float).reshape(-1, 3).T
+    power = size**2
     missing = np.maximum(1 / gain - 1, 0) ** 2 + (sure / gain**2) ** 2
     return float(np.sqrt(power @ missing / power.sum())) if power.sum() > 0 else 0.0
 
 
 def doubts_of(path: Path) -> list[str]:
-    """Lines of a measurement's folder, of peaks that compression made smaller by an amount that is not known."""
+    """Return a line for each peak in a measurement's folder that compression reduced by an unknown amount."""
     if path.is_file():
         return []
     with readable(path):
@@ -215,10 +219,10 @@ def _of_uff(path: Path) -> list[Channel]:
         if one.is_deviation or not np.ptp(one.values) > 0:
             continue
         kind = _KINDS.get(one.kind, OTHER)
-        told = _UNITS.get("m" if one.unit == "metres" else _plain_unit(one.unit))
-        if told is None and one.unit in ("", "NONE") and kind != OTHER:
-            told = (kind, "N", 1.0) if kind == FORCE else (kind, "mm", 1e3 * one.metres)
-        quantity, base, factor = told or (
+        known = _UNITS.get("m" if one.unit == "metres" else _plain_unit(one.unit))
+        if known is None and one.unit in ("", "NONE") and kind != OTHER:
+            known = (kind, "N", 1.0) if kind == FORCE else (kind, "mm", 1e3 * one.metres)
+        quantity, base, factor = known or (
             kind,
             "units" if kind in ORDER else one.unit.replace("NONE", "") or "1",
             1.0,
@@ -230,7 +234,7 @@ def _of_uff(path: Path) -> list[Channel]:
         name = f"{one.name} ({count + 1})" if count else one.name
         out.append(Channel(name, quantity, base, times, values * factor, noise))
     if not out:
-        raise AnalyseError(f"{path}: no waveform of it moves")
+        raise AnalyseError(f"{path}: all waveforms are constant")
     return out
 
 
@@ -247,7 +251,7 @@ def _plain_unit(text: str) -> str:
 
 
 def _column(text: str) -> tuple[str, str]:
-    """Name and unit of "acc [m/s²]", "acc (g)", "acc_m_per_s2" or "time_s"."""
+    """Return name and unit of "acc [m/s²]", "acc (g)", "acc_m_per_s2" or "time_s"."""
     text = text.strip()
     if found := re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*(deviation)?", text):
         name, unit = " ".join(filter(None, found.group(1, 3))), found.group(2)

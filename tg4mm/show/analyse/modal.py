@@ -17,17 +17,17 @@ from tg4mm.show.analyse.transfer import Transfer
 _ORDERS = 30  # of the models, at most
 _LAGS = 20  # block rows
 _SHARE = 1 / 3  # of the orders that can hold a mode: so often it must be stable
-_NEAR = 0.03  # of a frequency: poles nearer than that are one mode's
+_NEAR = 0.03  # of a frequency: nearer poles belong to one mode
 _STABLE_HZ, _STABLE_DAMPING = 0.01, 0.10  # of a pole from one order to the next
 _MOST_DAMPING = 0.2
-_SURE = 0.02  # of a frequency: a mode less sure is none
+_SURE = 0.02  # of a frequency: a less certain mode is dropped
 _END = 0.1  # of the frequencies, the last ones
 _DRAWS = 24
 
 
 @dataclass(frozen=True)
 class Mode:
-    """`shape` is scaled to 1 at its largest channel; `mac`: with the other method's shape, None where there is none."""
+    """A mode: `shape` is 1 at its largest channel, `mac` compares it with the other method's shape, if there is one."""
 
     frequency_hz: Value
     damping: Value
@@ -37,7 +37,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes:
-    """The modes that a method finds; the diagram's poles are rows (order, Hz, 1 if stable)."""
+    """The modes found by a method; the diagram's poles are rows (order, Hz, 1 if stable)."""
 
     method: str
     channels: tuple[str, ...]
@@ -46,12 +46,12 @@ class Modes:
 
 
 def mac(a: np.ndarray, b: np.ndarray) -> float:
-    """Modal assurance criterion of two shapes [C]: 1 where they are the same but for a factor."""
+    """Return the modal assurance criterion of two shapes [C]: 1 if they differ only by a factor."""
     return float(abs(np.vdot(a, b)) ** 2 / max(np.vdot(a, a).real * np.vdot(b, b).real, 1e-300))
 
 
 def operational(channels: Sequence[Channel], band: tuple[float, float] | None = None) -> Modes:
-    """SSI-cov of channels on one clock, with the uncertainties of its own propagation; shapes compared with FDD's."""
+    """Identify modes by SSI-cov from channels on one clock, with its uncertainties; compare shapes with FDD's."""
     with _library("pyOMA-2"):
         from pyoma2.algorithms import FDD, SSI
         from pyoma2.setup import SingleSetup
@@ -92,9 +92,9 @@ def operational(channels: Sequence[Channel], band: tuple[float, float] | None = 
 
 
 def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | None = None) -> Modes:
-    """LSCF of transfer functions to one input; deviations by draws of the functions' own.
+    """Identify modes by LSCF from transfer functions to one input; deviations from draws of the functions' errors.
 
-    Of a mode in the last tenth of the frequencies none is stated.
+    A mode in the last tenth of the frequencies has no deviation.
     """
     with _library("sdypy-EMA"):
         from sdypy import EMA
@@ -131,30 +131,23 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
             model.select_closest_poles([f], f_window=max(1, round(0.05 * f / (hz[1] - hz[0]))))
             constants = model.get_constants()[1]
         shape = _scaled(np.asarray(constants)[:, 0])
-        if f > (1 - _END) * hz[-1]:  # what lies beyond pulls it, which no draw shows
+        if f > (1 - _END) * hz[-1]:  # modes beyond the range bias it, which no draw shows
             spread = np.array([np.nan, np.nan])
-        modes.append(
-            Mode(
-                Value(f, float(np.hypot(spread[0], scatter[0]))),
-                Value(z, float(np.hypot(spread[1], scatter[1]))),
-                shape,
-            )
-        )
+        sure, sure_z = np.hypot(spread, scatter).tolist()
+        modes.append(Mode(Value(f, sure), Value(z, sure_z), shape))
     return Modes("LSCF", tuple(t.response for t in transfers), tuple(modes), diagram)
 
 
 def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[tuple[float, ...]]]:
-    """Poles as the diagram has them; of those that stay as the order grows frequency, damping and their scatter."""
+    """Return the diagram's poles, and frequency, damping and their scatter of poles that stay as the order grows."""
     rows, before = [], np.zeros((0, 2))
     for order, (f, z) in enumerate(zip(hz, xi, strict=True), 1):
         f, z = np.asarray(f), np.asarray(z)
         real = (f >= lo) & (f <= hi) & (z > 0) & (z < _MOST_DAMPING)
         own = np.stack([f[real], z[real]], 1)
-        for f_k, z_k in own:
-            near = (np.abs(before[:, 0] - f_k) < _STABLE_HZ * f_k) & (
-                np.abs(before[:, 1] - z_k) < _STABLE_DAMPING * z_k
-            )
-            rows.append((order, f_k, float(near.any()), z_k))
+        for pole in own:
+            near = (np.abs(before - pole) < np.array([_STABLE_HZ, _STABLE_DAMPING]) * pole).all(1)
+            rows.append((order, pole[0], float(near.any()), pole[1]))
         before = own
     table = np.array(rows, float).reshape(-1, 4)
     good = table[table[:, 2] > 0]
@@ -163,16 +156,13 @@ def _stable(hz: list, xi: list, lo: float, hi: float) -> tuple[np.ndarray, list[
 
 
 def _clusters(hz: np.ndarray, order: np.ndarray) -> list[np.ndarray]:
-    """Indices of poles that are one mode's: near each other, at many orders from the first that has it on."""
-    out, rest = [], np.argsort(hz)
-    groups = (
-        np.split(rest, 1 + np.flatnonzero(np.diff(hz[rest]) > _NEAR * hz[rest][:-1])) if len(rest) else []
-    )
-    for own in groups:
-        orders = len(np.unique(order[own]))
-        if orders >= max(3, _SHARE * (order.max() - order[own].min() + 1)):
-            out.append(own)
-    return out
+    """Return the indices of each mode's poles: near each other, at many orders from their first one on."""
+    if not len(hz):
+        return []
+    rows = np.argsort(hz)
+    groups = np.split(rows, 1 + np.flatnonzero(np.diff(hz[rows]) > _NEAR * hz[rows][:-1]))
+    least = [max(3, _SHARE * (order.max() - order[own].min() + 1)) for own in groups]
+    return [own for own, n in zip(groups, least, strict=True) if len(np.unique(order[own])) >= n]
 
 
 def _scaled(shape: np.ndarray) -> np.ndarray:
@@ -189,7 +179,7 @@ def _library(name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the libraries' own bars, prints and log."""
+    """Suppress the libraries' progress bars, prints and log."""
     import warnings
 
     logging.getLogger("pyoma2").setLevel(logging.WARNING)

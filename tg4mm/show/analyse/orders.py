@@ -1,8 +1,8 @@
 """Order tracking: how a channel moves at multiples of a machine's speed, which may change during the record.
 
-The speed gives the shaft's angle θ at every sample. In each segment cosines and sines of k θ, of all orders k together,
-are fitted by least squares with a constant and a trend; so also orders that a changing speed smears over a spectrum are
-told. What is left is taken for noise.
+The speed gives the shaft's angle θ at every sample. In each segment cosines and sines of k θ, for all orders k
+together, are fitted by least squares with a constant and a trend. This also resolves orders that a changing speed
+smears over a spectrum. The residual counts as noise.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from tg4mm.show.analyse.spectra import Averaging
 from tg4mm.show.analyse.tables import AnalyseError, read_table
 
 _HIGHEST = 0.45  # of the frame rate: orders beyond it are left out
-_TURNS = 3.0  # that a segment holds at least
-_USUAL = 6  # orders, where none are named
+_TURNS = 3.0  # in a segment, at least
+_USUAL = 6  # orders by default
 _PULSES = 4  # at least
 _ABSURD = 1e7  # revolutions per minute
 
@@ -29,20 +29,20 @@ _ABSURD = 1e7  # revolutions per minute
 class Speed:
     """A shaft's speed over a record."""
 
-    source: str  # where it comes from, in words
+    source: str  # its origin, in words
     angle: np.ndarray  # [T] rad, rising
     turns_hz: np.ndarray  # [T]
 
 
 @dataclass(frozen=True)
 class OrderTrack:
-    """One order of one channel; amplitudes zero to peak, nan where the order lies beyond what the frame rate shows."""
+    """One order of one channel; amplitudes zero to peak, nan where the order is too fast for the frame rate."""
 
     channel: str
     unit: str
     order: float
-    amplitude: Value  # over the whole record
-    phase: Value  # rad, of a cosine of the shaft's angle: 0 where the angle is 0, at the record's start or a pulse
+    amplitude: Value  # over the complete record
+    phase: Value  # rad, of a cosine of the shaft's angle, which is 0 at the record's start or a pulse
     times_s: np.ndarray  # [S] middles of segments
     speed_rpm: np.ndarray  # [S]
     amplitudes: np.ndarray  # [S]
@@ -50,9 +50,9 @@ class OrderTrack:
 
 
 def speed_of(channel: Channel, text: str | None, tacho: Path | None) -> Speed:
-    """From revolutions per minute, from `auto`, the channel's strongest line, or from a CSV file of a tachometer.
+    """Return the speed from revolutions per minute, `auto` (the channel's strongest line), or a tachometer's CSV file.
 
-    The file's times are the film's. Raises AnalyseError for what gives no speed over the whole record.
+    The file has the film's times. Raises AnalyseError if there is no speed for the complete record.
     """
     times = channel.times_s
     if tacho is not None:
@@ -75,7 +75,7 @@ def speed_of(channel: Channel, text: str | None, tacho: Path | None) -> Speed:
 
 
 def _of_tacho(path: Path, times: np.ndarray) -> Speed:
-    """A file with the column pulse_s, or time_s and speed_rpm."""
+    """Read a file with the column pulse_s, or time_s and speed_rpm."""
     head, table = read_table(path)
     head = [name.strip().lower() for name in head]
     if head not in (["pulse_s"], ["time_s", "speed_rpm"]):
@@ -104,52 +104,47 @@ def _of_tacho(path: Path, times: np.ndarray) -> Speed:
 def orders_of(
     channel: Channel, speed: Speed, orders: Sequence[float], averaging: Averaging | None = None
 ) -> list[OrderTrack]:
-    """Tracks of the orders; (): 1 to 6. Raises AnalyseError where segments hold too few turns to tell them."""
+    """Track the orders; (): 1 to 6. Raises AnalyseError if segments hold too few turns to separate them."""
     length, shared = (averaging or Averaging()).cut(channel)
-    asked = np.array(sorted(orders) or range(1, _USUAL + 1), float)
-    if not (asked > 0).all() or (np.diff(asked) <= 0).any():
+    wanted = np.array(sorted(orders) or range(1, _USUAL + 1), float)
+    if not (wanted > 0).all() or (np.diff(wanted) <= 0).any():
         raise AnalyseError(
-            f"--order {', '.join(f'{o:g}' for o in asked)}: expected different numbers above 0"
+            f"--order {', '.join(f'{o:g}' for o in wanted)}: expected different numbers above 0"
         )
-    apart = float(np.diff(np.concatenate([[0.0], asked])).min())
+    apart = float(np.diff(np.concatenate([[0.0], wanted])).min())
     turns = float(np.ptp(speed.angle[:length])) / (2 * np.pi)
     if turns * apart < _TURNS:
         raise AnalyseError(
             f"{channel.name}: a segment of {length / channel.rate:.3g} s holds {turns:.3g} turns, expected "
             f"{_TURNS / apart:.3g} or more to separate the orders: give a longer --segment SECONDS"
         )
-    reach = _HIGHEST * channel.rate
-    if asked[0] * speed.turns_hz.min() > reach:
+    highest, lowest = _HIGHEST * channel.rate, wanted[0] * speed.turns_hz.min()
+    if lowest > highest:
         raise AnalyseError(
-            f"{channel.name}: order {asked[0]:g} lies at {asked[0] * speed.turns_hz.min():.4g} Hz or above, beyond "
-            f"the {reach:.4g} Hz that {channel.rate:.4g} pictures a second tell"
+            f"{channel.name}: order {wanted[0]:g} lies at {lowest:.4g} Hz or above, beyond the {highest:.4g} Hz that "
+            f"{channel.rate:.4g} pictures a second show"
         )
-    whole = _fit(channel, speed, asked, slice(None), reach)
-    starts = range(0, len(channel.values) - length + 1, length - shared)
-    parts = [slice(k, k + length) for k in starts]
-    fits = [_fit(channel, speed, asked, part, reach) for part in parts]
+    phasors, deviations = _fit(channel, speed, wanted, slice(None), highest)
+    parts = [slice(k, k + length) for k in range(0, len(channel.values) - length + 1, length - shared)]
+    fits = [_fit(channel, speed, wanted, part, highest) for part in parts]
     times = np.array([channel.times_s[p].mean() for p in parts])
     rpm = 60 * np.array([speed.turns_hz[p].mean() for p in parts])
     out = []
-    for k, order in enumerate(asked.tolist()):
-        phasor, deviation = whole[0][k], float(whole[1][k])
-        size = float(abs(phasor))
-        phase = Value(float(np.angle(phasor)), float(min(deviation / max(size, 1e-300), np.pi)))
+    for k, order in enumerate(wanted.tolist()):
+        amplitude = Value(float(abs(phasors[k])), float(deviations[k]))
+        phase_error = float(min(amplitude.deviation / max(amplitude.value, 1e-300), np.pi))
+        phase = Value(float(np.angle(phasors[k])), phase_error)
         tracked = np.array([[abs(p[k]), d[k]] for p, d in fits])
-        out.append(
-            OrderTrack(
-                channel.name, channel.unit, order, Value(size, deviation), phase, times, rpm, *tracked.T
-            )
-        )  # fmt: skip
+        out.append(OrderTrack(channel.name, channel.unit, order, amplitude, phase, times, rpm, *tracked.T))
     return out
 
 
 def _fit(
-    channel: Channel, speed: Speed, orders: np.ndarray, part: slice, reach: float
+    channel: Channel, speed: Speed, orders: np.ndarray, part: slice, highest_hz: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[K] phasors and their deviations, nan for an order that leaves the frame rate's reach there."""
+    """Return phasors [K] and their deviations, nan for an order that exceeds `highest_hz` there."""
     t, angle, y = channel.times_s[part], speed.angle[part], channel.values[part]
-    shown = orders * speed.turns_hz[part].max() <= reach
+    shown = orders * speed.turns_hz[part].max() <= highest_hz
     turned = np.outer(angle, orders[shown])
     middle = t - t.mean()
     design = np.column_stack([np.ones(len(t)), middle, np.cos(turned), np.sin(turned)])

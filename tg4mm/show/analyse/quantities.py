@@ -1,25 +1,23 @@
 """Displacement, velocity and acceleration in a band, and their levels, each with its standard deviation.
 
-H(f) = (2πi f)ⁿ B(f), B(f) = 1 / (1 + (lo/f)⁸) · 1 / (1 + (f/hi)⁸): differentiation, or integration, and a Butterworth
-filter of order 4 that runs forth and back, so that phases stay. A record's lines are multiplied by it as they are; what
-is left, continued at both ends by its odd reflection, in its Fourier transform. White noise of deviation σ leaves as σ
-√(mean |H|²).
+H(f) = (2πi f)ⁿ B(f), B(f) = 1 / (1 + (lo/f)⁸) · 1 / (1 + (f/hi)⁸): differentiation or integration, and a zero-phase
+Butterworth filter of order 4. A record's lines are multiplied by it directly; the residual, continued at both ends by
+its odd reflection, in its Fourier transform. White noise of deviation σ becomes σ √(mean |H|²).
 
-Noise adds to a level θ (peak, rms …). So levels are taken of û: the lines, and what is left of u with its spectrum
-multiplied by √(1 − noise / power), power smoothed over frequencies. Draws n of the same noise give û + n, to which the
-same is done: by what its θ² differs from û's in the mean, θ² is corrected, and it scatters by the deviation. To that is
-added what the errors that grow with the motion are.
+Noise adds to a level θ (peak, rms …). So levels are computed from û: the lines, and the residual of u with its spectrum
+multiplied by √(1 − noise / power), power smoothed over frequencies. Draws n of the same noise give û + n, which is
+treated alike: the mean difference of its θ² from û's corrects θ², and its scatter is the deviation. The errors that
+grow with the motion are added.
 
-One-third-octave spectra: Bands are those of base 10: midbands 1000 · 10^(n/10) Hz, edges 10^(±1/20) from them. The
-power in a band is the sum of the periodogram of the whole record (Hann window) between its edges, less what the
-channel's white noise of deviation σ adds, 2σ²/rate a hertz. Noise n beside a signal s in one frequency scatters its
-power by √(2sn + n²); a Hann window correlates neighbouring frequencies, so that the variance of a sum is 1.5 times
-that.
+One-third-octave spectra have bands of base 10: midbands 1000 · 10^(n/10) Hz, edges 10^(±1/20) from them. The power in a
+band is the sum of the record's periodogram (Hann window) between its edges, less the power of the channel's white noise
+of deviation σ, 2σ²/rate a hertz. Noise n beside a signal s at one frequency scatters its power by √(2sn + n²); a Hann
+window correlates neighbouring frequencies, so that the variance of a sum is 1.5 times that.
 
 Zones of ISO 20816-1 by class of machine: velocity rms, 10 to 1000 Hz, on parts that do not rotate. The limits are those
-of classes I to IV as public tables give them of ISO 10816-1:1995, annex B, which ISO 20816-1 succeeds; the standard
-decides, and its part for a kind of machine before it. I small machines to 15 kW; II medium ones to 75 kW, or 300 kW on
-a foundation of their own; III large ones on a rigid, IV on a soft foundation.
+of classes I to IV in public tables of ISO 10816-1:1995, annex B, which ISO 20816-1 succeeds; the standard, and its part
+for a kind of machine, takes precedence. I small machines to 15 kW; II medium ones to 75 kW, or 300 kW on a separate
+foundation; III large ones on a rigid, IV on a soft foundation.
 """
 
 from collections.abc import Iterator
@@ -35,10 +33,10 @@ from tg4mm.show.analyse.channel import ORDER, AnalyseError, Channel, G, unit_of
 
 DRAWS = 64
 _UP = 4  # samples to each of the record: its peaks lie between samples
-_NEAR = 41  # frequencies of the record's own transform over which its power is smoothed
-_LONGEST = 8192  # samples of a record whose lines are parted from the rest
+_NEAR = 41  # frequencies of the record's transform over which its power is smoothed
+_LONGEST = 8192  # samples of a record whose lines are separated from the residual
 _CYCLES = 2.0  # of the lowest frequency in a record, where no band is given
-# what dB are against, where lengths are known (ISO 1683): mm, mm/s, mm/s²
+# reference of dB where lengths are known (ISO 1683): mm, mm/s, mm/s²
 DB_REFERENCE = {"displacement": 1e-9, "velocity": 1e-6, "acceleration": 1e-3}
 _NARROWEST = 2.0  # frequencies of the periodogram, 1 / duration apart: the width of the lowest band
 _CORRELATED = 1.5  # equivalent noise bandwidth of the Hann window, in frequencies
@@ -52,7 +50,7 @@ _SURE = 2.0  # deviations
 
 @dataclass(frozen=True)
 class Value:
-    """A number with its standard deviation; nan: none is stated."""
+    """A number with its standard deviation; nan: not stated."""
 
     value: float
     deviation: float
@@ -76,7 +74,7 @@ class Levels:
 
 
 def band_of(channel: Channel, band: tuple[float, float] | None = None) -> tuple[float, float]:
-    """The band as given, or from two cycles in the record to half the rate. Raises AnalyseError where it has none."""
+    """Return the band as given, or from two cycles in the record to half the rate. Raises AnalyseError if empty."""
     half = channel.rate / 2
     lo, hi = band or (_CYCLES / channel.duration_s, half)
     if not 0 <= lo < min(hi, half):
@@ -89,9 +87,9 @@ def band_of(channel: Channel, band: tuple[float, float] | None = None) -> tuple[
 def converted(
     channel: Channel, quantity: str, band: tuple[float, float] | None = None, times: int = 1
 ) -> tuple[np.ndarray, float, slice]:
-    """[T · times] the channel as `quantity` in the band, the deviation of its noise, and where its ends are left out.
+    """Return the channel as `quantity` in the band [T · times], the deviation of its noise, and the part without ends.
 
-    Raises AnalyseError for a channel that is no motion and another quantity, and for an integral from 0 Hz.
+    Raises AnalyseError for a channel that is not a motion and another quantity, and for an integral from 0 Hz.
     """
     operator = _Operator(channel, quantity, band, times)
     return operator(channel.values, 0.0), channel.noise * operator.noise_gain, operator.inner
@@ -118,7 +116,7 @@ class _Operator:
         self.time, fine = channel.times_s, channel.times_s[0] + np.arange(n * times) / (channel.rate * times)
         lines = channel.lines if n <= _LONGEST else ()
         self.lines = [line for line in lines if line.start_s is None]
-        self.out = []  # what each line with the phasor 1 becomes
+        self.out = []  # each line with the phasor 1, converted
         for line in self.lines:
             h = (2j * np.pi * line.hz - line.decay_per_s) ** order / (1 + (lo / line.hz) ** 8)
             h = h / (1 + (line.hz / hi) ** 8) if hi < channel.rate / 2 else h
@@ -129,17 +127,17 @@ class _Operator:
         self.inner = slice(cut * times, (n - cut) * times)
 
     def __call__(self, values: np.ndarray, noise: float) -> np.ndarray:
-        """[T · times] of [T]; what white noise of that deviation adds to the power beside the lines is taken off."""
-        phasors, rest = self._parted(values, noise)
+        """Convert [T] to [T · times]; the power of white noise of that deviation is subtracted from the residual's."""
+        phasors, rest = self._separated(values, noise)
         up = np.fft.irfft(rest * self.gain, self.total * self.times) * self.times
         up = up[(self.length - 1) * self.times : (2 * self.length - 1) * self.times]
         return np.asarray(sum((p * out).real for p, out in zip(phasors, self.out, strict=True)) + up)
 
-    def told(self, values: np.ndarray, noise: float) -> np.ndarray:
-        """[T] the record itself, without what noise adds."""
-        phasors, rest = self._parted(values, noise)
-        whole = np.fft.irfft(rest, self.total)[self.length - 1 : 2 * self.length - 1]
-        return np.asarray(whole + self._sum(phasors))
+    def denoised(self, values: np.ndarray, noise: float) -> np.ndarray:
+        """Return the record [T] without the power of the noise."""
+        phasors, rest = self._separated(values, noise)
+        residual = np.fft.irfft(rest, self.total)[self.length - 1 : 2 * self.length - 1]
+        return np.asarray(residual + self._sum(phasors))
 
     def _sum(self, phasors: np.ndarray) -> np.ndarray:
         t, out = self.time, np.zeros(self.length)
@@ -147,8 +145,8 @@ class _Operator:
             out += (p * line.envelope(t) * np.exp(2j * np.pi * line.hz * t)).real
         return out
 
-    def _parted(self, values: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-        """Phasors of the lines, and the transform of the rest without noise."""
+    def _separated(self, values: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lines' phasors, and the transform of the residual without noise."""
         phasors = np.zeros(0, complex)
         if self.lines:
             phasors = projected(self.lines, values[:, None], self.time)[:, 0]
@@ -161,7 +159,7 @@ class _Operator:
 
 
 def continued(values: np.ndarray) -> np.ndarray:
-    """[3T − 2] of [T], by its odd reflection at both ends."""
+    """Continue [T] to [3T − 2] by its odd reflection at both ends."""
     return np.concatenate([2 * values[0] - values[:0:-1], values, 2 * values[-1] - values[-2::-1]])
 
 
@@ -171,34 +169,36 @@ def levels_of(
     band: tuple[float, float] | None = None,
     db_reference: float | None = None,
 ) -> Levels:
-    """Peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, of this record, its ends left out."""
+    """Return peak, peak to peak, rms, crest factor and dB of a channel as `quantity`, without the record's ends."""
     operator = _Operator(channel, quantity, band, _UP if len(channel.values) <= _LONGEST else 1)
     noise = float(np.nan_to_num(channel.noise))
     found = _figures(operator(channel.values, noise)[operator.inner])
     deviation = np.full(4, np.nan)
     if np.isfinite(channel.noise):
-        rng, told = np.random.default_rng(0), operator.told(channel.values, noise)
-        noisy = [told + noise * rng.normal(size=operator.length) for _ in range(DRAWS)]
+        rng, clean = np.random.default_rng(0), operator.denoised(channel.values, noise)
+        noisy = [clean + noise * rng.normal(size=operator.length) for _ in range(DRAWS)]
         squares = np.array([_figures(operator(one, noise)[operator.inner]) for one in noisy]) ** 2
-        bias = squares.mean(0) - _figures(operator(told, 0.0)[operator.inner]) ** 2
+        bias = squares.mean(0) - _figures(operator(clean, 0.0)[operator.inner]) ** 2
         # The noise is estimated, which makes the bias uncertain; a peak's more so, since a record's noise has chosen
         # which of many nearly equal peaks is the highest.
         sure = np.hypot(squares.std(0, ddof=1), bias * [1, 1, 0.5, 0.5])
         found = np.sqrt(np.maximum(found**2 - bias, [0, 0, 0, 1]))
         deviation = root_deviation(found, sure)
         deviation[:3] = np.hypot(deviation[:3], channel.share * found[:3])
-    values = [Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)]
-    peak, whole, rms, crest = values
+    peak, peak_to_peak, rms, crest = (
+        Value(float(v), float(d)) for v, d in zip(found, deviation, strict=True)
+    )
     unit = unit_of(quantity, channel.base)
     reference = db_reference or (DB_REFERENCE[quantity] if channel.base == "mm" else 1.0)
     if rms.value > 2 * np.nan_to_num(rms.deviation):
         per_rms = 20 / np.log(10) / rms.value
         db = Value(20 * float(np.log10(rms.value / reference)), float(per_rms * rms.deviation))
-    else:  # it may be any number of dB below, and what is divided by it any factor
+    else:  # the rms may be 0: its dB and a ratio to it are unbounded
         crest = db = Value(float("nan"), float("nan"))
     in_g = quantity == "acceleration" and channel.base == "mm"
     return Levels(
-        channel.name, quantity, unit, band_of(channel, band), peak, whole, rms, crest, db, f"{reference:g} {unit}",
+        channel.name, quantity, unit, band_of(channel, band), peak, peak_to_peak, rms, crest, db,
+        f"{reference:g} {unit}",
         Value(rms.value / G, rms.deviation / G) if in_g else None,
     )  # fmt: skip
 
@@ -214,7 +214,7 @@ def root_deviation(value: np.ndarray, of_square: np.ndarray) -> np.ndarray:
 
 
 def _figures(values: np.ndarray) -> np.ndarray:
-    """[4] peak, peak to peak, rms, crest factor."""
+    """Return peak, peak to peak, rms and crest factor [4]."""
     peak, rms = float(np.abs(values).max()), float(np.sqrt((values**2).mean()))
     return np.array([peak, float(np.ptp(values)), rms, peak / max(rms, 1e-300)])
 
@@ -241,7 +241,7 @@ def midbands(lowest_hz: float, highest_hz: float) -> np.ndarray:
 def third_octaves_of(channel: Channel, quantity: str) -> Iterator[ThirdOctave]:
     """Yield the bands of a channel as a quantity, from the lowest that the record resolves to half its rate.
 
-    quantity: the channel's, or a derivative or integral of it: displacement, velocity, acceleration.
+    quantity: the channel's, or displacement, velocity or acceleration as a derivative or integral of it.
     """
     step = 1 / channel.duration_s
     lowest_hz = _NARROWEST * step / (10**0.05 - 10**-0.05) * 10**-0.05
@@ -261,14 +261,13 @@ def third_octaves_of(channel: Channel, quantity: str) -> Iterator[ThirdOctave]:
         rms = np.sqrt(max(float(inside[own] @ signal), 0))
         deviation = root_deviation(rms, np.sqrt(_CORRELATED * inside[own] @ scatter))
         value = Value(float(rms), float(np.hypot(deviation, channel.share * rms)))
-        yield ThirdOctave(
-            channel.name, quantity, unit_of(quantity, channel.base), float(middle), (low, high), value
-        )
+        unit = unit_of(quantity, channel.base)
+        yield ThirdOctave(channel.name, quantity, unit, float(middle), (low, high), value)
 
 
 @dataclass(frozen=True)
 class Zone:
-    """`zone` is a letter, or two where the deviation, doubled, reaches into the next; `notes`: what is not covered."""
+    """The zone of a channel: a letter, or two where twice the deviation reaches into the next; with its limits."""
 
     channel: str
     machine: str
@@ -278,22 +277,20 @@ class Zone:
 
 
 def zone_of(channel: Channel, machine: str) -> Zone:
-    """Raises AnalyseError for a class that is none, and for a channel whose unit or rate tells nothing of the band."""
+    """Return the zone. Raises AnalyseError for an unknown class, and for a channel of unsuitable unit or rate."""
     if machine not in LIMITS:
-        raise AnalyseError(f"--machine-class {machine!r} is none; there are: {', '.join(LIMITS)}")
+        raise AnalyseError(f"--machine-class {machine!r} is unknown; classes: {', '.join(LIMITS)}")
     if channel.base != "mm":
         raise AnalyseError(f"{channel.name} is in {channel.unit}: a zone needs millimetres (docs/scale.md)")
     if channel.rate / 2 <= BAND_HZ[0]:
         raise AnalyseError(
             f"{channel.name}: half its rate, {channel.rate / 2:g} Hz, is below the band of a zone, 10 to 1000 Hz"
         )
-    rms, notes = levels_of(channel, "velocity", BAND_HZ).rms, []
+    rms, notes, half = levels_of(channel, "velocity", BAND_HZ).rms, [], channel.rate / 2
     ends = [rms.value + k * _SURE * np.nan_to_num(rms.deviation) for k in (-1, 1)]
     low, high = ("ABCD"[int(np.searchsorted(LIMITS[machine], end))] for end in ends)
-    if channel.rate / 2 < BAND_HZ[1]:
-        notes.append(
-            f"the record ends at {channel.rate / 2:g} Hz of 10 to 1000 Hz: the zone is {low} or worse"
-        )
+    if half < BAND_HZ[1]:
+        notes.append(f"the record ends at {half:g} Hz of 10 to 1000 Hz: the zone is {low} or worse")
     if channel.duration_s * BAND_HZ[0] < _ZONE_CYCLES:
         notes.append(
             f"the record of {channel.duration_s:.2g} s holds fewer than {_ZONE_CYCLES} periods of 10 Hz"

@@ -1,7 +1,7 @@
-"""What an analysis is computed of: the channels of a record, the instrument beside it, and an earlier record."""
+"""The input of an analysis: the channels of a record, the instrument beside it, and an earlier record."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,9 @@ from tg4mm.show.analyse.spectra import averaging_of
 from tg4mm.show.analyse.transfer import Transfer, lag_of, transfer_of
 from tg4mm.show.options import AnalyseOptions
 
-CHANCE = 0.01  # that any of the differences is called a change where nothing changed
-_NEAR = 0.1  # of a frequency: lines nearer than that are the same
-_LEAST = 3.0  # deviations nearer than which they are
+CHANCE = 0.01  # of a false detection among all differences
+_NEAR = 0.1  # of a frequency: nearer lines are the same
+_LEAST = 3.0  # deviations within which lines are the same
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Change:
 
 
 def lines_of(path: Path) -> list[Found]:
-    """The peaks of a folder of `tg4mm measure` along each sensor's main axis, or the lines of a CSV file's channels."""
+    """Return a measurement's peaks along each sensor's main axis, or the lines of a CSV file's channels."""
     if path.is_file():
         return [found for channel in read_channels(path) for found in _of_channel(channel)]
     read_channels(path)  # says what is wrong with it
@@ -81,45 +81,35 @@ def _of_channel(channel: Channel) -> list[Found]:
 
 
 def compared(before: Sequence[Found], after: Sequence[Found]) -> tuple[list[Change], list[str]]:
-    """Changes of lines that both have, and sentences about those that one has. Raises AnalyseError for two units."""
+    """Return the changes of common lines, and sentences about other lines. Raises AnalyseError for two units."""
     units = {f.unit for f in (*before, *after)}
     if len(units) > 1:
         raise AnalyseError(f"the two records have amplitudes in {' and '.join(sorted(units))}")
-    rest, pairs, alone = list(after), [], []
+    rest, rows, alone = list(after), [], []
     for a in sorted(before, key=lambda f: -f.amplitude.value):
         near = [b for b in rest if b.where == a.where and _distance(a, b) < 1]
         if not near:
             alone.append(f"{a.where}: {a.frequency.value:.4g} Hz is in the first record only")
             continue
-        b = min(near, key=lambda b: _distance(a, b))
-        rest.remove(b)
-        pairs.append((a, b))
+        rest.remove(b := min(near, key=lambda b: _distance(a, b)))
+        for figure, unit in (("frequency", "Hz"), ("amplitude", a.unit), ("damping", "1")):
+            x, y = getattr(a, figure), getattr(b, figure)
+            if x is not None and y is not None:
+                score = (y.value - x.value) / max(float(np.hypot(x.deviation, y.deviation)), 1e-300)
+                rows.append(Change(a.where, figure, unit, x, y, score, False))
     alone += [f"{b.where}: {b.frequency.value:.4g} Hz is in the second record alone" for b in rest]
-    rows = [
-        (a.where, name, unit, x, y)
-        for a, b in pairs
-        for name, unit, x, y in (
-            ("frequency", "Hz", a.frequency, b.frequency), ("amplitude", a.unit, a.amplitude, b.amplitude),
-            ("damping", "1", a.damping, b.damping),
-        )
-        if x is not None and y is not None
-    ]  # fmt: skip
     least = float(norm.isf(CHANCE / 2 / max(len(rows), 1)))
-    out = []
-    for where, name, unit, x, y in rows:
-        score = (y.value - x.value) / max(float(np.hypot(x.deviation, y.deviation)), 1e-300)
-        out.append(Change(where, name, unit, x, y, score, abs(score) > least))
-    return out, alone
+    return [replace(row, changed=abs(row.score) > least) for row in rows], alone
 
 
 def _distance(a: Found, b: Found) -> float:
-    """Below 1: may be the same line."""
+    """Return the distance of two lines; below 1 they may be the same."""
     reach = _NEAR * a.frequency.value, _LEAST * np.hypot(a.frequency.deviation, b.frequency.deviation)
     return abs(a.frequency.value - b.frequency.value) / float(max(reach))
 
 
 class Record:
-    """A record with the options of its analysis. Raises AnalyseError if files or options are of no use."""
+    """A record with the options of its analysis. Raises AnalyseError for unusable files or options."""
 
     def __init__(self, path: Path, options: AnalyseOptions) -> None:
         self.path, self.options, self.averaging = path, options, averaging_of(options)
@@ -133,7 +123,7 @@ class Record:
         self.before = None if options.against is None else lines_of(options.against)
         if options.modes and not self.moving:
             raise AnalyseError(
-                f"{path} holds no displacement, velocity or acceleration, whose modes could be found"
+                f"{path} holds no displacement, velocity or acceleration: no modes can be found"
             )
 
     @property
@@ -142,7 +132,7 @@ class Record:
         return [c for c in self.channels if c.quantity in ORDER]
 
     def quantities(self, channel: Channel) -> list[str]:
-        """Names of the quantities that a channel is converted to: derivatives, and integrals where a band is given."""
+        """Return the quantities to which a channel is converted: derivatives, and integrals if a band is given."""
         order = ORDER.get(channel.quantity)
         if order is None:
             return [channel.quantity]
@@ -175,12 +165,12 @@ class Record:
 
     @cached_property
     def speed(self) -> Speed | None:
-        """The machine's speed, at the first channel's times; None where no orders are asked for."""
+        """The machine's speed, at the first channel's times; None if no orders are requested."""
         o = self.options
         return None if o.speed is None and o.tacho is None else speed_of(self.channels[0], o.speed, o.tacho)
 
     def speed_at(self, channel: Channel) -> Speed:
-        """The speed at another channel's times."""
+        """Return the speed at another channel's times."""
         own, speed = self.channels[0].times_s, self.speed
         assert speed is not None
         if len(own) == len(channel.times_s) and np.allclose(own, channel.times_s):

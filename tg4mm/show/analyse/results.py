@@ -1,4 +1,4 @@
-"""The table of engineering quantities: what computes each, what `tg4mm analyse` prints of it, its CSV file, its plots.
+"""The table of engineering quantities: the computation, printed table, CSV file and plots of each.
 
 A new quantity is one entry of QUANTITIES: analysis.json, the printed tables, CSV files and plots all come from it.
 """
@@ -38,7 +38,7 @@ def _nothing(_: Any) -> Rows:
 
 @dataclass(frozen=True)
 class Quantity:
-    """An engineering quantity; heads without a row are left out."""
+    """An engineering quantity; tables without rows are left out."""
 
     name: str  # of its results in analysis.json
     compute: Callable[[Record], Iterable[Any]]
@@ -238,7 +238,7 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class Analysis:
-    """What was computed of a record: the results of each quantity of `results.QUANTITIES` by its name."""
+    """The results of a record, by the names in `QUANTITIES`."""
 
     record: Record
     results: dict[str, tuple[Any, ...]]
@@ -249,10 +249,7 @@ class Analysis:
 
 
 def analyse(path: Path, options: AnalyseOptions | None = None) -> Analysis:
-    """Compute all quantities of a folder of `tg4mm measure`, a CSV file or a universal file.
-
-    Raises AnalyseError for what cannot be computed of it.
-    """
+    """Compute all quantities of a folder of `tg4mm measure`, a CSV file or a universal file. Raises AnalyseError."""
     record, results = Record(path, options or AnalyseOptions()), {}
     with progress("analysis", len(QUANTITIES), "quantities", brief=True) as update:
         for done, quantity in enumerate(QUANTITIES, 1):

@@ -15,24 +15,18 @@ _SHORTEST = 8  # samples of a segment
 
 @dataclass(frozen=True)
 class Averaging(AveragingOptions):
-    """How a record is cut: window (scipy's name), seconds of a segment (None: eight averages), share of overlap."""
+    """How a record is cut into segments: window (scipy's name), seconds (None: eight averages), share of overlap."""
 
     def cut(self, channel: Channel) -> tuple[int, int]:
-        """Samples of a segment, and those that two share. Raises AnalyseError where the record is too short."""
-        n = len(channel.values)
-        length = (
-            max(_SHORTEST, 2 * n // _SEGMENTS)
-            if self.segment_s is None
-            else round(self.segment_s * channel.rate)
-        )
+        """Return the samples of a segment, and those that two share. Raises AnalyseError for a short record."""
+        n, usual = len(channel.values), max(_SHORTEST, 2 * len(channel.values) // _SEGMENTS)
+        length = usual if self.segment_s is None else round(self.segment_s * channel.rate)
         if not 0 <= self.overlap < 1:
             raise AnalyseError(f"--overlap {self.overlap:g}, expected 0 or more and below 1")
         try:
             get_window(self.window, 8)
         except ValueError:
-            raise AnalyseError(
-                f"--window {self.window!r} is none that scipy.signal.get_window knows"
-            ) from None
+            raise AnalyseError(f"--window {self.window!r} is unknown to scipy.signal.get_window") from None
         if not _SHORTEST <= length <= n:
             raise AnalyseError(
                 f"{channel.name}: a segment of {length} samples, expected {_SHORTEST} to the record's {n}"
@@ -40,12 +34,12 @@ class Averaging(AveragingOptions):
         return length, min(int(self.overlap * length), length - 1)
 
     def count(self, channel: Channel) -> int:
-        """Segments."""
+        """Return the number of segments."""
         length, shared = self.cut(channel)
         return 1 + (len(channel.values) - length) // (length - shared)
 
     def freedom(self, channel: Channel) -> float:
-        """Degrees of freedom of the average's χ²; neighbours that overlap count for less (Welch 1967)."""
+        """Return the degrees of freedom of the average's χ²; overlapping segments count less (Welch 1967)."""
         (length, shared), count = self.cut(channel), self.count(channel)
         window, step = get_window(self.window, length), length - shared
         total = 1.0
@@ -62,7 +56,7 @@ def averaging_of(options: AveragingOptions) -> Averaging:
 
 @dataclass(frozen=True)
 class Density:
-    """One-sided, unit² / Hz; in 95 records of 100 the truth lies between low and high, frequency by frequency."""
+    """A one-sided density, unit² / Hz; low and high bound the truth in 95 records of 100, at each frequency."""
 
     channel: str
     unit: str
@@ -70,13 +64,13 @@ class Density:
     density: np.ndarray  # [F]
     low: np.ndarray  # [F]
     high: np.ndarray  # [F]
-    noise: float  # density of the channel's own noise; nan: none is stated
+    noise: float  # density of the channel's noise; nan: not stated
     averages: int
     freedom: float
 
 
 def density_of(channel: Channel, averaging: Averaging | None = None, confidence: float = 0.95) -> Density:
-    """Power spectral density of a channel."""
+    """Return the power spectral density of a channel."""
     averaging = averaging or Averaging()
     length, shared = averaging.cut(channel)
     freqs, power = welch(channel.values, channel.rate, averaging.window, length, shared)
@@ -93,7 +87,7 @@ def density_of(channel: Channel, averaging: Averaging | None = None, confidence:
 def waterfall_of(
     channel: Channel, averaging: Averaging | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[F] Hz, [S] seconds, and [F, S] amplitudes, zero to peak, of each segment."""
+    """Return Hz [F], seconds [S], and amplitudes [F, S], zero to peak, of each segment."""
     averaging = averaging or Averaging()
     length, shared = averaging.cut(channel)
     freqs, times, power = spectrogram(

@@ -34,7 +34,7 @@ _TIMES, _STEP, _START, _UNIT = "X_Value", "Delta_X", "X0", "Y_Unit_Label"
 
 
 class AnalyseError(Tg4mmError):
-    """A record that cannot be read or does not hold what is asked of it."""
+    """A record that cannot be read or does not hold the requested data."""
 
 
 def read_table(path: Path) -> tuple[list[str], np.ndarray]:
@@ -119,7 +119,7 @@ def _columns(
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers and values; of comments the last one before the numbers, where it is their head."""
+    """Return line numbers and values; the last comment before the numbers counts if it is their head."""
     lines = [(k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
     own = [(k, line) for k, line in lines if not line.lstrip().startswith(_COMMENTS)]
     middle = _middle(own)

@@ -1,8 +1,8 @@
 """A second instrument beside the film: lag of its clock, transfer functions H1 and H2, coherence, phases.
 
-The lag is where the film and an accelerometer, made the same quantity, correlate most, if no other lag does nearly as
-well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is what the residual, with its own spectrum,
-does to τ (sandwich estimate).
+The lag has the highest correlation of the film and an accelerometer, converted to the same quantity, if no other lag
+does nearly as well; then a and τ of y(t) = a x(t − τ) are fitted, and the lag's deviation is the effect of the
+residual, with its spectrum, on τ (sandwich estimate).
 """
 
 from dataclasses import dataclass, replace
@@ -18,20 +18,17 @@ from tg4mm.show.analyse.quantities import Value, band_of, continued, converted
 from tg4mm.show.analyse.spectra import Averaging
 
 _USED = 0.4  # of the slower rate: transfer functions end there
-_FEWEST = 32  # samples that both records share
+_FEWEST = 32  # common samples of both records
 _SMOOTH = 15  # frequencies over which the residual's power is averaged
 _FITS = 12
-_ALIKE = 0.95  # of what the best lag explains: another that explains so much is not told from it
-_CHANCE = 0.01  # that a wrong lag is taken for the right one
-_FREEDOMS = 2.5  # averages from which coherence tells a deviation
+_ALIKE = 0.95  # of the power that the best lag explains: another one that explains so much is equivalent
+_CHANCE = 0.01  # of a wrong lag
+_FREEDOMS = 2.5  # averages from which coherence gives a deviation
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """The transfer function of a response over an input, in `unit`.
-
-    `deviation` is that of |H1|; h2 is nan where h1 is all there is.
-    """
+    """The transfer function of a response over an input, in `unit`; `deviation` is that of |H1|."""
 
     response: str
     reference: str
@@ -39,17 +36,17 @@ class Transfer:
     freqs_hz: np.ndarray  # [F]
     h1: np.ndarray  # [F] complex
     h2: np.ndarray  # [F] complex
-    coherence: np.ndarray  # [F]; 1 by itself where there is one average
+    coherence: np.ndarray  # [F]; always 1 for one average
     deviation: np.ndarray  # [F]
     phase_deviation: np.ndarray  # [F] radians, with the lag's; π at most
-    lag_s: Value  # the film's clock less the instrument's
+    lag_s: Value  # the film's clock minus the instrument's
     averages: int
 
 
 def lag_of(response: Channel, reference: Channel) -> Value:
-    """Seconds by which the response's clock is ahead of the other: an event there at t is in the response at t + lag.
+    """Return by how many seconds the response's clock is ahead: an event at t is in the response at t + lag.
 
-    Raises AnalyseError for a force, whose response may begin with any phase, and where no lag or several would do.
+    Raises AnalyseError for a force, whose response may have any phase, and if no lag or several fit.
     """
     if reference.quantity not in ORDER:
         raise AnalyseError(
@@ -71,11 +68,9 @@ def lag_of(response: Channel, reference: Channel) -> Value:
     explained = np.where(enough, np.clip(cross**2 / np.where(enough, energy, 1), 0, 1 - 1e-9), 0)
     best, independent = int(explained.argmax()), 2 * (hi - lo) * min(len(x), len(y)) / 2 / response.rate
     turns = np.flatnonzero(np.sign(cross) != np.sign(cross[best]))
-    lobe = slice(
-        int(turns[turns < best].max(initial=-1)) + 1, int(turns[turns > best].min(initial=len(cross)))
-    )
+    first, last = turns[turns < best].max(initial=-1) + 1, turns[turns > best].min(initial=len(cross))
     others = explained.copy()
-    others[lobe] = 0
+    others[first:last] = 0
     rival = int(others.argmax())
     likelier = independent / 2 * np.log((1 - others[rival]) / (1 - explained[best]))
     if likelier < np.log(1 / _CHANCE) or others[rival] > _ALIKE * explained[best]:
@@ -83,12 +78,12 @@ def lag_of(response: Channel, reference: Channel) -> Value:
             f"{response.name} and {reference.name} repeat themselves or have nothing in common: a lag that is "
             f"{abs(lags[rival] - lags[best]) / response.rate:.4g} s off would do as well; --lag SECONDS gives it"
         )
-    return _refined(
-        response, y, spline, lags[best] / response.rate + response.times_s[0] - reference.times_s[0]
-    )
+    lag = lags[best] / response.rate + response.times_s[0] - reference.times_s[0]
+    return _refined(response, y, spline, lag)
 
 
 def _refined(response: Channel, y: np.ndarray, spline: CubicSpline, lag: float) -> Value:
+    """Fit lag and factor, from a lag within half a period."""
     first, last = spline.x[0], spline.x[-1]
     deviation = float("inf")
     for _ in range(_FITS):
@@ -113,7 +108,7 @@ def _refined(response: Channel, y: np.ndarray, spline: CubicSpline, lag: float) 
 
 
 def shared(response: Channel, reference: Channel, lag: Value) -> tuple[Channel, Channel]:
-    """Both over the time that they share, by the response's clock and rate; the input first loses what is faster."""
+    """Return both over their common time, by the response's clock and rate; the input is low-passed first."""
     t = response.times_s - lag.value
     inside = np.flatnonzero((t >= reference.times_s[0]) & (t <= reference.times_s[-1]))
     if len(inside) < _FEWEST:
@@ -128,17 +123,15 @@ def shared(response: Channel, reference: Channel, lag: Value) -> tuple[Channel, 
         long = np.fft.irfft(np.fft.rfft(continued(values)) * np.cos(np.pi / 2 * edge) ** 2, 3 * n - 2)
         values = long[n - 1 : 2 * n - 1]
     part = slice(inside[0], inside[-1] + 1)
-    times = response.times_s[part]
-    sampled = CubicSpline(reference.times_s, values)(t[part])
-    return replace(response, times_s=times, values=response.values[part]), replace(
-        reference, times_s=times, values=sampled
-    )
+    times, sampled = response.times_s[part], CubicSpline(reference.times_s, values)(t[part])
+    own = replace(response, times_s=times, values=response.values[part])
+    return own, replace(reference, times_s=times, values=sampled)
 
 
 def transfer_of(
     response: Channel, reference: Channel, averaging: Averaging | None = None, lag: Value | None = None
 ) -> Transfer:
-    """H1 = S_xy / S_xx and H2 = S_yy / S_yx, x the input. lag: None: found as `lag_of` does."""
+    """Return H1 = S_xy / S_xx and H2 = S_yy / S_yx with the input x. lag: None: by `lag_of`."""
     averaging, lag = averaging or Averaging(), lag or lag_of(response, reference)
     y, x = shared(response, reference, lag)
     length, overlap = averaging.cut(y)
@@ -151,8 +144,8 @@ def transfer_of(
         h2 = np.where(np.abs(cross) > 0, syy / np.conj(cross), np.nan)
         known = np.nan_to_num(2 * y.noise**2 / y.rate) / (2 * averages * np.abs(h1) ** 2 * sxx)
         seen = np.maximum(coherence - (1 - coherence) ** 2 / averages, 0)
-        told = (1 - seen) / (2 * averages * seen) if averages > _FREEDOMS else 0 * seen
-    share = np.sqrt(np.maximum(known, told))
+        by_coherence = (1 - seen) / (2 * averages * seen) if averages > _FREEDOMS else 0 * seen
+    share = np.sqrt(np.maximum(known, by_coherence))
     if averages <= _FREEDOMS and not np.isfinite(y.noise):
         share = np.full(len(freqs), np.nan)
     turn = np.hypot(share, 2 * np.pi * freqs * lag.deviation)
@@ -166,7 +159,7 @@ def transfer_of(
 
 @dataclass(frozen=True)
 class Curve:
-    """A channel beside an instrument, both as the instrument's quantity in a band, by the channel's clock."""
+    """A channel and an instrument, both as the instrument's quantity in a band, by the channel's clock."""
 
     channel: str
     reference: str
@@ -175,19 +168,19 @@ class Curve:
     lag_s: Value
     times_s: np.ndarray  # [T]
     values: np.ndarray  # [T] the channel
-    deviation: float  # of each; nan: none is stated
+    deviation: float  # of each; nan: not stated
     instrument: np.ndarray  # [T]
-    ratio: Value  # the channel over the instrument, whose own errors are not counted
-    difference_rms: float  # of the channel, and ratio × instrument
+    ratio: Value  # the channel over the instrument, whose errors are not included
+    difference_rms: float  # of the channel from ratio × instrument
     correlation: float
 
 
 def curve_of(
     channel: Channel, reference: Channel, lag: Value, band: tuple[float, float] | None = None
 ) -> Curve:
-    """Least squares of the channel on the instrument; its residual, of 2 (hi − lo) T independent values, is the ±.
+    """Regress the channel on the instrument; the ± is from the residual, of 2 (hi − lo) T independent values.
 
-    Raises AnalyseError for a reference that is no motion, and for records that hardly overlap.
+    Raises AnalyseError for a reference that is not a motion, and for records that hardly overlap.
     """
     y, x = shared(channel, reference, lag)
     lo, hi = band_of(y, band)
@@ -217,7 +210,7 @@ class Phase:
 
 
 def phases_of(channels: list[Channel], reference: Channel) -> list[Phase]:
-    """At each line of the reference, of every channel on its times; a deviation of a phase is π at most."""
+    """Return the phases at each line of the reference, of every channel on its times; deviations are at most π."""
     own, out = reference.lines, []
     for channel in channels if own else []:
         if channel is reference or not np.array_equal(channel.times_s, reference.times_s):
@@ -229,13 +222,6 @@ def phases_of(channels: list[Channel], reference: Channel) -> list[Phase]:
             spread = float(np.hypot(spread, np.hypot(channel.share, reference.share) * ratio))
             angle = float(np.angle(b.phasor[0] / a.phasor[0]))
             turn = float(min(np.hypot(a.phase_deviation[0], b.phase_deviation[0]), np.pi))
-            out.append(
-                Phase(
-                    channel.name,
-                    reference.name,
-                    Value(a.hz, a.hz_deviation),
-                    Value(ratio, spread),
-                    Value(angle, turn),
-                )
-            )
+            values = Value(a.hz, a.hz_deviation), Value(ratio, spread), Value(angle, turn)
+            out.append(Phase(channel.name, reference.name, *values))
     return out

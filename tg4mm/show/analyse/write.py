@@ -21,7 +21,7 @@ MARK = "analysis.json"
 
 
 def work_folder(out: Path) -> WorkFolder:
-    """OUT as the folder of an analysis."""
+    """Return OUT as the folder of an analysis."""
     return WorkFolder(out, MARK, AnalyseError)
 
 
@@ -52,7 +52,7 @@ def write_analysis(found: Analysis, out: Path, plots: bool = True) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Dictionaries, lists and numbers; complex numbers as size and phase; null for what is not finite."""
+    """Return dictionaries, lists and numbers; complex numbers as size and phase; None for what is not finite."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
