@@ -1,4 +1,4 @@
-"""Maps of the model's motion as seen from a camera, single figures of it, and the Gaussians' blending weights."""
+"""Maps of the model's motion as seen from a camera, projections into it, and the Gaussians' blending weights."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import torch
 from tg4mm.capture import Capture
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import AS_CAPTURED, Magnification
-from tg4mm.core.phasors import peak_displacement
+from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.rasterize import rasterization
@@ -16,12 +16,19 @@ from tg4mm.fit.space.view import drawn_from
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features
 
+_SHARE = 0.5  # of the strongest mode's rms: weaker modes do not lead
+
+
+def evenly(n: int, most: int) -> np.ndarray:
+    """Return at most `most` indices, spread evenly over 0 … n − 1."""
+    return np.unique(np.linspace(0, n - 1, min(most, n)).round().astype(int))
+
 
 def blending_weights(gaussians: Gaussians, capture: Capture) -> np.ndarray:
-    """Each Gaussian's blending weight at rest: Σ over images and pixels of α·T ([3DGS] Eq. (3)), [N] float64.
+    """Return each Gaussian's blending weight at rest: Σ over images and pixels of α·T ([3DGS] Eq. (3)), [N] float64.
 
-    In pixels. It is the gradient of the summed rendering with respect to the Gaussian's colour, which the
-    rasteriser gives exactly. A camera that took several images is rendered once and counts that many times.
+    In pixels. It is the gradient of the summed rendering with respect to the Gaussian's colour, which the rasteriser
+    gives exactly. A camera that took several images is rendered once and counts that many times.
     """
     total = np.zeros(len(gaussians))
     _, first, counts = np.unique(capture.camera_ids, return_index=True, return_counts=True)
@@ -32,7 +39,7 @@ def blending_weights(gaussians: Gaussians, capture: Capture) -> np.ndarray:
 
 
 def pixel_sums(gaussians: Gaussians, maps: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """[N, C] float64: Σ over pixels of blending weight times maps [H, W, C], in the camera viewmat [4, 4], K [3, 3]."""
+    """Return Σ over pixels of blending weight times maps [H, W, C], [N, C] float64; viewmat [4, 4], K [3, 3]."""
     g, device = gaussians.detach(), gaussians.means.device
     height, width, channels = maps.shape
     colors = torch.ones(len(g), channels, device=device, requires_grad=True)
@@ -46,7 +53,7 @@ def pixel_sums(gaussians: Gaussians, maps: np.ndarray, viewmat: np.ndarray, K: n
 
 @dataclass(frozen=True)
 class MotionMaps:
-    """One frequency of the motion as a camera sees it, at the surface under each pixel."""
+    """One frequency of the motion as seen by a camera, at the surface under each pixel."""
 
     amplitude: np.ndarray  # [H, W] peak displacement, scene units
     phase: np.ndarray  # [H, W] radians, of the motion along the main direction, at timestep 0
@@ -54,27 +61,23 @@ class MotionMaps:
 
 
 def leading_modes(
-    motion: ModalMotion,
-    weights: np.ndarray,
-    magnified: Magnification = AS_CAPTURED,
-    share: float = 0.5,
-    most: int = 2,
+    motion: ModalMotion, weights: np.ndarray, magnified: Magnification = AS_CAPTURED, most: int = 2
 ) -> list[int]:
-    """Indices of the in-band frequencies with most weighted motion, strongest first.
+    """Return indices of the in-band frequencies with most weighted motion, strongest first.
 
-    At most `most`, each with an rms of at least `share` of the strongest one's. What takes longer than the capture for
-    a cycle (drift, 0 Hz) counts only where nothing else is in the band.
+    At most `most`, each with an rms of at least half the strongest one's. Frequencies with less than a cycle in the
+    capture (drift, 0 Hz) count only if there are no others in the band.
     """
     rms = np.sqrt(np.einsum("knc,n->k", np.abs(motion.displacement) ** 2, weights))
     inside = magnified.inside(motion.freqs_hz)
     cyclic = inside & (motion.freqs_hz * motion.n_timesteps > (1 - 1e-9) * motion.fps)
     rms = np.where(cyclic if cyclic.any() else inside, rms, -1.0)
     order = np.argsort(-rms, kind="stable")[:most]
-    return [int(k) for k in order if rms[k] >= 0 and rms[k] >= share * rms[order[0]]]
+    return [int(k) for k in order if rms[k] >= 0 and rms[k] >= _SHARE * rms[order[0]]]
 
 
 def strongest(motion: ModalMotion, weights: np.ndarray, magnified: Magnification) -> int:
-    """Index of the in-band frequency with most weighted motion. Raises RunError for a band without any."""
+    """Return the index of the in-band frequency with most weighted motion. Raises RunError for a band without any."""
     leading = leading_modes(motion, weights, magnified, most=1)
     if not leading:
         known = ", ".join(f"{f:g}" for f in motion.freqs_hz) or "none"
@@ -86,7 +89,7 @@ def strongest(motion: ModalMotion, weights: np.ndarray, magnified: Magnification
 def motion_maps(
     gaussians: Gaussians, motion: ModalMotion, k: int, direction: np.ndarray, camera: Camera
 ) -> MotionMaps:
-    """Amplitude and phase of frequency `k` from `camera`, blended over Gaussians as their colours are."""
+    """Render amplitude and phase of frequency `k` from `camera`, blended over Gaussians as colours are."""
     phasors = motion.displacement[k]
     features = np.concatenate([phasors.real, phasors.imag], axis=1).astype(np.float32)
     blended, opacity = render_features(gaussians, features, camera)
@@ -95,36 +98,37 @@ def motion_maps(
 
 
 def uncertainty_map(gaussians: Gaussians, deviation: np.ndarray, camera: Camera) -> np.ndarray:
-    """[H, W] scene units: the peak of a sinusoid whose rms is the standard deviation [N], blended as colours are."""
+    """Render the peak of a sinusoid whose rms is the standard deviation [N]: [H, W] scene units, blended as colours."""
     blended, _ = render_features(gaussians, np.sqrt(2) * deviation[:, None].astype(np.float32), camera)
     return blended[..., 0]
 
 
 def image_motion(gaussians: Gaussians, phasors: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
-    """Weighted rms, in pixels, of the motion [N, 3] across the picture of `camera`, of what lies in view."""
-    points = gaussians.means.cpu().numpy() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    moved = phasors @ camera.viewmat[:3, :3].T
-    front = points[:, 2] > 1e-6
-    z = np.where(front, points[:, 2], 1.0)
-    du = camera.K[0, 0] * (moved[:, 0] - points[:, 0] / z * moved[:, 2]) / z
-    dv = camera.K[1, 1] * (moved[:, 1] - points[:, 1] / z * moved[:, 2]) / z
-    u = camera.K[0, 0] * points[:, 0] / z + camera.K[0, 2]
-    v = camera.K[1, 1] * points[:, 1] / z + camera.K[1, 2]
-    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    used = weights * inside
-    power = np.abs(du) ** 2 + np.abs(dv) ** 2
+    """Return the weighted rms, in pixels, of the motion [N, 3] across the picture of `camera`, of Gaussians in view."""
+    size = camera.width, camera.height
+    rows, inside = pixel_rows(gaussians.means.cpu().numpy(), camera.viewmat, camera.K, size)
+    used, power = weights * inside, (np.abs(np.einsum("nab,nb->na", rows, phasors)) ** 2).sum(1)
     return float(np.sqrt((used * power).sum() / max(used.sum(), 1e-12)))
 
 
 def middle_depth(means: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
-    """Weighted median depth, scene units, of points [N, 3] in view of `camera`; their weights are [N]."""
-    points = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    z = np.where(points[:, 2] > 1e-6, points[:, 2], np.inf)
-    u = camera.K[0, 0] * points[:, 0] / z + camera.K[0, 2]
-    v = camera.K[1, 1] * points[:, 1] / z + camera.K[1, 2]
-    inside = np.isfinite(z) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (weights > 0)
-    if not inside.any():
-        return 1.0
-    order = np.argsort(z[inside])
-    total = np.cumsum(weights[inside][order])
-    return float(z[inside][order][np.searchsorted(total, total[-1] / 2)])
+    """Return the weighted median depth, scene units, of points [N, 3] with weights [N] in view of `camera`."""
+    inside = pixel_rows(means, camera.viewmat, camera.K, (camera.width, camera.height))[1] & (weights > 0)
+    depth = means[inside] @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    return scale_top(depth, weights[inside], 0.5) if inside.any() else 1.0
+
+
+def pixel_rows(
+    means: np.ndarray, viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivative [N, 2, 3] of the pixel by the position of points [N, 3], and which are in the picture."""
+    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
+    front = z > 1e-6
+    z = np.where(front, z, 1.0)
+    u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+    inside = front & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
+    zero = np.zeros_like(z)
+    across = np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], -1)
+    down = np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], -1)
+    by_camera = np.stack([across, down], 1)
+    return np.where(inside[:, None, None], by_camera @ viewmat[:3, :3].astype(np.float64), 0.0), inside

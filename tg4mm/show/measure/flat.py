@@ -18,6 +18,7 @@ from tg4mm.capture.tracking.template import GAIN_ERROR
 from tg4mm.capture.video import LUMA
 from tg4mm.core.regions import inside as inside_of
 from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.show.maps import pixel_rows
 from tg4mm.show.measure.locate import (
     OF_ONE_CAMERA,
     check_pixel,
@@ -33,7 +34,6 @@ from tg4mm.show.measure.sensors import OF_PICTURE, MeasureError, Sensor
 from tg4mm.show.measure.series import Series, series_of
 from tg4mm.show.render.cameras import Camera
 from tg4mm.show.render.image import render_features
-from tg4mm.show.result.reading import pixel_rows
 
 _AT_ONCE = 32  # frames
 _SMALLEST_PX = 0.75  # radius: a smaller disc could lie between the centres of pixels

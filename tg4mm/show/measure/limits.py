@@ -13,11 +13,11 @@ from scipy.ndimage import shift
 from tg4mm.capture.pictures import over_white
 from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
+from tg4mm.show.maps import pixel_rows
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.residuals import MeasuredView
 from tg4mm.show.measure.scene import Prepared
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.result.reading import pixel_rows
 
 _FRAMES = 6  # of the largest motion
 _LOOKED_AT_PX = 0.3  # smaller motion is in the linear range of every camera picture

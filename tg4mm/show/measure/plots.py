@@ -11,6 +11,7 @@ from tg4mm.capture.pictures import over_white
 from tg4mm.core.pages.charts import COLOURS
 from tg4mm.core.pictures.decode import to_bytes
 from tg4mm.core.progress import progress
+from tg4mm.show.maps import evenly
 from tg4mm.show.measure.measurement import Measurement, Unit, unit_of
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.sensors import STILL, file_name
@@ -151,8 +152,7 @@ def parts_picture(found: Measurement) -> np.ndarray | None:
         return _coloured(first, masks, [part.name for part in parts])
     features = np.stack([np.clip(s.body.weights, 0, 1) for s in parts], 1).astype(np.float32)
     frames, (width, height) = scene.observations.frames, scene.observations.size
-    some = np.unique(np.linspace(0, len(frames) - 1, min(_CAMERAS, len(frames))).round().astype(int))
-    cameras = [Camera.of(frames[i], scene.observations.size) for i in some]
+    cameras = [Camera.of(frames[i], scene.observations.size) for i in evenly(len(frames), _CAMERAS)]
     maps = [render_features(scene.gaussians, features, camera)[0] for camera in cameras]
     best = int(np.argmax([np.sqrt((own > _VISIBLE).sum((0, 1))).sum() for own in maps]))
     camera, shares = cameras[best], maps[best]

@@ -1,9 +1,9 @@
-"""The files of a run that its `Result` is read from, and how far a magnified motion goes.
+"""The files of a run from which its `Result` is read, and the limits of magnification.
 
-A displacement is magnified exactly, whatever α is. What ends the use of it is noise, which grows along, and turning: a
-turn by θ is drawn as a displacement that grows with the distance from its axis, so a part that turns by θ gets
-√(1 + θ²) times as large (12 % at half a radian), and where neighbours move apart by their own distance, surfaces tear.
-Both are told by the same number, what the displacement changes by from one Gaussian to the next, per distance.
+A displacement is magnified exactly for any α. The limits are noise, which is magnified too, and rotation: a turn by θ
+is drawn as a displacement that grows with the distance from its axis, so that a part that turns by θ becomes √(1 + θ²)
+times as large (12 % at half a radian), and where neighbours move apart by their distance, surfaces tear. The change of
+the displacement from one Gaussian to the next, per distance, shows both.
 """
 
 from dataclasses import dataclass
@@ -26,15 +26,14 @@ from tg4mm.fit.motion.observations import frames_of
 from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages import look_of
-from tg4mm.show.maps import blending_weights
+from tg4mm.show.maps import blending_weights, evenly, pixel_rows
 from tg4mm.show.result.model import Length
 
-TURN = 0.5  # radians, or displacement per distance: from here on shapes stretch by 12 % and more
-NOISE_PX = 1.0  # noise of a pixel is seen as motion
+TURN = 0.5  # radians, or displacement per distance, beyond which shapes stretch by 12 % and more
+NOISE_PX = 1.0  # noise of a pixel looks like motion
 _NEIGHBOURS = 6
-_TOP = 0.99  # of what is seen
-_LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
-_HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
+_TOP = 0.99  # of the visible weight lies below a reported amplitude
+_FROZEN = 1e-6  # of the largest noise: less belongs to Gaussians that the fit keeps static
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,12 @@ class Reach:
     """How far a motion may be magnified."""
 
     pixels: float | None  # the largest motion; None without a camera
-    noise_px: float | None  # the noise's amplitude; None where it is not known
-    turn: float  # radians, and what the displacement changes by per distance: the larger
+    noise_px: float | None  # the noise's amplitude; None if unknown
+    turn: float  # the larger of rotation (radians) and displacement gradient
 
     @property
     def too_far(self) -> float:
-        """How many times as large as it should be at most; up to 1 it is within its limits."""
+        """The motion over its limit; at most 1 within it."""
         return max(self.turn / TURN, (self.noise_px or 0.0) / NOISE_PX)
 
 
@@ -59,11 +58,11 @@ def reach_of(
     gains: np.ndarray,
     is_decoded: bool = False,
 ) -> Reach:
-    """Return the reach of the modes as `gains` [K] multiplies them; 0: a mode that does not count. noise_px: at gain 1.
+    """Return the reach of the modes multiplied by `gains` [K]; 0 excludes a mode. noise_px: at gain 1.
 
-    `is_decoded`: magnified poses come from a network (`paper`), for which phasors do not stand. That turns single
-    Gaussians by radians where nothing in the scene turns, so that turning and shearing tell no limit: turn is 0.
-    Modes of different frequencies are added as powers: their peaks seldom meet.
+    `is_decoded`: magnified poses come from a network (`paper`), not from phasors. It turns single Gaussians by radians
+    where nothing in the scene turns, so that rotation and shear give no limit: turn is 0. Modes of different
+    frequencies are added as powers: their peaks rarely coincide.
     """
     means = gaussians.means.numpy()
     rows = np.flatnonzero(seen.weights > 0)
@@ -86,12 +85,12 @@ def reach_of(
 
 
 def _second_largest(values: np.ndarray) -> np.ndarray:
-    """[n] of values [n, k]: to neighbours across the gradient there is no difference, and the largest may be stray."""
+    """Return the second largest of values [n, k], [n]: the largest may be an outlier."""
     return np.asarray(np.sort(values, axis=1)[:, -min(2, values.shape[1])])
 
 
 def _neighbours(means: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [n, k] and indices [n, k] of the nearest; never nearer than a Gaussian is large."""
+    """Return distances [n, k] and indices [n, k] of the nearest points; distances are at least a Gaussian's size."""
     count = min(_NEIGHBOURS + 1, len(means))
     if count < 2:
         return np.ones((len(means), 1)), np.zeros((len(means), 1), int)
@@ -99,26 +98,26 @@ def _neighbours(means: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.maximum(distance[:, 1:], np.maximum(sizes, 1e-12)[:, None]), near[:, 1:]
 
 
-_CAMERAS = 4  # looked at, spread evenly over those that show motion
+_CAMERAS = 4  # spread evenly over those that show motion
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Blending weights, and for each camera the rows [N, 2, 3] that turn a displacement (scene units) into pixels."""
+    """Blending weights, and for each camera the rows [N, 2, 3] that convert a displacement (scene units) to pixels."""
 
     weights: np.ndarray  # [N]
     rows: tuple[np.ndarray, ...]  # 0 where a camera does not see the Gaussian; () without a dataset
-    inside: tuple[np.ndarray, ...]  # [N] bool of each camera
+    inside: tuple[np.ndarray, ...]  # [N] bool for each camera
 
     def pixels(self, phasors: np.ndarray) -> float | None:
-        """Amplitude in pixels of phasors [N, 3] complex: 99th percentile of what is seen; None without a camera."""
+        """Return the amplitude in pixels of phasors [N, 3]: 99th percentile of the visible; None without a camera."""
         if not self.rows:
             return None
         amplitudes = [peak_displacement(np.einsum("nab,nb->na", row, phasors)) for row in self.rows]
         return scale_top(np.concatenate(amplitudes), np.concatenate(self._weights()), _TOP)
 
     def rms_pixels(self, covariance: np.ndarray) -> float | None:
-        """Standard deviation across the pictures, rms over what is seen, of a displacement's covariance [N, 3, 3]."""
+        """Return the rms deviation in the pictures of a displacement's covariance [N, 3, 3], over the visible."""
         if not self.rows:
             return None
         variances = [np.einsum("nab,nbc,nac->n", row, covariance, row) for row in self.rows]
@@ -130,11 +129,11 @@ class Seen:
 
 
 def seen_by(gaussians: Gaussians, capture: Capture | None) -> Seen:
-    """By up to four of the cameras that show motion; without a capture all Gaussians count by their opacity."""
+    """Return the weights by up to four of the cameras that show motion; without a capture, the opacities."""
     if capture is None:
         return Seen(gaussians.opacities.numpy().astype(np.float64), (), ())
     _, frames = frames_of(capture)
-    some = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _CAMERAS).round().astype(int))]
+    some = [frames[i] for i in evenly(len(frames), _CAMERAS)]
     chosen = np.array([f.rows[0] for f in some])
     weights = blending_weights(gaussians, capture.selected(chosen))
     means = gaussians.means.numpy().astype(np.float64)
@@ -142,28 +141,8 @@ def seen_by(gaussians: Gaussians, capture: Capture | None) -> Seen:
     return Seen(weights, tuple(p[0] for p in projected), tuple(p[1] for p in projected))
 
 
-def pixel_rows(
-    means: np.ndarray, viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivative [N, 2, 3] of the pixel by the position of points [N, 3], and whether they lie in the picture [N]."""
-    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-    front = z > 1e-6
-    z = np.where(front, z, 1.0)
-    u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
-    inside = front & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
-    zero = np.zeros_like(z)
-    by_camera = np.stack(
-        [
-            np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], -1),
-            np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], -1),
-        ],
-        1,
-    )
-    return np.where(inside[:, None, None], by_camera @ viewmat[:3, :3].astype(np.float64), 0.0), inside
-
-
 def reading_of(run: Run) -> "Reading":
-    """The files of a run. Raises RunError for one that is not finished, or whose dataset has other times now."""
+    """Read the files of a run. Raises RunError if it is not finished, or its dataset has other times now."""
     motion = run.load_motion()
     capture = load_capture(run.dataset) if run.dataset.is_dir() else None
     if motion is None and capture is not None and capture.n_timesteps > 1:
@@ -178,14 +157,14 @@ def reading_of(run: Run) -> "Reading":
 
 @dataclass(frozen=True)
 class Reading:
-    """The files of a run that a result is read from."""
+    """The files of a run from which a result is read."""
 
     run: Run
     gaussians: Gaussians
     motion: ModalMotion | None
     log: dict[str, Any]  # of the motion stage
     capture: Capture | None  # None: the dataset is gone
-    uncertainty: dict[str, np.ndarray]  # {}: the run does not say it
+    uncertainty: dict[str, np.ndarray]  # {} if the run has none
 
     @property
     def duration_s(self) -> float:
@@ -200,27 +179,28 @@ class Reading:
 
     @cached_property
     def between(self) -> np.ndarray | None:
-        """[T] bool: frames that a codec predicts from both sides; None where that is not known."""
+        """[T] bool: B-frames; None if unknown."""
         if self.capture is None or self.motion is None:
             return None
         return between_frames(self.capture.root, self.motion.n_timesteps)
 
     @cached_property
     def look(self) -> Found | None:
-        """What the look at the one fixed camera's regions found."""
+        """The result of the look at the one fixed camera's regions."""
         return None if self.capture is None else look_of(self.run)
 
     def largest(
         self, phasors: np.ndarray, deviation: np.ndarray | None
     ) -> tuple[Length, tuple[float, float, float]]:
+        """Return the largest amplitude (99th percentile of the visible) and its position, scene units."""
         amplitude = peak_displacement(phasors)
-        top = scale_top(amplitude, self.seen.weights, _LARGEST)
+        top = scale_top(amplitude, self.seen.weights, _TOP)
         there = int(np.argmin(np.where(self.seen.weights > 0, np.abs(amplitude - top), np.inf)))
         x, y, z = (float(c) for c in self.gaussians.means[there])
         return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
 
     def pixel(self, place: tuple[float, float, float]) -> tuple[float, float] | None:
-        """Return, for a flat capture, where a place lies in its picture."""
+        """Return the pixel of a position in a flat capture."""
         if self.capture is None or self.capture.kind.sees_depth:
             return None
         viewmat, K = self.capture.viewmats[0].astype(np.float64), self.capture.Ks[0].astype(np.float64)
@@ -228,10 +208,7 @@ class Reading:
         return float(x / z), float(y / z)
 
     def pixels(self, phasors: np.ndarray, amplitude: Length) -> Length | None:
-        """Return the deviation in pixels: relative to the motion it is that in scene units.
-
-        What lies along the line of sight is left out.
-        """
+        """Return an amplitude in pixels; its relative deviation is that in scene units without the line of sight."""
         pixels = self.seen.pixels(phasors)
         if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
             return None if pixels is None else Length(pixels, is_bound=amplitude.is_bound)
@@ -243,25 +220,26 @@ class Reading:
         return Length(pixels, deviation, amplitude.is_bound)
 
     def is_bound(self, hz: float) -> bool:
-        """Whether more may move than the model holds, by what the fit says of itself."""
+        """Whether the fit states that its amplitude is a lower bound."""
         slow = np.array(self.log.get("lower_bound_hz", ()))
-        return bool(
-            self.log.get("picture_gain", 1.0) > LACKING or (np.abs(slow - hz) < 1 / self.duration_s).any()
-        )
+        is_near = bool((np.abs(slow - hz) < 1 / self.duration_s).any())
+        return is_near or self.log.get("picture_gain", 1.0) > LACKING
 
     def noise(self) -> tuple[float | None, float | None]:
+        """Return the noise's amplitude in scene units (median of the visible) and in pixels; None if unknown."""
         if "noise" not in self.uncertainty:
             return None, None
         noise = self.uncertainty["noise"].astype(np.float64)
-        moves = noise > _HELD_STILL * noise.max(initial=0.0)
+        moves = noise > _FROZEN * noise.max(initial=0.0)
         own = np.sqrt(2) * scale_top(noise, np.where(moves, self.seen.weights, 0), 0.5)
         pixels = self.seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
         return own, None if pixels is None else np.sqrt(2) * pixels
 
     def reach(self, gains: np.ndarray) -> Reach | None:
-        """How far the motion goes with its modes multiplied by `gains` [K]; None for a run without motion."""
+        """Return the reach with the modes multiplied by `gains` [K]; None for a run without motion."""
         if self.motion is None:
             return None
-        told = worth_keeping(self.motion, self.uncertainty.get("noise"))
-        noise_px, is_decoded = self.noise()[1], self.run.preset != "modal"
-        return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
+        gains = gains * worth_keeping(self.motion, self.uncertainty.get("noise"))
+        return reach_of(
+            self.gaussians, self.motion, self.seen, self.noise()[1], gains, self.run.preset != "modal"
+        )

@@ -1,4 +1,4 @@
-"""The contents of a run for display: Gaussians, motion, deviations, units, and cameras."""
+"""The contents of a run for display: Gaussians, motion, deviations, units, cameras, and the film's pictures."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.stages import look_of
-from tg4mm.show.maps import blending_weights, leading_modes, middle_depth
+from tg4mm.show.maps import blending_weights, evenly, leading_modes, middle_depth
 from tg4mm.show.render.cameras import Camera, capture_cameras, look_at
 from tg4mm.show.result import result_of
 from tg4mm.show.result.model import unit_of
@@ -30,7 +30,7 @@ _SAME_PLACE = 1e-3  # of the distance to what is looked at
 
 @dataclass(frozen=True)
 class Standpoint:
-    """A camera as the browser has it; world axes, scene units."""
+    """A browser's camera; world axes, scene units."""
 
     position: np.ndarray  # [3]
     target: np.ndarray  # [3] a point on the axis, which the mouse turns around
@@ -39,7 +39,7 @@ class Standpoint:
 
 
 def standpoint_of(camera: Camera, depth: float, aspect: float) -> Standpoint:
-    """Return the browser camera that sees all that `camera` sees, on a canvas of width / height `aspect`.
+    """Return the browser camera with the field of view of `camera`, on a canvas of width / height `aspect`.
 
     `depth` (scene units) along its axis is the point to turn around.
     """
@@ -52,10 +52,10 @@ def standpoint_of(camera: Camera, depth: float, aspect: float) -> Standpoint:
 def camera_of(
     position: np.ndarray, rotation: np.ndarray, fov: float, aspect: float, size: tuple[int, int]
 ) -> Camera:
-    """The camera of a canvas for a picture of `size` (width, height), pixels.
+    """Return the camera of a canvas for a picture of `size` (width, height), pixels.
 
-    position [3] and rotation [3, 3] (camera to world, OpenCV axes); `fov` radians from top to bottom; `aspect` the
-    canvas' width / height, which a size in whole pixels has only nearly.
+    position [3] and rotation [3, 3] (camera to world, OpenCV axes); `fov` radians from top to bottom; `aspect`: the
+    canvas' width / height, which the rounded size only approximates.
     """
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.T
@@ -68,7 +68,7 @@ def camera_of(
 
 
 def overview(means: np.ndarray, size: int = 768) -> Camera:
-    """A camera that sees the middle 90 % of points [N, 3] from the side, where there is none of a capture."""
+    """Return a camera that sees the middle 90 % of points [N, 3] from the side, for a scene without a capture."""
     low, high = np.quantile(means, 0.05, axis=0), np.quantile(means, 0.95, axis=0)
     centre = (low + high) / 2
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6)
@@ -79,10 +79,10 @@ def overview(means: np.ndarray, size: int = 768) -> Camera:
 
 
 class Filmed:
-    """Pictures of fixed cameras on the common clock; a clip's own clock says nothing about the others."""
+    """Pictures of fixed cameras on a common clock; those of clips are not used."""
 
     def __init__(self, capture: Capture, depth: float) -> None:
-        """depth: scene units, of what the cameras look at."""
+        """`depth`: distance of the scene, scene units."""
         self._capture, self._pictures = capture, FilePictures(capture)
         ids, timed = capture.camera_ids, np.isfinite(capture.times_s)
         several = [np.flatnonzero((ids == k) & timed) for k in np.unique(ids)]
@@ -92,10 +92,10 @@ class Filmed:
         self._near = _SAME_PLACE * depth
 
     def seen_by(self, camera: Camera, seconds: float) -> np.ndarray | None:
-        """[height, width, 3] uint8: the picture nearest to that moment, white beyond its edges.
+        """Return the picture [height, width, 3] uint8 nearest to that moment, white beyond its edges.
 
-        None where no camera stood at this place. A turned or zoomed camera sees it turned and zoomed, as a rotation in
-        place is a homography (Hartley & Zisserman, §8.4.2).
+        None if no camera stood there. For a turned or zoomed camera it is warped: a rotation in place is a homography
+        (Hartley & Zisserman, §8.4.2).
         """
         for rows in self._rows:
             viewmat, K = self._capture.viewmats[rows[0]], self._capture.Ks[rows[0]]
@@ -108,7 +108,7 @@ class Filmed:
 
 
 def _warped(picture: np.ndarray, homography: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
-    """[h, w, 3] of a picture [H, W, 3]; homography [3, 3]: from pixels (x, y, 1) of the result to its own."""
+    """Warp a picture [H, W, 3] to [h, w, 3]; homography [3, 3]: from pixels (x, y, 1) of the result to the picture."""
     if homography[2, 2] <= 0:  # turned away
         return None
     factors = (homography / homography[2, 2]).ravel()[:8].tolist()
@@ -118,24 +118,24 @@ def _warped(picture: np.ndarray, homography: np.ndarray, size: tuple[int, int]) 
     return np.array(seen)
 
 
-_LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes
+_LOOKED_FROM = 8  # cameras that give the Gaussians' weights
 
 
 @dataclass(frozen=True)
 class RunScene:
-    """A run as it is shown."""
+    """A run for display."""
 
     path: Path
     gaussians: Gaussians
     motion: ModalMotion | None
-    weights: np.ndarray  # [N] how much of the capture's pictures each Gaussian makes, any unit
+    weights: np.ndarray  # [N] blending weight of each Gaussian in the capture's pictures, any unit
     deviation: np.ndarray | None  # [N] standard deviation of the displacement, rms over time, scene units
-    cameras: tuple[Camera, ...]  # of the capture; one that sees the whole where there is none
-    unit: str  # what lengths are shown in
-    per_unit: float  # shown length per scene unit
-    notes: tuple[str, ...] = ()  # lines: what could not be had, and why
-    look: Found | None = None  # of a flat capture: what the look at its regions found
-    filmed: Filmed | None = None  # its own pictures
+    cameras: tuple[Camera, ...]  # of the capture, or an overview
+    unit: str  # of displayed lengths
+    per_unit: float  # displayed length per scene unit
+    notes: tuple[str, ...] = ()  # lines on missing data
+    look: Found | None = None  # result of the look at a flat capture's regions
+    filmed: Filmed | None = None  # the capture's pictures
 
     @property
     def duration(self) -> float:
@@ -146,23 +146,20 @@ class RunScene:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """[K] Hz, those that are magnified, ascending."""
+        """The magnified frequencies [K] in Hz, ascending."""
         if self.motion is None:
             return np.zeros(0)
         return np.sort(self.motion.freqs_hz[self.motion.is_magnified()])
 
     def strongest(self, magnified: Magnification = AS_CAPTURED) -> int | None:
-        """Index of the mode in the bands that moves most; None where there is none that is magnified."""
+        """Return the index of the in-band mode with most motion; None if no magnified mode is in the bands."""
         if self.motion is None or not len(self.motion.freqs_hz):
             return None
         leading = leading_modes(self.motion, self.weights, magnified, most=1)
         return next((k for k in leading if self.motion.is_magnified()[k]), None)
 
     def peaks(self) -> np.ndarray:
-        """[K] peak displacement of every magnified frequency, scene units, in the order of `frequencies`.
-
-        Of what the cameras see, the value that 0.5 % exceed.
-        """
+        """Return the peak displacement [K] of every magnified frequency, exceeded by 0.5 % of the visible, scene units."""
         if self.motion is None:
             return np.zeros(0)
         rows = np.flatnonzero(self.motion.is_magnified())
@@ -171,50 +168,47 @@ class RunScene:
         return np.array(found)
 
     def alpha_to_see(self) -> float:
-        """The run's own (`result.advice`); 0 where nothing can be magnified."""
+        """Return the run's suggested α (`result.advice`); 0 without a magnified mode."""
         return 0.0 if self.strongest() is None else result_of(Run.open(self.path)).alpha
 
 
 def open_scene(run: Run) -> RunScene:
-    """Read what a run shows. Raises RunError where its space stage is not finished, or a file is torn.
+    """Read a run for display. Raises RunError if its space stage is not finished, or a file is damaged.
 
     Without the dataset there are no cameras to jump to, and its scale is unknown; a note says so.
     """
-    gaussians, motion = run.load_space(), run.load_motion()
-    notes = []
+    gaussians, motion, deviation = run.load_space(), run.load_motion(), run.load_uncertainty()
+    means, notes = gaussians.means.numpy(), []
     if motion is None:
         notes.append("This run has no motion: the scene is shown at rest.")
     elif not motion.is_magnified().any():
         notes.append("No frequency was found in this run: there is nothing to magnify.")
-    capture = None
     try:
         capture = load_capture(run.dataset)
     except CaptureError as error:
-        notes.append(f"No cameras of the capture: {error}")
-    cameras = (overview(gaussians.means.numpy()),) if capture is None else capture_cameras(capture)
-    unit, per_unit = unit_of(capture)
-    weights = gaussians.opacities.numpy().astype(np.float64)
-    if capture is not None:
-        weights = blending_weights(gaussians, _few_cameras(capture))
+        weights = gaussians.opacities.numpy().astype(np.float64)
+        lines = (*notes, f"No cameras of the capture: {error}")
+        return RunScene(
+            run.path, gaussians, motion, weights, deviation, (overview(means),), *unit_of(None), lines
+        )
+    cameras, weights = capture_cameras(capture), blending_weights(gaussians, _few_cameras(capture))
+    look = None if capture.kind.sees_depth else look_of(run)
+    filmed = Filmed(capture, middle_depth(means, weights, cameras[0]))
     return RunScene(
         run.path,
         gaussians,
         motion,
         weights,
-        run.load_uncertainty(),
+        deviation,
         cameras,
-        unit,
-        per_unit,
+        *unit_of(capture),
         tuple(notes),
-        None if capture is None or capture.kind.sees_depth else look_of(run),
-        None
-        if capture is None
-        else Filmed(capture, middle_depth(gaussians.means.numpy(), weights, cameras[0])),
+        look,
+        filmed,
     )
 
 
 def _few_cameras(capture: Capture) -> Capture:
-    """One picture of each of some cameras, evenly picked."""
+    """Return one picture of each of some cameras, evenly picked."""
     _, first = np.unique(capture.camera_ids, return_index=True)
-    rows = first[np.unique(np.linspace(0, len(first) - 1, min(_LOOKED_FROM, len(first))).round().astype(int))]
-    return capture.selected(rows)
+    return capture.selected(first[evenly(len(first), _LOOKED_FROM)])
