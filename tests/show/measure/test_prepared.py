@@ -17,7 +17,9 @@ def test_a_moving_camera_shows_what_moves_before_it(tmp_path):
     scene = prepare(run)
     found = measure(scene, [parse_sensor(BALL_SPHERE), parse_sensor("all")])
     ball = found["ball"]
-    assert not found["all"].relation.phases  # all of the scene moves as the camera does: its motion is not observed
+    assert not found[
+        "all"
+    ].relation.phases  # all of the scene moves as the camera does: its motion is not observed
     assert ball.labels == ("x", "y", "z")
     assert ball.spectrum.peaks[0].frequency_hz == pytest.approx(9.0, abs=0.1)
     assert any("moving camera" in note for note in found.notes)

@@ -1,6 +1,5 @@
 """The page of a look: one HTML file that needs no network."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import numpy as np
 from tg4mm.capture.look import Look
 from tg4mm.core import __version__
 from tg4mm.core.files import write_atomic
-from tg4mm.core.pages.charts import chart
 from tg4mm.core.pages.page import (
     Block,
     Commands,
@@ -18,64 +16,46 @@ from tg4mm.core.pages.page import (
     Stat,
     Table,
     Text,
-    drawing,
     picture,
     render_page,
 )
 from tg4mm.show.look.words import HEADER, Words
 from tg4mm.show.plotting import pyplot, save
-from tg4mm.show.regions import composite, region_picture
+from tg4mm.show.regions import REGIONS_ALT, composite, composite_figure, region_picture
 
 _STYLE = ".left2 td:last-child { white-space: normal; }"
 
 
 def write_page(words: Words, path: Path) -> None:
-    """What was found, where, and what to do next."""
-    found = words.found
+    """Write the page: vibrations, where they are, and what to do next."""
+    found, summary = words.found, f"{words.verdict[0].upper()}{words.verdict[1:]}."
     seen = Figure(
-        [picture(regions_on_first(found), alt="what vibrates and what moves by itself", photo=True)],
+        [picture(regions_on_first(found), alt=REGIONS_ALT, photo=True)],
         "The first picture. Coloured: cells that show a vibration, and its direction; the first colour is the "
-        "strongest. Striped: what moves by itself and is masked. White frames: that, and where something passes.",
+        "strongest. Striped: independent motion, which is masked. White frames: that, and passing objects.",
     )
-    spectrum = Figure(
-        [
-            drawing(
-                chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0), True)
-            )
-        ],
-        "Composite spectrum: power over noise, mean over all cells; 1 where nothing vibrates. Dashed: what noise alone "
-        "exceeds anywhere in one recording of a hundred. Dotted: lines of the light.",
-        width="narrow",
-    )
-    lines: list[Block] = [Text(words.verdict[0].upper() + words.verdict[1:] + ".")]
+    lines: list[Block] = [Text(summary)]
     if rows := words.rows():
         caption = (
             "Amplitudes are zero to peak, the largest of the record, in pixels along the direction; ± is one standard "
-            "deviation. A remark says why a line may be none of its own, or larger than said."
+            "deviation. A remark says why a line may be an artefact, or larger than stated."
         )
         lines = [Table(HEADER, rows, caption, left=len(HEADER))]
     drawn: list[Section] = []
     if own := words.region_rows():
         header = tuple(words.region_header())
-        drawn = [
-            Section(
-                "Regions", [Table(header, own, "Lines of the mean shift of each region.", left=len(header))]
-            )
-        ]
-    besides = Table(
-        ("", ""),
-        [[what, text] for what, text in words.besides()],
-        "Other findings, and what could not be determined.",
-        left=2,
-    )
+        table = Table(header, own, "Lines of the mean shift of each region.", left=len(header))
+        drawn = [Section("Regions", [table])]
+    others = [[what, text] for what, text in words.besides()]
+    besides = Table(("", ""), others, "Other findings, and what could not be determined.", left=2)
     page = Page(
         title=words.source.name,
         kicker="tg4mm look",
-        summary=f"{words.verdict[0].upper()}{words.verdict[1:]}.",
+        summary=summary,
         stats=_stats(words),
         lead=[seen],
         sections=[
-            Section("Vibrations", [*lines, spectrum]),
+            Section("Vibrations", [*lines, composite_figure(found)]),
             *drawn,
             Section("Beside them", [besides]),
             Section("Go on", [Commands([(what, command) for command, what in words.commands()])]),
@@ -88,16 +68,11 @@ def write_page(words: Words, path: Path) -> None:
 def _stats(words: Words) -> list[Stat]:
     found = words.found
     out = []
-    if found.vibrations:
-        first = found.vibrations[0]
+    for first in found.vibrations[:1]:
+        size = f"{'> ' if first.lost else ''}{first.amplitude_px:.3g}"
         out = [
             Stat("strongest", f"{first.hz:.4g}", "Hz", f"± {first.hz_deviation:.2g}"),
-            Stat(
-                "its amplitude",
-                f"{'> ' if first.lost else ''}{first.amplitude_px:.3g}",
-                "px",
-                f"± {first.amplitude_deviation_px:.2g}",
-            ),
+            Stat("its amplitude", size, "px", f"± {first.amplitude_deviation_px:.2g}"),
         ]
     out.append(Stat("record", f"{found.duration_s:.3g}", "s", f"at {found.rate:.4g} Hz"))
     if found.smallest:
@@ -125,11 +100,11 @@ def write_picture(words: Words, path: Path) -> None:
 
 
 def regions_on_first(found: Look) -> np.ndarray:
-    """[H, W, 3] uint8."""
+    """Return the first picture [H, W, 3] uint8 with the regions on it."""
     return region_picture(found, np.repeat(found.first[..., None], 3, 2))
 
 
 def _ratios(found: Look) -> tuple[float, float]:
-    """Widths of both parts, so that the picture fills its own."""
+    """Return the widths of both parts, so that the picture fills its part."""
     share = min(max(found.size[0] / found.size[1] * _HEIGHT * 0.8 / _WIDTH, 0.25), 0.6)
     return share, 1 - share

@@ -1,4 +1,4 @@
-"""The report's last sections: how true the result is, settings, cost, and the commands to repeat it."""
+"""The report's last sections: accuracy, settings, cost, and the commands to repeat it."""
 
 import shlex
 import shutil
@@ -22,8 +22,11 @@ from tg4mm.show.report.summary import Material, both_lengths, clock
 from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import difference_maps
 
-_METHODS = (("nothing moves", "still"), ("ours", "ours"), ("ceiling", "ceiling"))  # name, CSS class
-_COLOURS = {"still": STILL, "ours": OURS, "ceiling": CEILING}
+_METHODS = (
+    ("nothing moves", "still", STILL),
+    ("ours", "ours", OURS),
+    ("ceiling", "ceiling", CEILING),
+)  # CSS class
 _SCORES = (
     ("psnr_db", "PSNR (dB) ↑", ".2f"),
     ("ssim", "SSIM ↑", ".4f"),
@@ -34,7 +37,7 @@ _SHOWN = {"seconds", "peak_memory_mib"}
 
 
 def accuracy_section(m: Material) -> list[Section]:
-    """Scores beside their two anchors, difference maps, displacement error; [] without ground truth."""
+    """Return scores beside their two references, difference maps, displacement error; [] without ground truth."""
     if not m.metrics:
         return []
     blocks: list[Block] = []
@@ -59,41 +62,31 @@ def _reminder(scored: list[dict[str, Any]]) -> Block:
     ceiling = last["rows"].get("ceiling", {}).get("ssim")
     if still is None:
         return Text("The images are too small for SSIM's window of 11 × 11 pixels.", "note")
-    words = f"A model in which nothing moves scores SSIM {still:.4f} at α = {alpha:g}"
+    first = f"A model in which nothing moves scores SSIM {still:.4f} at α = {alpha:g}"
     if ceiling is None:
-        return Text(f"{words}. A score says something about motion only beside that one.", "note")
-    words += f", and the same model moved exactly right {ceiling:.4f}"
+        return Text(f"{first}. A score says something about motion only beside that one.", "note")
     return Text(
-        f"{words}. A score says something about motion only beside those two; above the second lies what "
-        "shows changes of light that it lacks.",
+        f"{first}, and the same model moved exactly right {ceiling:.4f}. A score says something about motion only "
+        "beside those two; above the second lies what shows changes of light that it lacks.",
         "note",
     )
 
 
 def _score_curves(scored: list[dict[str, Any]]) -> Block:
     def draw(axes: Any) -> None:
-        for name, style in _METHODS:
-            values = [entry["rows"].get(name, {}).get("ssim") for entry in scored]
-            if any(value is not None for value in values):
-                axes.plot(
-                    places,
-                    [np.nan if v is None else v for v in values],
-                    "o-",
-                    color=_COLOURS[style],
-                    label=name,
-                )
-        axes.set_xticks(places, [f"{entry['alpha']:g}" for entry in scored])
+        for name, _, colour in _METHODS:
+            values = np.array([entry["rows"].get(name, {}).get("ssim") for entry in scored], float)
+            if np.isfinite(values).any():
+                axes.plot(values, "o-", color=colour, label=name)
+        axes.set_xticks(range(len(scored)), [f"{entry['alpha']:g}" for entry in scored])
         axes.set(xlabel="magnification factor α", ylabel="SSIM")
         axes.legend(ncols=len(_METHODS))
 
-    places = range(len(scored))
     curves = chart(draw, "SSIM over magnification factor α")
     caption = (
-        "SSIM of magnified test views against ground truth (1 is identical; 11 × 11 Gaussian window, σ = "
-        "1.5; "
-        "mean over all test cameras and timesteps). “Ceiling” applies the exact motion to the same "
-        "Gaussians: "
-        "what is lost there is the static model's, and the changes of light that it does not show."
+        "SSIM of magnified test views against ground truth (1 is identical; 11 × 11 Gaussian window, σ = 1.5; mean "
+        "over all test cameras and timesteps). “Ceiling” applies the exact motion to the same Gaussians: its loss is "
+        "that of the static model and of changes of light, which it does not show."
     )
     return Figure([drawing(curves)], caption, width="narrow")
 
@@ -102,12 +95,10 @@ def _score_table(metrics: dict[str, Any], scored: list[dict[str, Any]]) -> Block
     columns = [c for c in _SCORES if c[0] in metrics["metrics"]]
     rows, styles = [], []
     for entry in scored:
-        present = [(name, style) for name, style in _METHODS if name in entry["rows"]]
+        present = [(name, style) for name, style, _ in _METHODS if name in entry["rows"]]
         for i, (name, style) in enumerate(present):
-            values = [entry["rows"][name].get(key) for key, _, _ in columns]
-            cells = [
-                "–" if v is None else f"{v:{form}}" for v, (_, _, form) in zip(values, columns, strict=True)
-            ]
+            values = [(entry["rows"][name].get(key), form) for key, _, form in columns]
+            cells = ["–" if v is None else f"{v:{form}}" for v, form in values]
             rows.append([f"{entry['alpha']:g}" if i == 0 else "", name, *cells])
             styles.append(style + (" last" if i == len(present) - 1 else ""))
     caption = f"Scores against ground truth, mean over {_counts(scored)} images each. "
@@ -118,7 +109,7 @@ def _score_table(metrics: dict[str, Any], scored: list[dict[str, Any]]) -> Block
 
 
 def _counts(scored: list[dict[str, Any]]) -> str:
-    """How many images each α is scored by, one number where it is the same for all."""
+    """Return the number of images for each α, as one number if it is the same for all."""
     counts = {entry["alpha"]: entry["n_images"] for entry in scored}
     if len({*counts.values()}) == 1:
         return str(scored[0]["n_images"])
@@ -126,29 +117,24 @@ def _counts(scored: list[dict[str, Any]]) -> str:
 
 
 def _differences(m: Material) -> Block:
-    count = min(6, len(m.view.ours) - 1)
-    ours, top = difference_maps(m.view.ours / np.float32(255), count)
     assert m.view.truth is not None
-    truth, true_top = difference_maps(m.view.truth / np.float32(255), count)
-    top = max(top, true_top)
-    named = [("Ours", ours), ("Truth", truth)]
+    count = min(6, len(m.view.ours) - 1)
+    found = {
+        name: difference_maps(video / np.float32(255), count)
+        for name, video in (("Ours", m.view.ours), ("Truth", m.view.truth))
+    }
+    top = max(largest for _, largest in found.values())
     panels = [
         picture(
-            map_picture(one, top),
-            f"{name}, {t} → {t + 1}",
-            f"difference map: {name}, {t} to {t + 1}",
-            photo=True,
+            map_picture(one, top), f"{name}, {t} → {t + 1}", f"difference map: {name}, {t} to {t + 1}", True
         )
-        for name, maps in named
+        for name, (maps, _) in found.items()
         for t, one in enumerate(maps)
     ]
     caption = (
-        f"Difference maps |I(t + 1) − I(t)| of consecutive frames at α = {m.view.alpha:g} (TG4MM, Eq. 17; "
-        "mean of "
-        "the colour channels), all on one scale. Bright is where the picture changes. "
-    )
-    caption += (
-        "The rows should agree; light in the first that is not in the second is motion that is not there."
+        f"Difference maps |I(t + 1) − I(t)| of consecutive frames at α = {m.view.alpha:g} (TG4MM, Eq. 17; mean of the "
+        "colour channels), all on one scale. Bright is where the picture changes. The rows should agree; light in the "
+        "first that is not in the second is motion that is not there."
     )
     legend = svg.colour_bar(top, "of full scale", "change of intensity")
     return Figure(panels, caption, columns=count, legend=legend)
@@ -163,9 +149,8 @@ def _displacement(m: Material) -> list[Block]:
     header += ["direction off by", "phase off by"]
     rows = [_frequency_row(row, factor) for row in figures["per_frequency"]]
     caption = (
-        "Displacement against the exact motion, per true frequency: rms amplitude over Gaussians, "
-        "weighted by "
-        "what the training views see."
+        "Displacement against the exact motion, per true frequency: rms amplitude over Gaussians, weighted by their "
+        "visibility in the training views."
     )
     return [Text(_displacement_words(figures, m.train.unit_scale_m)), Table(header, rows, caption)]
 
@@ -175,8 +160,7 @@ def _displacement_words(figures: dict[str, Any], unit_scale_m: float | None) -> 
     words = []
     if error is not None:
         words.append(
-            f"The displacement error is {100 * error:.1f} % of the true motion (rms over timesteps and "
-            "Gaussians)."
+            f"The displacement error is {100 * error:.1f} % of the true motion (rms over timesteps, Gaussians)."
         )
     wrong, true = (both_lengths(figures[key], unit_scale_m) for key in ("rms_error", "rms_true"))
     words.append(f"The rms error is {wrong}, the rms of the true motion {true}.")
@@ -211,33 +195,21 @@ def _degrees(value: float | None) -> str:
 
 
 def cost_section(m: Material, files: Mapping[str, Path]) -> Section:
-    """Seconds and memory per stage, sizes on disk."""
-    log = m.run.log()
-    blocks: list[Table | Text] = [Text(f"The model has {len(m.model.gaussians):,} Gaussians{_modes(m)}.")]
-    if log:
-        rows = [_stage(name, figures) for name, figures in log.items()]
-        blocks.append(
-            Table(
-                ["stage", "time", "peak memory", "figures"],
-                rows,
-                "Cost of each stage, from the run's log.",
-                left=9,
-            )
-        )
+    """Return time and memory of each stage, and sizes on disk."""
+    modes = ""
+    if m.model.motion is not None:
+        n = len(m.model.motion.freqs_hz)
+        modes = f", each with {n} complex mode{'s' if n != 1 else ''} of displacement and rotation"
+    blocks: list[Table | Text] = [Text(f"The model has {len(m.model.gaussians):,} Gaussians{modes}.")]
+    if rows := [_stage(name, figures) for name, figures in m.run.log().items()]:
+        header = ["stage", "time", "peak memory", "figures"]
+        blocks.append(Table(header, rows, "Cost of each stage, from the run's log.", left=9))
     else:
         blocks.append(Text("The run's log holds no times."))
-    sizes = [
-        [label, size_text(size_on_disk(path)), str(path)] for label, path in files.items() if path.exists()
-    ]
+    there = {label: path for label, path in files.items() if path.exists()}
+    sizes = [[label, size_text(size_on_disk(path)), str(path)] for label, path in there.items()]
     blocks.append(Table(["what", "size", "where"], sizes, "Sizes on disk.", left=9))
     return Section("What it cost", blocks)
-
-
-def _modes(m: Material) -> str:
-    if m.model.motion is None:
-        return ""
-    n = len(m.model.motion.freqs_hz)
-    return f", each with {n} complex mode{'s' if n != 1 else ''} of displacement and rotation"
 
 
 def _stage(name: str, figures: Any) -> list[str]:
@@ -267,7 +239,7 @@ def _figure(key: str, value: float) -> str:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all files of a folder; one with several names (hard links) counts once."""
+    """Return the bytes of a file, or of a folder's files; one with several names (hard links) counts once."""
     if path.is_file():
         return path.stat().st_size
     stats = [p.stat() for p in path.rglob("*") if p.is_file()]
@@ -275,7 +247,7 @@ def size_on_disk(path: Path) -> int:
 
 
 def program() -> str:
-    """How a shell calls this program: by name where it is on PATH, else by the path beside this Python."""
+    """Return how a shell calls this program: by name if it is on PATH, else by the path beside this Python."""
     if shutil.which("tg4mm"):
         return "tg4mm"
     beside = shutil.which("tg4mm", path=str(Path(sys.executable).parent))
@@ -283,7 +255,7 @@ def program() -> str:
 
 
 def commands_section(m: Material, sensors: Sequence[Sensor], asked_alpha: float | None) -> Section:
-    """Commands that make all of this again, and what to do next, with this run's own paths and numbers."""
+    """Return commands that repeat this report, and next steps, with this run's paths and numbers."""
     run, alpha = str(m.run.path), f"{m.view.alpha:g}"
     band = [] if m.band is None else ["--band", *(f"{f:g}" for f in m.band)]
     named = [part for s in sensors for part in ("--sensor", str(s))]
@@ -299,10 +271,9 @@ def commands_section(m: Material, sensors: Sequence[Sensor], asked_alpha: float 
         lines += _renderings(m, band)
     splat = "One splat file with the motion in it, for Blender and any splat viewer"
     lines.append((splat, ["export", run, "--format", "ply", "--out", f"{run}.ply"]))
-    texts = [(what, f"{program()} {shlex.join(words)}") for what, words in lines]
-    texts.insert(
-        0, ("Next, as the run itself advises", f"{program()} {m.result.next_command.removeprefix('tg4mm ')}")
-    )
+    following = f"{program()} {m.result.next_command.removeprefix('tg4mm ')}"
+    texts = [("Next, as the run itself advises", following)]
+    texts += [(what, f"{program()} {shlex.join(words)}") for what, words in lines]
     blender = Text(
         "In Blender, install the tg4mm extension and import the splat file with it: its panel in the sidebar has a "
         "slider for α, and the timeline plays the motion."
@@ -315,11 +286,8 @@ def _renderings(m: Material, band: Sequence[str]) -> list[tuple[str, list[str]]]
     words = ["render", run, "--alpha", alpha, *band]
     turn = [*words, "--orbit", "240", "--slow", "2", "--out", f"{run}_orbit"]
     lines = [("A camera that moves around the scene, at half speed", turn)]
-    if m.view.split == "test":
-        lines.insert(
-            0, ("Pictures and videos of this magnification", [*words, "--out", f"{run}_x{alpha}_test"])
-        )
-    return lines
+    test = [*words, "--out", f"{run}_x{alpha}_test"]
+    return [("Pictures and videos of this magnification", test), *lines] if m.view.split == "test" else lines
 
 
 def _train(m: Material) -> list[str]:
@@ -335,7 +303,7 @@ def _train(m: Material) -> list[str]:
 
 
 def settings_section(m: Material) -> Section:
-    """What the run was trained with and what this page magnifies."""
+    """Return the settings of the run and of this page."""
     band = "every frequency" if m.band is None else f"{m.band[0]:g} to {m.band[1]:g} Hz"
     versions = ", ".join(f"{name} {value}" for name, value in m.run.config.get("versions", {}).items())
     rows = [
@@ -346,19 +314,15 @@ def settings_section(m: Material) -> Section:
         ["dataset", str(m.run.dataset)],
         ["trained with", versions or "–"],
     ]
-    return Section(
-        "Settings", [Table(["setting", "value"], rows, "Settings of the run and of this page.", left=9)]
-    )
+    table = Table(["setting", "value"], rows, "Settings of the run and of this page.", left=9)
+    return Section("Settings", [table])
 
 
 def _flat(settings: Mapping[str, Any]) -> list[tuple[str, Any]]:
     out = []
     for stage, values in settings.items():
-        out += (
-            [(f"{stage}.{k}", v) for k, v in values.items()]
-            if isinstance(values, Mapping)
-            else [(stage, values)]
-        )
+        is_many = isinstance(values, Mapping)
+        out += [(f"{stage}.{k}", v) for k, v in values.items()] if is_many else [(stage, values)]
     return out
 
 

@@ -23,7 +23,7 @@ MARK = (217, 72, 15)
 
 @dataclass(frozen=True)
 class Line:
-    """The pixels of a row or column whose motion a space-time slice shows."""
+    """The pixels of a row or column in a space-time slice."""
 
     axis: Axis
     index: int  # which row or column, pixels
@@ -35,7 +35,7 @@ class Line:
 
 
 def contact_sheet(images: list[np.ndarray], columns: int, gap: int = 4, edge: int = 160) -> np.ndarray:
-    """uint8 pictures [H, W, 3] as a grid, each at most `edge` pixels, gaps transparent: [h, w, 4] uint8."""
+    """Arrange uint8 pictures [H, W, 3] in a grid, each at most `edge` pixels, gaps transparent: [h, w, 4] uint8."""
     if not images:
         raise ValueError("a contact sheet needs at least one picture")
     height, width = images[0].shape[:2]
@@ -51,9 +51,9 @@ def contact_sheet(images: list[np.ndarray], columns: int, gap: int = 4, edge: in
 
 
 def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float = 0.12) -> Line:
-    """The line of a video [T, H, W, 3] in 0..1 with most change, cut to where it changes plus a margin.
+    """Return the line of a video [T, H, W, 3] in 0..1 with most change, cut to the changing part plus a margin.
 
-    axis: that things move along; None: of rows and columns, what changes most.
+    axis: "row" or "column"; None: the one that changes most.
     """
     axis, index = most_moving_line(video, axis)
     line = video[:, index] if axis == "row" else video[:, :, index]
@@ -65,7 +65,7 @@ def line_that_moves(video: np.ndarray, axis: Axis | None = None, margin: float =
 
 
 def slice_picture(video: np.ndarray, line: Line, periods: int = 1) -> np.ndarray:
-    """The slice of a uint8 video, `periods` times over; time runs right for a column, down for a row."""
+    """Return the slice of a uint8 video, `periods` times over; time runs right for a column, down for a row."""
     picture = space_time_slice(video, line.axis, line.index)
     if line.axis == "row":
         return np.tile(picture[:, line.start : line.stop], (periods, 1, 1))
@@ -73,7 +73,7 @@ def slice_picture(video: np.ndarray, line: Line, periods: int = 1) -> np.ndarray
 
 
 def marked(image: np.ndarray, line: Line, edge: int = 512) -> np.ndarray:
-    """The uint8 picture enlarged to about `edge` pixels with the line drawn on it."""
+    """Enlarge a uint8 picture to about `edge` pixels and draw the line on it."""
     height, width = image.shape[:2]
     scale = max(1, round(edge / max(height, width)))
     big = Image.fromarray(image).resize((width * scale, height * scale), Image.Resampling.BICUBIC)
@@ -81,33 +81,29 @@ def marked(image: np.ndarray, line: Line, edge: int = 512) -> np.ndarray:
     across, start, stop = (line.index + 0.5) * scale, line.start * scale * 1.0, line.stop * scale - 1.0
     thick = max(2, round(0.006 * max(big.size)))
     tick = 3 * thick
-    if line.axis == "row":
-        segments = [((start, across), (stop, across))]
-        segments += [((end, across - tick), (end, across + tick)) for end in (start, stop)]
-    else:
-        segments = [((across, start), (across, stop))]
-        segments += [((across - tick, end), (across + tick, end)) for end in (start, stop)]
+    segments = [((start, across), (stop, across))]
+    segments += [((end, across - tick), (end, across + tick)) for end in (start, stop)]
     for segment in segments:
-        draw.line(segment, fill=MARK, width=thick)
+        draw.line([end if line.axis == "row" else end[::-1] for end in segment], fill=MARK, width=thick)
     return np.asarray(big)
 
 
 def map_picture(values: np.ndarray, top: float, opacity: np.ndarray | None = None) -> np.ndarray:
-    """Amounts [H, W] from 0 to `top` as colours: [H, W, 4] uint8, transparent where `opacity` is 0."""
+    """Return amounts [H, W] from 0 to `top` as colours: [H, W, 4] uint8, transparent where `opacity` is 0."""
     colours = amount_colours(values / top if top > 0 else np.zeros_like(values))
     alpha = np.ones(values.shape) if opacity is None else np.clip(opacity, 0, 1)
     return to_bytes(np.concatenate([colours, alpha[..., None]], -1))
 
 
 def phase_picture(phase: np.ndarray, strength: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-    """Phases [H, W] in radians as hues, fading to grey where `strength` (0..1) is small: [H, W, 4] uint8."""
+    """Return phases [H, W] in radians as hues, fading to grey where `strength` (0..1) is small: [H, W, 4] uint8."""
     weight = phase_share(strength)[..., None]
     colours = weight * phase_colours(phase) + (1 - weight) * STILL
     return to_bytes(np.concatenate([colours, np.clip(opacity, 0, 1)[..., None]], -1))
 
 
 def videos(m: Material) -> list[Block]:
-    """One figure; of a capture of one timestep, stills."""
+    """Return one figure of videos in step; stills for a capture of one timestep."""
     if m.model.motion is None:
         return _stills(m)
     rate, still, magnified = playing_rate(m.train.fps), m.view.widest_time, f"α = {m.view.alpha:g}"
@@ -121,11 +117,9 @@ def videos(m: Material) -> list[Block]:
     ]
     if m.view.why_no_truth:
         panels.append(missing(m.view.why_no_truth, f"Ground truth, {magnified}"))
-    blocks: list[Block] = [
-        Figure(panels, _caption(m, rate), controls=True, seconds=round(len(m.view.ours) / rate, 4))
-    ]
-    blocks += [Text(f"{line}.", "note") for line in [m.warning] if line]
-    return blocks
+    seconds = round(len(m.view.ours) / rate, 4)
+    blocks: list[Block] = [Figure(panels, _caption(m, rate), controls=True, seconds=seconds)]
+    return [*blocks, Text(f"{m.warning}.", "note")] if m.warning else blocks
 
 
 def _caption(m: Material, rate: float) -> Markup:
@@ -165,26 +159,20 @@ def _stills(m: Material) -> list[Block]:
 
 
 _MOST = 2_500_000  # bytes of one clip
-
-
 _LARGEST, _SMALLEST = 720, 240  # pixels of the longer side
-
-
-_SCREEN = 60.0  # pictures a second that a screen shows
-
-
+_SCREEN = 60.0  # pictures a second of a screen
 _SLOWED = 30.0
 
 
 def playing_rate(fps: float) -> float:
-    """Pictures a second that a record is shown at: its own, slower where a screen could not follow."""
+    """Return the pictures a second at which a record is shown: the recorded rate, or less if too fast for a screen."""
     return fps if fps <= _SCREEN else _SLOWED
 
 
 def clip(frames: np.ndarray, fps: float, seconds: float = 4.0, edge: int = 384) -> bytes:
-    """An mp4 of uint8 frames [T, H, W, 3], repeated to last `seconds`; small ones are enlarged, large ones reduced.
+    """Encode uint8 frames [T, H, W, 3] as mp4, repeated to last `seconds`; small ones are enlarged.
 
-    At most 720 pixels a side, and less where the file would be larger than 2.5 MB.
+    At most 720 pixels a side, and less if the file would exceed 2.5 MB.
     """
     scale = max(1, math.floor(edge / max(frames.shape[1:3]) + 0.5))
     largest = float(_LARGEST)

@@ -14,7 +14,7 @@ from tg4mm.core.pages.page import Block, Figure, Section, Text, drawing, film, p
 from tg4mm.core.pages.svg import number
 from tg4mm.core.phasors import main_direction, scale_top
 from tg4mm.core.pictures.decode import read_png
-from tg4mm.show.maps import leading_modes, motion_maps, uncertainty_map
+from tg4mm.show.maps import evenly, leading_modes, motion_maps, uncertainty_map
 from tg4mm.show.report.figures import (
     Line,
     contact_sheet,
@@ -32,16 +32,14 @@ from tg4mm.show.slices import Axis
 
 
 def capture_section(m: Material) -> Section:
-    """Contact sheet and the figures of the recording."""
+    """Return the contact sheet, the recording's figures and the camera map."""
     t = m.train
     images = contact_images(t)
     views = len(set(t.camera_ids.tolist()))
     many = f"{len(images)} of the {views}" if len(images) < views else f"the {views}"
-    scale = (
-        "unknown, so lengths are in scene units"
-        if t.unit_scale_m is None
-        else f"1 scene unit = {number(t.unit_scale_m)} m"
-    )
+    scale = "unknown, so lengths are in scene units"
+    if t.unit_scale_m is not None:
+        scale = f"1 scene unit = {number(t.unit_scale_m)} m"
     steps = "one timestep"
     if t.n_timesteps > 1:
         rate = f"{number(t.fps)} Hz, {number(t.n_timesteps / t.fps)} s" if t.fps > 0 else "frame rate unknown"
@@ -56,12 +54,12 @@ def capture_section(m: Material) -> Section:
 
 
 def _columns(n: int) -> int:
-    """Between 5 and 10 columns, the number that leaves the fewest gaps in the last row, larger ones first."""
+    """Return the number of columns, 5 to 10, with the fewest gaps in the last row; of several the largest."""
     return min(range(10, 4, -1), key=lambda c: -n % c) if n > 6 else max(n, 1)
 
 
 def motion_section(m: Material) -> Section:
-    """Slices, maps and spectrum; of a capture without motion one sentence."""
+    """Return slices, maps and spectrum; one sentence for a capture without motion."""
     if m.model.motion is None:
         return Section("The motion", [Text(m.why_still)])
     blocks: list[Block] = [slices(m), *vibrations_table(m), _maps(m), model_spectrum(m)]
@@ -71,33 +69,35 @@ def motion_section(m: Material) -> Section:
 
 
 def _leading(m: Material) -> list[int]:
-    """Modes that are worth a map: the strongest vibrations that are magnified, two at most; else the strongest mode."""
+    """Return the modes to map: the strongest magnified vibrations, two at most, else the strongest modes."""
     assert m.model.motion is not None
     freqs = m.model.motion.freqs_hz
     inside = m.view.magnified.inside(freqs)
     found = [int(np.argmin(np.abs(freqs - v.hz))) for v in m.result.vibrations]
-    return [k for k in found if inside[k]][:2] or leading_modes(
-        m.model.motion, m.model.weights, m.view.magnified
-    )
+    magnified = [k for k in found if inside[k]][:2]
+    return magnified or leading_modes(m.model.motion, m.model.weights, m.view.magnified)
 
 
 def _maps(m: Material) -> Block:
-    assert m.model.motion is not None
+    motion = m.model.motion
+    assert motion is not None
     seen = []
     for k in _leading(m):
-        direction = main_direction(m.model.motion.displacement[k], m.model.weights)
-        seen.append(
-            (k, direction, motion_maps(m.model.gaussians, m.model.motion, k, direction, m.view.camera))
-        )
+        direction = main_direction(motion.displacement[k], m.model.weights)
+        seen.append((k, direction, motion_maps(m.model.gaussians, motion, k, direction, m.view.camera)))
     top = max(scale_top(maps.amplitude, maps.opacity) for _, _, maps in seen)
     panels, axes = [], []
     for k, direction, maps in seen:
-        name = f"{number(float(m.model.motion.freqs_hz[k]))} Hz"
+        name = f"{number(float(motion.freqs_hz[k]))} Hz"
         strength = maps.amplitude / top if top > 0 else np.zeros_like(maps.amplitude)
-        seen_as = map_picture(maps.amplitude, top, maps.opacity)
-        panels.append(picture(seen_as, f"Amplitude at {name}", f"map of the amplitude at {name}", photo=True))
-        seen_as = phase_picture(maps.phase, strength, maps.opacity)
-        panels.append(picture(seen_as, f"Phase at {name}", f"map of the phase at {name}", photo=True))
+        shown = (
+            map_picture(maps.amplitude, top, maps.opacity),
+            phase_picture(maps.phase, strength, maps.opacity),
+        )
+        for what, one in zip(("amplitude", "phase"), shown, strict=True):
+            panels.append(
+                picture(one, f"{what.title()} at {name}", f"map of the {what} at {name}", photo=True)
+            )
         axes.append(f"({vector(direction)}) at {name}")
     caption = (
         "The motion of the surface under each pixel, in 3D, read from the model and not from the picture: "
@@ -107,17 +107,15 @@ def _maps(m: Material) -> Block:
     )
     if m.model.uncertainty is not None:
         unsure = uncertainty_map(m.model.gaussians, m.model.uncertainty, m.view.camera)
-        seen_as = map_picture(unsure, top, seen[0][2].opacity)
-        panels.append(picture(seen_as, "Uncertainty", "map of the uncertainty", photo=True))
+        one = map_picture(unsure, top, seen[0][2].opacity)
+        panels.append(picture(one, "Uncertainty", "map of the uncertainty", photo=True))
         caption += (
-            " Uncertainty is one standard deviation of the displacement, as the run says it, as the peak of a "
-            "sinusoid and on the scale of the amplitude: where it is as bright, the motion is not to be relied on."
+            " Uncertainty is one standard deviation of the displacement, estimated by the run, as the peak of a "
+            "sinusoid and on the scale of the amplitude: where it is as bright, the motion is unreliable."
         )
     unit, factor = unit_of(m.train)
-    legend = Markup('<div class="pair">{}{}</div>').format(
-        svg.colour_bar(top * factor, unit, "peak displacement"), svg.phase_bar()
-    )
-    return Figure(panels, caption, legend=legend)
+    bars = svg.colour_bar(top * factor, unit, "peak displacement"), svg.phase_bar()
+    return Figure(panels, caption, legend=Markup('<div class="pair">{}{}</div>').format(*bars))
 
 
 def _orbit(folder: Path) -> Block:
@@ -127,11 +125,11 @@ def _orbit(folder: Path) -> Block:
     return Figure([panel], caption, width="small", controls=True)
 
 
-_LEAST = 24  # pictures that a slice shows, by repeating a shorter record
+_LEAST = 24  # pictures of a slice; a shorter record is repeated
 
 
 def slices(m: Material) -> Block:
-    """One figure; of a moving camera, slices of the model from one pose."""
+    """Return one figure; for a moving camera, slices of the model from one pose."""
     named = _named(m)
     shown = next(video for label, video in reversed(named) if video is not None)
     line = line_that_moves(shown / np.float32(255), _axis_of_motion(m))
@@ -146,7 +144,7 @@ def slices(m: Material) -> Block:
 
 
 def _axis_of_motion(m: Material) -> Axis | None:
-    """Rows where the strongest vibration moves more to the sides than up and down in the picture; columns else."""
+    """Return "row" if the strongest vibration is more horizontal than vertical in the picture, else "column"."""
     motion = m.model.motion
     if motion is None or m.main is None:
         return None
@@ -180,33 +178,30 @@ def _caption(m: Material, line: Line, seconds: float) -> Markup:
     return words
 
 
-_POINTS = 250  # Gaussians that are drawn
+_POINTS = 250  # drawn Gaussians
 _ARROWS = 60  # cameras with a line of sight
 _VIEWS = (("From above", 0, 1), ("From the side", 0, 2))  # title and the two world axes
 
 
 def camera_map(m: Material) -> Block:
-    """Two charts side by side, lengths in metres where the scale is known."""
+    """Return two charts side by side, lengths in metres if the scale is known."""
     scale = m.train.unit_scale_m
     factor, unit = (1.0, "scene units") if scale is None else (scale, "m")
-    eyes, ahead = _poses(m)
+    viewmats = m.train.viewmats[np.unique(m.train.camera_ids, return_index=True)[1]]
+    eyes = -np.einsum("cij,ci->cj", viewmats[:, :3, :3], viewmats[:, :3, 3]) * factor
     points = _points(m) * factor
     low, high = np.percentile(points, [1, 99], axis=0)
-    reach = 0.25 * float(np.median(np.linalg.norm(eyes * factor - (low + high) / 2, axis=1)))
+    reach = 0.25 * float(np.median(np.linalg.norm(eyes - (low + high) / 2, axis=1)))
+    tips, shown = eyes + reach * viewmats[:, 2, :3], m.view.camera.position * factor
+    tip, arrows = shown + reach * m.view.camera.forward, evenly(len(eyes), _ARROWS)
 
     def draw(axes: Any, a: int, b: int) -> None:
         axes.plot(points[:, a], points[:, b], ".", ms=1.6, color=STILL, zorder=1)
-        box = np.array(
-            [[low[a], low[b]], [high[a], low[b]], [high[a], high[b]], [low[a], high[b]], [low[a], low[b]]]
-        )
-        axes.plot(box[:, 0], box[:, 1], color=CEILING, lw=1.1, label="Gaussians, 98 % on each axis")
-        own = eyes * factor
-        for i in np.unique(np.linspace(0, len(own) - 1, min(len(own), _ARROWS)).round().astype(int)):
-            tip = own[i] + reach * ahead[i]
-            axes.plot([own[i, a], tip[a]], [own[i, b], tip[b]], color=MUTED, lw=0.7)
-        axes.plot(own[:, a], own[:, b], "s", ms=3.2, color=MUTED, label="training cameras")
-        shown = m.view.camera.position * factor
-        tip = shown + reach * m.view.camera.forward
+        across, up = [low[a], high[a], high[a], low[a], low[a]], [low[b], low[b], high[b], high[b], low[b]]
+        axes.plot(across, up, color=CEILING, lw=1.1, label="Gaussians, 98 % on each axis")
+        for eye, end in zip(eyes[arrows], tips[arrows], strict=True):
+            axes.plot([eye[a], end[a]], [eye[b], end[b]], color=MUTED, lw=0.7)
+        axes.plot(eyes[:, a], eyes[:, b], "s", ms=3.2, color=MUTED, label="training cameras")
         axes.plot([shown[a], tip[a]], [shown[b], tip[b]], color=OURS, lw=1.4)
         axes.plot(shown[a], shown[b], "o", ms=6, color=OURS, label="the camera shown here")
         axes.set(xlabel=f"{'xyz'[a]}, {unit}", ylabel=f"{'xyz'[b]}, {unit}")
@@ -218,21 +213,14 @@ def camera_map(m: Material) -> Block:
         charts.append(drawing(chart(partial(draw, a=a, b=b), label, (5.0, 4.2)), title))
     caption = (
         "Camera map in the world's axes, z up: squares are training cameras with their lines of sight, the large dot "
-        "is the camera of the videos and maps, the box holds 98 % of what is seen of the Gaussians on each axis, small "
-        "dots some of them."
+        "is the camera of the videos and maps, the box holds 98 % of the visible Gaussians on each axis, small dots "
+        "are some of them."
     )
     return Figure(charts, caption)
 
 
-def _poses(m: Material) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and viewing directions [C, 3] of the different training cameras, scene units."""
-    first = np.unique(m.train.camera_ids, return_index=True)[1]
-    viewmats = m.train.viewmats[first]
-    return -np.einsum("cij,ci->cj", viewmats[:, :3, :3], viewmats[:, :3, 3]), viewmats[:, 2, :3]
-
-
 def _points(m: Material) -> np.ndarray:
-    """[n, 3] some Gaussians, drawn by their blending weight."""
+    """Draw some Gaussians [n, 3] by their blending weight."""
     means = m.model.gaussians.means.numpy().astype(np.float64)
     weights = np.maximum(m.model.weights, 0).astype(np.float64)
     if not weights.sum() > 0:

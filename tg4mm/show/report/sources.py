@@ -1,4 +1,4 @@
-"""What a report is made of: the model, its scores, and what one camera sees as videos."""
+"""The input of a report: the model, its scores, and one camera's videos."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import PosedFrames, frames_of
 from tg4mm.run import Run
 from tg4mm.run.log import read_figures
-from tg4mm.show.maps import blending_weights, image_motion, strongest
+from tg4mm.show.maps import blending_weights, evenly, image_motion, strongest
 from tg4mm.show.render.cameras import Camera
-from tg4mm.show.render.image import render_image
+from tg4mm.show.render.image import render
 from tg4mm.show.render.sequence import RenderRequest, pose_of
 from tg4mm.show.result.advice import suggested_alpha
 from tg4mm.show.result.reading import Reading
@@ -32,17 +32,17 @@ Evaluate = Callable[[Run], dict[str, Any]]  # scores against the ground truth, a
 
 @dataclass(frozen=True)
 class Model:
-    """The trained model and how much each Gaussian counts."""
+    """The trained model and the visibility of its Gaussians."""
 
     gaussians: Gaussians
     motion: ModalMotion | None  # None: one timestep, or no mode
     weights: np.ndarray  # [N] blending weight summed over the training views
-    main: int  # index of the in-band frequency with most motion
+    main: int  # index of the in-band frequency with most motion; -1 without motion
     uncertainty: np.ndarray | None = None  # [N] standard deviation of the displacement, rms, scene units
 
 
 def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Model:
-    """The run's Gaussians and motion with blending weights. Raises RunError."""
+    """Return the run's Gaussians and motion with blending weights. Raises RunError."""
     gaussians, motion = reading.gaussians, reading.motion
     if motion is not None and not len(motion.freqs_hz):
         motion = None
@@ -52,10 +52,10 @@ def load_model(reading: Reading, train: Capture, magnified: Magnification) -> Mo
 
 
 def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnification) -> tuple[float, str]:
-    """What shows the motion in the bands well, and a sentence on how it was chosen; (0, "") without motion.
+    """Choose an α that shows the motion in the bands well; return it with a reason, or (0, "") without motion.
 
-    Where there is ground truth, the largest α of it that is no larger than that. noise_px: the noise's amplitude in the
-    pictures, also where no mode stands out of it; None: not known.
+    With ground truth, the largest α of it up to that one. noise_px: the noise's amplitude in the pictures; None:
+    unknown.
     """
     if reading.motion is None or not len(reading.motion.freqs_hz):
         return 0.0, ""
@@ -74,36 +74,28 @@ def choose_alpha(reading: Reading, noise_px: float | None, magnified: Magnificat
 
 
 def metrics_of(run: Run, evaluate: Evaluate | None) -> dict[str, Any]:
-    """RUN/metrics.json where it is newer than the model; else the run is scored now, if its dataset has ground truth.
+    """Read RUN/metrics.json if it is newer than the model, else score the run if its dataset has ground truth.
 
-    {} without ground truth, or without a newer file and `evaluate`. Raises RunError for a file that
-    is damaged or of another kind.
+    {} without ground truth, or without a newer file and `evaluate`. Raises RunError for a damaged or foreign file.
     """
     dataset, path = run.dataset, run.path / METRICS
     if not magnified_alphas(dataset) and not (dataset / "truth" / "motion.npz").exists():
         return {}
-    if path.exists() and path.stat().st_mtime >= _made(run):
+    files = [run.part_file(name) for name in ("space", "motion")]
+    made = max(file.stat().st_mtime for file in files if file.exists())
+    if path.exists() and path.stat().st_mtime >= made:
         return read_figures(path)
     return evaluate(run) if evaluate is not None else {}
 
 
-def _made(run: Run) -> float:
-    files = [run.part_file(name) for name in ("space", "motion")]
-    return max(file.stat().st_mtime for file in files if file.exists())
-
-
 def contact_images(train: Capture, most: int = 30) -> list[np.ndarray]:
-    """Pictures of the training cameras at their first timestep, evenly picked, at most `most`: uint8."""
-    first = [int(np.flatnonzero(train.camera_ids == i)[0]) for i in dict.fromkeys(train.camera_ids.tolist())]
-    picked = [
-        first[i] for i in np.unique(np.linspace(0, len(first) - 1, min(most, len(first))).round().astype(int))
-    ]
-    images = load_images(train.selected(np.array(picked)))
-    return [to_bytes(images.rgb(i)) for i in range(len(picked))]
+    """Return uint8 pictures of at most `most` training cameras, evenly picked, at their first timestep."""
+    first = np.sort(np.unique(train.camera_ids, return_index=True)[1])
+    return list(_pictures(train, first[evenly(len(first), most)]))
 
 
 MOST_FRAMES = 180  # of a video: what a page can hold
-_MANY = 40  # poses of a moving camera that are looked at for where most is seen
+_MANY = 40  # poses of a moving camera that are compared
 _BYTES = 1 << 29  # of uncompressed pictures of one video
 
 Pose = Callable[[float], Gaussians]
@@ -116,16 +108,16 @@ class View:
     For a moving camera each picture has its own pose.
     """
 
-    camera: Camera  # of a moving camera: where most motion is seen
-    split: str  # the split that the camera is of
+    camera: Camera  # for a moving camera: the pose that sees most motion
+    split: str  # the camera's split
     magnified: Magnification
     ours: np.ndarray
     input: np.ndarray | None
     truth: np.ndarray | None
     why_no_truth: str = ""
     clock: Clock = Clock.synchronous  # `Observations.clock`
-    n_frames: int = 0  # that the camera took; more than the video holds where the record is long
-    # of a moving camera: α = 0 and α, rendered from `camera`
+    n_frames: int = 0  # of the camera; the video of a long record holds fewer
+    # for a moving camera: α = 0 and α, rendered from `camera`
     fixed: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
@@ -134,25 +126,25 @@ class View:
 
     @property
     def widest_time(self) -> int:
-        """The timestep whose magnified picture differs most from the first: shown where nothing can play."""
+        """The timestep whose magnified picture differs most from the first: shown where videos cannot play."""
         shown = self.ours if self.fixed is None else self.fixed[1]
         return int(np.argmax([np.abs(one.astype(np.int16) - shown[0]).mean() for one in shown]))
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A magnified video that there is."""
+    """A finished magnified video."""
 
     magnified: Magnification
-    folder: Path  # its pictures, as `render_sequence` or `render_orbit` leaves them
+    folder: Path  # its pictures, as written by `render_sequence` or `render_orbit`
 
     def camera_of(self, shots: Sequence[PosedFrames]) -> int | None:
-        """Which of the cameras it was rendered from; None where it is of none, or its pictures are gone."""
+        """Return the index of its camera; None if it is not among `shots` or its pictures are gone."""
         named = [k for k, shot in enumerate(shots) if (self.folder / "000" / f"{shot.name}.png").is_file()]
         return named[0] if named else None
 
     def pictures(self, name: str, count: int) -> np.ndarray | None:
-        """[count, H, W, 3] uint8 of the first timesteps; None where some are missing."""
+        """Return the pictures [count, H, W, 3] uint8 of the first timesteps; None if some are missing."""
         files = [self.folder / f"{t:03d}" / f"{name}.png" for t in range(count)]
         return np.stack([read_png(f) for f in files]) if all(f.is_file() for f in files) else None
 
@@ -162,7 +154,7 @@ def gather_view(
 ) -> View:
     """Render the camera that sees most motion, and read its pictures and ground truth.
 
-    shown: a video of the same magnification; its camera and its pictures are taken, not rendered again.
+    shown: a video of the same magnification whose camera and pictures are used instead of rendering.
     """
     split, clock, shots = _shots(run.dataset, train)
     there = None if shown is None or clock != Clock.synchronous else shown.camera_of(shots)
@@ -172,10 +164,8 @@ def gather_view(
     size = train.width, train.height
     camera = Camera.of(shots[best], size)
     if n_timesteps == 1:
-        ours = _rendered(pose, [(0.0, camera)], "report")
-        return View(
-            camera, split.split, magnified, ours, _pictures(split, shots[best].rows[:1]), None, n_frames=1
-        )
+        ours, recorded = _rendered(pose, [(0.0, camera)], "report"), _pictures(split, shots[best].rows[:1])
+        return View(camera, split.split, magnified, ours, recorded, None, n_frames=1)
     own = list(shots) if clock == Clock.moving else [shots[best]] * len(shots[best].rows)
     rows = [f.rows[0] for f in own] if clock == Clock.moving else shots[best].rows.tolist()
     kept = _kept(len(rows), train)
@@ -194,10 +184,12 @@ def gather_view(
 
 
 def _shots(dataset: Path, train: Capture) -> tuple[Capture, Clock, Sequence[PosedFrames]]:
-    """The test cameras that stay put over time, else what shows motion of the training pictures, with its clock."""
+    """Return the test cameras if they are fixed, else the training cameras that show motion, with their clock."""
     if train.n_timesteps == 1:
-        rows = np.arange(min(1, len(train)))
-        return train, Clock.synchronous, [_posed(train, rows)]
+        still = PosedFrames(
+            train.paths[0].stem, train.viewmats[0], train.Ks[0], np.arange(1), train.times_s[:1]
+        )
+        return train, Clock.synchronous, [still]
     try:
         test = load_capture(dataset, split="test")
         clock, frames = frames_of(test)
@@ -208,22 +200,16 @@ def _shots(dataset: Path, train: Capture) -> tuple[Capture, Clock, Sequence[Pose
     return train, *frames_of(train)
 
 
-def _posed(capture: Capture, rows: np.ndarray) -> PosedFrames:
-    i = int(rows[0])
-    return PosedFrames(capture.paths[i].stem, capture.viewmats[i], capture.Ks[i], rows, capture.times_s[rows])
-
-
 def _most_telling(train: Capture, model: Model, shots: Sequence[PosedFrames]) -> int:
     if model.motion is None:
         return 0
-    phasors = model.motion.displacement[model.main]
-    some = np.unique(np.linspace(0, len(shots) - 1, min(len(shots), _MANY)).round().astype(int))
-    seen = [
-        image_motion(
-            model.gaussians, phasors, model.weights, Camera.of(shots[i], (train.width, train.height))
-        )
-        for i in some
-    ]
+    phasors, size, some = (
+        model.motion.displacement[model.main],
+        (train.width, train.height),
+        evenly(len(shots), _MANY),
+    )
+    cameras = [Camera.of(shots[i], size) for i in some]
+    seen = [image_motion(model.gaussians, phasors, model.weights, camera) for camera in cameras]
     return int(some[int(np.argmax(seen))])
 
 
@@ -235,8 +221,7 @@ def _rendered(pose: Pose, jobs: Sequence[tuple[float, Camera]], label: str) -> n
     frames = []
     with progress(label, len(jobs), unit="pictures") as update:
         for i, (t, camera) in enumerate(jobs):
-            size = (camera.width, camera.height)
-            frames.append(to_bytes(render_image(pose(t), camera.viewmat, camera.K, *size)))
+            frames.append(to_bytes(render(pose(t), camera)))
             update(i + 1)
     return np.stack(frames)
 
@@ -247,7 +232,7 @@ def _pictures(capture: Capture, rows: np.ndarray) -> np.ndarray:
 
 
 def _truth(dataset: Path, split: Capture, rows: list[int], alpha: float) -> tuple[np.ndarray | None, str]:
-    """The ground truth of the pictures `rows` of one camera, or why there is none; "" where none can be expected."""
+    """Return the ground truth of the pictures `rows` of one camera, or a reason why not; "" if none is expected."""
     known = magnified_alphas(dataset)
     if not known or split.split != "test":
         return None, ""

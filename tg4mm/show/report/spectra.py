@@ -1,6 +1,7 @@
 """Charts of the motion: the model's spectrum, and every sensor's waveform and spectrum with its noise floor."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,12 @@ from tg4mm.show.result.model import unit_of
 from tg4mm.show.slices import amplitude_spectrum
 
 _FEWEST = 64  # pictures of a waterfall
+FALL = Averaging(overlap=0.75)
+_DEEP = 60.0  # decibels below the largest amplitude
 
 
 def model_spectrum(m: Material) -> Block:
-    """The model's modes over frequency, the vibrations found among them, and the noise of a mode."""
+    """Return the model's modes over frequency, with the vibrations and the noise of a mode."""
     assert m.model.motion is not None
     unit, factor = unit_of(m.train)
     freqs, amplitudes = amplitude_spectrum(m.model.motion, m.model.weights)
@@ -39,38 +42,33 @@ def model_spectrum(m: Material) -> Block:
         if noise is not None:
             axes.axhline(noise, color=CEILING, lw=1, ls=(0, (4, 3)))
         for v in m.result.vibrations:
-            height = amplitudes[int(np.argmin(np.abs(freqs - v.hz)))] * factor
-            axes.annotate(
-                f"{v.hz:.4g} Hz", (v.hz, height), ha="center", xytext=(0, 7), textcoords="offset points"
-            )
+            at = v.hz, amplitudes[int(np.argmin(np.abs(freqs - v.hz)))] * factor
+            axes.annotate(f"{v.hz:.4g} Hz", at, ha="center", xytext=(0, 7), textcoords="offset points")
         top = max(float(amplitudes.max(initial=0)) * factor, noise or 0.0) or 1.0
         axes.set(xlabel="frequency, Hz", ylabel=f"mean amplitude, {unit}", ylim=(0, 1.18 * top))
         axes.set_xlim(left=0, right=m.train.fps / 2)
 
     caption = (
         "Spectrum of the model: peak displacement at each of its frequencies, averaged over all Gaussians with their "
-        "blending weight in the training views. Standing parts count, so the mean lies well below the amplitude of "
-        "what moves. Coloured lines are magnified"
+        "blending weight in the training views. Static parts count, so the mean lies well below the amplitude of "
+        "moving parts. Coloured lines are magnified"
         + (" (every frequency)." if m.band is None else f" ({m.band[0]:g} to {m.band[1]:g} Hz).")
     )
     if noise is not None:
-        caption += " Dashed: the noise floor of a Gaussian, median of what is seen."
-    return Figure(
-        [drawing(chart(draw, "amplitude of the model over frequency", (6.6, 3.0), zooms=True))],
-        caption,
-        width="narrow",
-    )
+        caption += " Dashed: the noise floor of a Gaussian, median of the visible."
+    drawn = chart(draw, "amplitude of the model over frequency", (6.6, 3.0), zooms=True)
+    return Figure([drawing(drawn)], caption, width="narrow")
 
 
 def sensors_section(m: Material) -> list[Section]:
-    """Waveforms and spectra of every sensor, and their peaks as `tg4mm measure` prints them; [] without any."""
+    """Return waveforms and spectra of every sensor, and the table that `tg4mm measure` prints; [] without sensors."""
     if m.measurement is None:
         return []
     found = m.measurement
     words = (
-        "Virtual sensors: regions whose motion is read from the pictures frame by frame, not from the fitted modes, so "
-        "nothing in them is smoothed or confined to a band. Without --sensor they are the parts that move alike, what "
-        "stands still, and the whole scene."
+        "Virtual sensors: regions whose motion is measured in the pictures frame by frame, not taken from the fitted "
+        "modes, so it is not smoothed or confined to a band. Without --sensor they are the parts that move alike, the "
+        "static part, and the complete scene."
     )
     blocks: list[Block] = [Text(words), _peaks(found)]
     parts = parts_picture(found)
@@ -94,29 +92,23 @@ def _peaks(found: Measurement) -> Table:
 
 
 def _figure(found: Measurement, result: SensorResult) -> Figure:
-    unit = unit_of_sensor(found, result)
-    name = result.name
+    name, unit = result.name, unit_of_sensor(found, result)
+    parts = {"displacement over time": waveform, "amplitude over frequency with noise floor": spectrum}
     panels = [
-        drawing(chart(draw, f"{name}: {label}", zooms=True))
-        for draw, label in (
-            (lambda axes: waveform(axes, result, unit), "displacement over time"),
-            (lambda axes: spectrum(axes, result, unit), "amplitude over frequency with noise floor"),
-        )
+        drawing(chart(partial(draw, result=result, unit=unit), f"{name}: {label}", zooms=True))
+        for label, draw in parts.items()
     ]
     if fall := _waterfall(result):
         along, draw = fall
         label = f"{name}: amplitude along {along} over time and frequency"
         panels.append(drawing(chart(draw, label, (11.2, 3.3), True)))
-    clips = (
-        f" The waveform is that of the first of {len(result.clips)} clips, the spectrum of all of them together."
-        if result.clips
-        else ""
-    )
     caption = (
         f"Sensor “{name}”, {result.extent} around ({', '.join(f'{c:.3g}' for c in result.body.centre)}), radius "
         f"{result.body.radius:.3g} scene units: displacement with a band of one standard deviation, and its spectrum "
-        f"with the noise floor, which noise alone passes in one record of a hundred.{clips}"
+        "with the noise floor, which noise alone exceeds in one record of a hundred."
     )
+    if n := len(result.clips):
+        caption += f" The waveform is that of the first of {n} clips, the spectrum combines all of them."
     if fall:
         caption += (
             f" Below: waterfall along {fall[0]}, yellow the largest amplitude, darkest {_DEEP:g} dB below it; each "
@@ -125,19 +117,15 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
     return Figure(panels, caption, 2)
 
 
-FALL = Averaging(overlap=0.75)
-_DEEP = 60.0  # decibels below the largest amplitude
-
-
 def _waterfall(result: SensorResult) -> tuple[str, Callable[[Any], None]] | None:
-    """The direction of the largest motion, and what draws its amplitudes in short segments, decibels below the largest.
+    """Return the direction of the largest motion, and a function that draws its amplitudes in short segments.
 
-    None where times have long gaps, or are too few.
+    None for few samples or long gaps.
     """
-    series, told = result.series, result.series.is_resolved
-    if not told.any() or len(series.times_s) <= _FEWEST or not is_filled(series.times_s):
+    series, resolved = result.series, result.series.is_resolved
+    if not resolved.any() or len(series.times_s) <= _FEWEST or not is_filled(series.times_s):
         return None
-    k = int(np.argmax(np.where(told, series.displacement.std(0), -1)))
+    k = int(np.argmax(np.where(resolved, series.displacement.std(0), -1)))
     even = on_even_clock(series.times_s, series.displacement[:, k])
     own = Channel(result.name, DISPLACEMENT, "units", *even)
     freqs, times, amplitude = waterfall_of(own, FALL)
@@ -156,7 +144,7 @@ def _waterfall(result: SensorResult) -> tuple[str, Callable[[Any], None]] | None
 def measured(
     run: Run, sensors: Sequence[Sensor], band: tuple[float, float] | None = None, scale: Scale | None = None
 ) -> tuple[Measurement | None, str]:
-    """What sensors measure on the run, or why nothing was. Sensors that were asked for must be measured: Tg4mmError."""
+    """Measure the run, or return a reason why not. Raises Tg4mmError for requested sensors that cannot be measured."""
     try:
         return measure(run, sensors or None, band=band, scale=scale), ""
     except Tg4mmError as error:

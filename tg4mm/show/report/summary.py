@@ -1,4 +1,4 @@
-"""The head of a report, what was found as a table, and what cannot be told, from the run's `Result`."""
+"""The head of a report, the table of vibrations, and the limits, from the run's `Result`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,18 +21,18 @@ from tg4mm.show.result.model import Length, Result, Vibration, amount, percent, 
 
 @dataclass(frozen=True)
 class Material:
-    """Everything the sections draw on."""
+    """The input of all sections."""
 
     run: Run
     train: Capture
     model: Model
     view: View
     result: Result
-    metrics: dict[str, Any]  # as evaluate_run returns it, {} if there is no ground truth
-    measurement: Measurement | None  # of sensors; None where there is nothing to measure
-    why_no_sensors: str  # "" where there are some, or no motion
-    why_alpha: str = ""  # how α was chosen; "" if it was asked for
-    warning: str = ""  # where α goes further than the motion holds
+    metrics: dict[str, Any]  # of evaluate_run, {} if there is no ground truth
+    measurement: Measurement | None  # of sensors; None if there is nothing to measure
+    why_no_sensors: str  # "" if there are some, or no motion
+    why_alpha: str = ""  # how α was chosen; "" if it was given
+    warning: str = ""  # if α exceeds the limits of the motion
     orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
 
     @property
@@ -44,25 +44,25 @@ class Material:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """That is magnified, Hz; None: all frequencies."""
+        """The magnified band, Hz; None: all frequencies."""
         return next(iter(self.view.magnified.limits), None)
 
     @property
     def main(self) -> Vibration | None:
-        """The strongest vibration that is magnified."""
+        """The strongest magnified vibration."""
         inside = (v for v in self.result.vibrations if self.view.magnified.inside(np.array(v.hz)))
         return next(inside, None)
 
 
 def size_of(v: Vibration, result: Result) -> tuple[str, str]:
-    """(value ± deviation, unit) of a vibration's amplitude: pixels of a flat capture, else as `amount`."""
+    """Return (value ± deviation, unit) of a vibration's amplitude: pixels for a flat capture, else as `amount`."""
     if result.is_flat and v.pixels is not None:
         return with_deviation(v.pixels), "px"
     return amount(v.amplitude, result.unit_scale_m)
 
 
 def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[str, str]:
-    """(value, unit) of a length in scene units: millimetres or finer where the scale is known, else units."""
+    """Return (value, unit) of a length in scene units: millimetres or finer if the scale is known, else units."""
     if unit_scale_m is None:
         return number(value, digits), "units"
     millimetres = value * unit_scale_m * 1000.0
@@ -72,13 +72,13 @@ def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[s
 
 
 def both_lengths(value: float, unit_scale_m: float | None) -> str:
-    """A length in scene units and, where the scale is known, in millimetres."""
+    """Return a length in scene units and, if the scale is known, in millimetres."""
     text = f"{number(value)} scene units"
     return text if unit_scale_m is None else f"{text} ({' '.join(length(value, unit_scale_m))})"
 
 
 def clock(seconds: float) -> str:
-    """A duration as 48 s, 3 min 20 s or 1 h 05 min."""
+    """Return a duration as 48 s, 3 min 20 s or 1 h 05 min."""
     total = round(seconds)
     if total < 60:
         return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
@@ -88,22 +88,19 @@ def clock(seconds: float) -> str:
 
 
 def total_seconds(log: Mapping[str, Any]) -> float | None:
-    """Seconds of all stages of a run's log, None if none says."""
-    found = [
-        v["seconds"]
-        for v in log.values()
-        if isinstance(v, dict) and isinstance(v.get("seconds"), int | float)
-    ]
-    return float(sum(found)) if found else None
+    """Return the seconds of all stages of a run's log, None if it has none."""
+    found = [v.get("seconds") for v in log.values() if isinstance(v, dict)]
+    known = [s for s in found if isinstance(s, int | float)]
+    return float(sum(known)) if known else None
 
 
 def row_of(metrics: dict[str, Any], alpha: float) -> dict[str, Any] | None:
-    """The entry of metrics["alphas"] at `alpha`."""
+    """Return the entry of metrics["alphas"] at `alpha`."""
     return next((entry for entry in metrics.get("alphas", []) if entry["alpha"] == alpha), None)
 
 
 def summary(m: Material) -> str:
-    """One sentence on what was found."""
+    """Return the main result in one sentence."""
     views = m.result.n_cameras
     what = "pose" if m.view.clock == Clock.moving else "camera"
     seen = f"{views} {what}{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
@@ -113,9 +110,7 @@ def summary(m: Material) -> str:
     shown = f"shown here {1 + m.view.alpha:g} times larger"
     if m.main is None:
         where = "" if m.band is None else f" from {m.band[0]:g} to {m.band[1]:g} Hz"
-        return (
-            f"No vibration was found{where} in {seen} at {number(m.train.fps)} Hz; what there is is {shown}."
-        )
+        return f"No vibration was found{where} in {seen} at {number(m.train.fps)} Hz; the motion is {shown}."
     value, unit = size_of(m.main, m.result)
     hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
     others = [v for v in m.result.vibrations if v is not m.main]
@@ -128,7 +123,7 @@ def summary(m: Material) -> str:
 
 
 def stats(m: Material) -> list[Stat]:
-    """The headline figures; those that need ground truth only where there is some."""
+    """Return the headline figures; those that need ground truth only if there is some."""
     found = _motion_stats(m)
     if m.metrics:
         found += [*_ssim_stat(m), *_error_stat(m)]
@@ -157,14 +152,10 @@ def _vibration_stats(m: Material) -> list[Stat]:
     value, unit = size_of(m.main, m.result)
     pixels = "" if m.main.pixels is None or m.result.is_flat else f"{with_deviation(m.main.pixels)} px; "
     k = int(np.argmin(np.abs(m.model.motion.freqs_hz - m.main.hz)))
+    hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
     return [
-        Stat(
-            "Frequency",
-            with_deviation(Length(m.main.hz, m.main.deviation_hz)),
-            "Hz",
-            f"a record of {number(m.result.duration_s)} s",
-        ),
-        Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of what is seen"),
+        Stat("Frequency", hz, "Hz", f"a record of {number(m.result.duration_s)} s"),
+        Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of the visible"),
         _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights), m.result.is_flat),
     ]
 
@@ -173,18 +164,14 @@ def _direction_stat(direction: np.ndarray, is_flat: bool) -> Stat:
     if is_flat:  # whose picture lies in the plane of x and z
         return Stat("Direction", vector(direction[[0, 2]]), "", "right and up in the picture")
     axis = int(np.argmax(np.abs(direction)))
-    angle = float(np.degrees(np.arccos(np.clip(abs(direction[axis]), 0, 1))))
+    angle, name = float(np.degrees(np.arccos(np.clip(abs(direction[axis]), 0, 1)))), "XYZ"[axis]
     if angle < 10:
-        return Stat(
-            "Direction", f"± {'XYZ'[axis]}", "", f"({vector(direction)}), {angle:.1f}° off the world's axis"
-        )
-    return Stat(
-        "Direction", vector(direction), "", f"unit vector, {angle:.0f}° off the world's {'XYZ'[axis]} axis"
-    )
+        return Stat("Direction", f"± {name}", "", f"({vector(direction)}), {angle:.1f}° off the world's axis")
+    return Stat("Direction", vector(direction), "", f"unit vector, {angle:.0f}° off the world's {name} axis")
 
 
 def vector(direction: np.ndarray) -> str:
-    """A vector to two decimals."""
+    """Return a vector to two decimals."""
     return ", ".join(f"{c:.2f}".replace("-0.00", "0.00").replace("-", "−") for c in direction)
 
 
@@ -193,12 +180,9 @@ def _ssim_stat(m: Material) -> list[Stat]:
     ours = entry["rows"].get("ours", {}).get("ssim") if entry else None
     if entry is None or ours is None:
         return []
-    parts = [
-        f"{name} {entry['rows'][name]['ssim']:.4f}"
-        for name in ("ceiling", "nothing moves")
-        if entry["rows"].get(name, {}).get("ssim") is not None
-    ]
-    return [Stat(f"SSIM at α = {m.view.alpha:g}", f"{ours:.4f}", note=", ".join(parts))]
+    others = {name: entry["rows"].get(name, {}).get("ssim") for name in ("ceiling", "nothing moves")}
+    note = ", ".join(f"{name} {value:.4f}" for name, value in others.items() if value is not None)
+    return [Stat(f"SSIM at α = {m.view.alpha:g}", f"{ours:.4f}", note=note)]
 
 
 def _error_stat(m: Material) -> list[Stat]:
@@ -210,23 +194,16 @@ def _error_stat(m: Material) -> list[Stat]:
 
 
 def vibrations_table(m: Material) -> list[Block]:
-    """Every vibration that was found; nothing where there is none."""
+    """Return a table of all vibrations; [] without any."""
     if not m.result.vibrations:
         return []
-    header = [
-        "frequency (Hz)",
-        "amplitude",
-        "in pictures",
-        "damping ratio",
-        "largest at pixel" if m.result.is_flat else "largest at (x, y, z)",
-        "band (Hz)",
-    ]
+    place = "largest at pixel" if m.result.is_flat else "largest at (x, y, z)"
+    header = ["frequency (Hz)", "amplitude", "in pictures", "damping ratio", place, "band (Hz)"]
     caption = (
-        "Vibrations that the run found, the strongest first: peak displacement where it is largest (1 % of what is "
-        "seen moves further), ± one standard deviation. The band is what --band takes to magnify one alone."
+        "Vibrations that the run found, the strongest first: peak displacement where it is largest (1 % of the visible "
+        "moves further), ± one standard deviation. The band, given as --band, magnifies one alone."
     )
-    rows = [_row(m, v) for v in m.result.vibrations]
-    return [Table(header, rows, caption)]
+    return [Table(header, [_row(m, v) for v in m.result.vibrations], caption)]
 
 
 def _row(m: Material, v: Vibration) -> list[str]:
@@ -241,16 +218,13 @@ def _row(m: Material, v: Vibration) -> list[str]:
 
 
 def limits_section(m: Material) -> Section:
-    """What could not be determined, of the run and of the sensors."""
+    """Return the limits of the run and of the sensors."""
     measured = () if m.measurement is None else m.measurement.notes
-    lines = list(
-        dict.fromkeys([*m.result.cannot, *measured, *([m.why_no_sensors] if m.why_no_sensors else [])])
-    )
+    lines = list(dict.fromkeys(filter(None, [*m.result.cannot, *measured, m.why_no_sensors])))
     damping = sorted({v.why_no_damping for v in m.result.vibrations if v.why_no_damping})
     lines += [f"damping: {why}" for why in damping if not any(why in line for line in lines)]
-    if not lines:
-        return Section("What could not be determined", [Text("Nothing that this run knows of.")])
     items = Markup("").join(Markup("<li>{}</li>").format(line[:1].upper() + line[1:]) for line in lines)
+    listed = Text(Markup('<ul class="points">{}</ul>').format(items), plain=True)
     return Section(
-        "What could not be determined", [Text(Markup('<ul class="points">{}</ul>').format(items), plain=True)]
+        "What could not be determined", [listed if lines else Text("Nothing that this run knows of.")]
     )

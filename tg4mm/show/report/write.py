@@ -16,24 +16,17 @@ from tg4mm.core.errors import RunError
 from tg4mm.core.extras import install
 from tg4mm.core.files import write_atomic
 from tg4mm.core.magnification import Magnification, check_band
-from tg4mm.core.pages.charts import chart
-from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, drawing, picture, render_page
+from tg4mm.core.pages.page import Block, Figure, Page, Section, Table, Text, picture, render_page
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
 from tg4mm.run.stages import look_of
 from tg4mm.run.tensor_file import model_hash
 from tg4mm.show.options import ReportOptions
-from tg4mm.show.regions import composite, region_picture
+from tg4mm.show.regions import REGIONS_ALT, composite_figure, region_picture
 from tg4mm.show.report.closing import accuracy_section, commands_section, cost_section, settings_section
 from tg4mm.show.report.figures import videos
 from tg4mm.show.report.sections import capture_section, motion_section
-from tg4mm.show.report.sources import (
-    choose_alpha,
-    contact_images,
-    gather_view,
-    load_model,
-    metrics_of,
-)
+from tg4mm.show.report.sources import choose_alpha, contact_images, gather_view, load_model, metrics_of
 from tg4mm.show.report.spectra import measured, sensors_section
 from tg4mm.show.report.summary import Material, limits_section, stats, summary
 from tg4mm.show.result.model import Length, percent, title_of, with_deviation
@@ -41,7 +34,7 @@ from tg4mm.show.result.read import result_from
 from tg4mm.show.result.reading import reading_of
 from tg4mm.show.result.requested import too_far
 
-_NAMES = (
+_NAMES = [
     "chromium",
     "chromium-browser",
     "google-chrome",
@@ -49,7 +42,7 @@ _NAMES = (
     "chrome",
     "microsoft-edge",
     "msedge",
-)
+]
 _PROGRAMS = "Google/Chrome/Application/chrome.exe", "Microsoft/Edge/Application/msedge.exe"
 _APPLICATIONS = "Google Chrome", "Chromium", "Microsoft Edge"
 _LONGEST = 300  # seconds
@@ -57,7 +50,7 @@ _LOG = logging.getLogger("tg4mm")
 
 
 def printer() -> str:
-    """The program that prints: Chromium, Chrome or Edge. Raises RunError where there is none."""
+    """Return the browser that prints: Chromium, Chrome or Edge. Raises RunError if there is none."""
     found = [path for name in _NAMES if (path := shutil.which(name))]
     places = [Path(f"/Applications/{name}.app/Contents/MacOS/{name}") for name in _APPLICATIONS]
     places += [
@@ -85,13 +78,12 @@ def _of_playwright() -> str | None:
 
 
 def print_pdf(page: Path, browser: str) -> Path:
-    """PAGE.pdf beside a page, by `printer`'s program; videos become stills. Raises RunError where it prints nothing."""
+    """Print a page to PAGE.pdf with `browser`; videos become stills. Raises RunError if it prints nothing."""
     out = page.with_suffix(".pdf")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         printed = Path(folder) / "page.pdf"
-        sandbox = (
-            ["--no-sandbox"] if getattr(os, "geteuid", lambda: 1)() == 0 else []
-        )  # Chromium refuses root one
+        is_root = getattr(os, "geteuid", lambda: 1)() == 0
+        sandbox = ["--no-sandbox"] if is_root else []  # Chromium refuses root one
         command = [
             browser, "--headless", "--disable-gpu", *sandbox, f"--user-data-dir={folder}/profile",
             "--no-pdf-header-footer", f"--print-to-pdf={printed}", page.resolve().as_uri(),
@@ -101,8 +93,8 @@ def print_pdf(page: Path, browser: str) -> Path:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise RunError(f"{out}: {browser} did not print: {error}") from None
         if done.returncode or not printed.is_file():
-            said = done.stderr.strip().splitlines()[-1:] or ["nothing said"]
-            raise RunError(f"{out}: {browser} did not print (exit code {done.returncode}): {said[0]}")
+            why = done.stderr.strip().splitlines()[-1:] or ["no message"]
+            raise RunError(f"{out}: {browser} did not print (exit code {done.returncode}): {why[0]}")
         write_atomic(out, partial(shutil.copyfile, printed))
     return out
 
@@ -110,10 +102,9 @@ def print_pdf(page: Path, browser: str) -> Path:
 def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> Path:
     """Write the report of `run` to the file `out`; returns it.
 
-    Reads the pictures once for the sensors, and lets `options.evaluate` score the run where its dataset has ground
-    truth and no metrics.json is newer than the model. Raises RunError for a run that is not finished, metrics of
-    another
-    kind, or a band without a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
+    Reads the pictures once for the sensors, and scores the run by `options.evaluate` if its dataset has ground truth
+    and no metrics.json is newer than the model. Raises RunError for an unfinished run, foreign metrics, or a band
+    without a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
     """
     options = options or ReportOptions()
     _check_writable(out)
@@ -132,7 +123,7 @@ def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> P
 
 
 def _check_writable(out: Path) -> None:
-    """Before minutes of work. Raises RunError."""
+    """Raise RunError, before minutes of work, if `out` cannot be written."""
     if out.is_dir():
         raise RunError(f"--out {out} is a folder; expected a file such as {out / 'report.html'}")
     there = next(p for p in (out.parent, *out.absolute().parents) if p.exists())
@@ -168,24 +159,17 @@ def _material(run: Run, train: Capture, options: ReportOptions) -> Material:
 
 def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Page:
     sections: list[Section] = []
-    parts: tuple[Callable[[], Sequence[Section]], ...] = (
-        lambda: regions_section(m),
-        lambda: [motion_section(m)],
-        lambda: sensors_section(m),
-        lambda: accuracy_section(m),
-        lambda: [limits_section(m)],
-        lambda: [capture_section(m)],
-        lambda: [
-            settings_section(m),
-            cost_section(m, files),
-            commands_section(m, options.sensors, options.alpha),
-        ],
-    )
+    parts: tuple[Callable[[Material], Section | Sequence[Section]], ...] = (
+        regions_section, motion_section, sensors_section, accuracy_section, limits_section, capture_section,
+        settings_section, lambda m: cost_section(m, files),
+        lambda m: commands_section(m, options.sensors, options.alpha),
+    )  # fmt: skip
     with progress("page", len(parts) + 1, "parts") as update:
         lead = videos(m)
         for done, part in enumerate(parts, start=1):
             update(done)
-            sections += part()
+            made = part(m)
+            sections += [made] if isinstance(made, Section) else made
         update(len(parts) + 1)
     return Page(
         title=title_of(m.train),
@@ -194,11 +178,8 @@ def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Pag
         stats=stats(m),
         lead=lead,
         sections=sections,
-        footer=(
-            f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
-            f"Model SHA-256 {model_hash(m.run.path)}. "
-            "docs/protocol.md defines displacement error, ceiling and the other scores."
-        ),
+        footer=f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. Model SHA-256 "
+        f"{model_hash(m.run.path)}. docs/protocol.md defines displacement error, ceiling and the other scores.",
     )
 
 
@@ -206,34 +187,25 @@ _HEADER = ["frequency (Hz)", "amplitude (px)", "damping ratio", "around pixel (x
 
 
 def regions_section(m: Material) -> list[Section]:
-    """Return the regions' section of a flat capture that was looked at; else []."""
+    """Return the regions' section of a flat capture; else []."""
     found = None if m.train.kind.sees_depth else look_of(m.run)
     if found is None:
         return []
     words = (
         f"The picture was cut into cells of {found.cell_px} pixels, each cell's shift was measured in every picture, "
-        "and lines were sought region by region, the strongest first, each tested by itself. What no small shift "
-        "explains moves by itself and is left out of the fit."
+        "and lines were sought region by region, the strongest first, each tested separately. Cells that small shifts "
+        "do not explain are treated as independent motion and excluded from the fit."
     )
-    spectrum = Figure(
-        [
-            drawing(
-                chart(partial(composite, found=found), "composite spectrum over all cells", (6.6, 3.0), True)
-            )
-        ],
-        "Composite spectrum: power over noise, mean over all cells; 1 where nothing vibrates. Dashed: what noise alone "
-        "exceeds anywhere in one recording of a hundred. Dotted: lines of the light.",
-        width="narrow",
-    )
-    seen = region_picture(found, contact_images(m.train, 1)[0])
     where = Figure(
-        [picture(seen, alt="what vibrates and what moves by itself", photo=True)],
-        "Coloured: cells that show a line, and its direction; the first colour is the strongest. Striped: what moves "
-        "by itself. White frames: that, and where something passes.",
+        [picture(region_picture(found, contact_images(m.train, 1)[0]), alt=REGIONS_ALT, photo=True)],
+        "Coloured: cells that show a line, and its direction; the first colour is the strongest. Striped: independent "
+        "motion. White frames: that, and passing objects.",
     )
-    blocks: list[Block] = [Text(words), spectrum, where]
+    blocks: list[Block] = [Text(words), composite_figure(found), where]
     if found.lines:
-        caption = "Lines of the regions, the largest amplitude first; a remark says why a line may be none of its own."
+        caption = (
+            "Lines of the regions, the largest amplitude first; a remark says why a line may be an artefact."
+        )
         blocks.append(Table(_HEADER, [_row(line) for line in found.lines], caption, left=len(_HEADER)))
     return [Section("Region by region", blocks)]
 

@@ -159,7 +159,7 @@ class RunScene:
         return next((k for k in leading if self.motion.is_magnified()[k]), None)
 
     def peaks(self) -> np.ndarray:
-        """Return the peak displacement [K] of every magnified frequency, exceeded by 0.5 % of the visible, scene units."""
+        """Return the displacement [K] of every magnified frequency that 0.5 % of the visible Gaussians exceed."""
         if self.motion is None:
             return np.zeros(0)
         rows = np.flatnonzero(self.motion.is_magnified())
