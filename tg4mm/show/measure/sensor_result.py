@@ -208,7 +208,8 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
     for peak, (own, is_above) in zip(reference.spectrum.peaks, _at(result, reference), strict=False):
         orbit = orbit_of(peak)
         phase = float((own.phase - orbit.phase + np.pi) % (2 * np.pi) - np.pi)
-        error = float(np.hypot(*(o.deviation / max(o.amplitude, 1e-300) for o in (own, orbit))))
+        relative, other = (o.deviation / max(o.amplitude, 1e-300) for o in (own, orbit))
+        error = float(np.hypot(relative, other))
         phases.append(PhaseAt(peak.frequency_hz, own.amplitude, phase, min(error, np.pi), is_above))
     freqs, coherence, segments = np.zeros(0), np.zeros(0), 0
     if result.together is None:

@@ -6,6 +6,7 @@
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -61,12 +62,12 @@ def tables_of(found: Measurement) -> list[Table]:
 def write_csv_files(found: Measurement, out: Path) -> None:
     """Write OUT/series.csv, spectra.csv and peaks.csv."""
 
-    def write(table: Table, path: Path) -> None:
+    def write(path: Path, table: Table) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(chain([table.head], table.rows))
 
     for table in tables_of(found):
-        write_atomic(out / f"{table.name}.csv", lambda path, own=table: write(own, path))
+        write_atomic(out / f"{table.name}.csv", partial(write, table=table))
 
 
 def write_xlsx(found: Measurement, path: Path) -> None:

@@ -118,7 +118,11 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
     for c, series in enumerate(result.all_series):
         steps = np.diff(series.times_s)
         is_even = bool(np.ptp(steps) < 0.02 * steps.mean())
-        of_time = {"spacing": int(is_even), "start": float(series.times_s[0]), "step": float(steps.mean())}
+        of_time: dict[str, Any] = {
+            "spacing": int(is_even),
+            "start": float(series.times_s[0]),
+            "step": float(steps.mean()),
+        }
         of_time |= {"x": series.times_s, "kind": (17, "s")}
         clip = f", clip {series.clock}" if series.clock else ""
         name = f"{result.name}{clip}{_hidden(series)}"

@@ -1,4 +1,4 @@
-"""Cameras to render from: those of a capture, an orbit around what it looks at, or a transforms JSON file."""
+"""Cameras for rendering: those of a capture, an orbit around its subject, or a transforms JSON file."""
 
 import math
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ from tg4mm.fit.motion.observations import PosedFrames
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LARGEST = 16_384  # pixels a side
-_LEFT_OUT = math.radians(150)  # between two neighbouring cameras: an orbit does not go there
-_LEAST_SIDE = math.radians(10)  # to either side, of an orbit to and fro
+_LEFT_OUT = math.radians(150)  # a wider gap between neighbouring cameras is not part of an orbit
+_LEAST_SIDE = math.radians(10)  # to either side, for an orbit to and fro
 
 
 @dataclass(frozen=True)
@@ -40,21 +40,26 @@ class Camera:
 
     @staticmethod
     def of(frames: PosedFrames, size: tuple[int, int]) -> "Camera":
-        """The camera that took some frames of `size` (w, h)."""
+        """Return the camera of some frames of `size` (w, h)."""
         return Camera(frames.name, frames.viewmat.astype(float), frames.K.astype(float), *size)
 
     @property
+    def view(self) -> tuple[np.ndarray, np.ndarray, int, int]:
+        """`viewmat`, `K`, `width` and `height`."""
+        return self.viewmat, self.K, self.width, self.height
+
+    @property
     def position(self) -> np.ndarray:
-        """[3] where the camera stands, scene units."""
+        """Position [3], scene units."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     @property
     def forward(self) -> np.ndarray:
-        """[3] unit vector along which the camera looks, world axes."""
+        """Unit vector [3] of the viewing direction, world axes."""
         return self.viewmat[2, :3]
 
     def cut(self, corners: np.ndarray, around: float) -> "Camera":
-        """The part of its picture that holds pixels [P, 2], and `around` × their extent on every side; even in size."""
+        """Return a camera of pixels [P, 2] and `around` × their extent on every side; the size is even."""
         low, high = corners.min(0), corners.max(0)
         wide = around * (high - low)
         first = np.clip(np.floor(low - wide), 0, [self.width - 2, self.height - 2]).astype(int)
@@ -66,7 +71,7 @@ class Camera:
 
 
 def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The different cameras of a capture.
+    """Return the different cameras of a capture.
 
     Args:
         capture: of any kind; a moving camera gives one camera for each pose.
@@ -86,9 +91,9 @@ def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
 
 
 def capture_path(capture: Capture) -> tuple[Camera, ...]:
-    """The camera at every timestep: a moving one's own, or the one that stays put, called r_000, r_001 … by timestep.
+    """Return the moving or fixed camera at every timestep, named r_000, r_001 … by timestep.
 
-    Raises CaptureError for one timestep, and where a timestep has pictures from several poses or from none.
+    Raises CaptureError for one timestep, and if a timestep has pictures from several poses or from none.
     """
     if capture.n_timesteps < 2:
         raise CaptureError(f"{capture.root}: has one timestep, which is no path")
@@ -108,9 +113,9 @@ def capture_path(capture: Capture) -> tuple[Camera, ...]:
 
 
 def look_at_point(viewmats: np.ndarray) -> np.ndarray:
-    """The point [3] nearest to all optical axes in the least-squares sense; viewmats are [C, 4, 4].
+    """Return the point [3] nearest to all optical axes in the least-squares sense; viewmats are [C, 4, 4].
 
-    Raises RunError where the axes (nearly) coincide or are parallel, or where most cameras look away from it.
+    Raises RunError if the axes (nearly) coincide or are parallel, or if most cameras look away from it.
     """
     positions, forward = optical_axes(viewmats)
     normal, right = nearest_point_equations(positions, forward)
@@ -124,7 +129,7 @@ def look_at_point(viewmats: np.ndarray) -> np.ndarray:
 
 
 def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """World-to-camera [4, 4], OpenCV axes, of a camera at `position` that looks at `target` with +Z up."""
+    """Return world-to-camera [4, 4], OpenCV axes, of a camera at `position` that looks at `target` with +Z up."""
     z = (target - position) / np.linalg.norm(target - position)
     x = np.cross(z, [0.0, 0.0, 1.0])
     # Straight down or up there is no horizon; any direction across will do.
@@ -137,14 +142,14 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[Camera, ...]:
-    """Cameras on a level circle around the scene, beginning at the azimuth of the capture's first camera.
+    """Return cameras on a level circle around the scene, beginning at the azimuth of the capture's first camera.
 
-    Evenly spaced, once around; or, where the capture's cameras leave 150 degrees of the circle out, to and fro over
-    the part that they cover (ten degrees to either side, at least), since nothing is known of what lies behind. Radius,
-    elevation and focal length are the medians of the capture's cameras.
+    They go once around, evenly spaced; if the capture's cameras leave a gap of 150 degrees, they go to and fro over
+    the covered part (at least ten degrees to either side), since the scene's back is unknown. Radius, elevation and
+    focal length are the medians of the capture's cameras.
 
     Args:
-        capture: whose cameras are taken as a model.
+        capture: the cameras to follow.
         n: number of cameras, at least 1.
         centre: [3] scene units, used if the capture's cameras look at no common point (a single fixed camera).
 
@@ -179,7 +184,7 @@ def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[C
 
 
 def _azimuths(of_capture: np.ndarray, n: int) -> np.ndarray:
-    """[n] radians of an orbit, by the azimuths [V] of a capture's cameras."""
+    """Return the azimuths [n] of an orbit, radians, from those of a capture's cameras [V]."""
     ahead = np.arange(n) / n * 2 * math.pi
     around = np.sort(np.mod(of_capture, 2 * math.pi))
     gaps = np.diff(around, append=around[0] + 2 * math.pi)
@@ -194,10 +199,9 @@ def _azimuths(of_capture: np.ndarray, n: int) -> np.ndarray:
 
 
 def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, ...]:
-    """The cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order; its images need not exist.
+    """Read the cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order, without its images.
 
-    `size` (width, height) in pixels is used where the file does not give `w` and `h`. Raises CaptureError, as the
-    readers of captures do.
+    `size` (width, height) in pixels replaces missing `w` and `h`. Raises CaptureError for a damaged file.
     """
     file = read_record(Path(path))
     frames = file.values.get("frames")
@@ -211,7 +215,7 @@ def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[
 
 
 def size_of_first_picture(path: Path) -> tuple[int, int] | None:
-    """(width, height) of the picture that the first frame of a transforms JSON names; None where it is not there."""
+    """Return (width, height) of the first frame's picture in a transforms JSON; None if it does not exist."""
     frames = read_record(Path(path)).values.get("frames")
     first = frames[0] if isinstance(frames, list) and frames and isinstance(frames[0], dict) else {}
     name, folder = first.get("file_path"), Path(path).parent
@@ -246,7 +250,7 @@ def _pixels(frame: Record, file: Record, key: str, default: int | None) -> int:
 
 
 def transforms_json(cameras: tuple[Camera, ...]) -> dict[str, Any]:
-    """The cameras as a nerfstudio-style dictionary; `cameras_from_file` reads it back."""
+    """Return the cameras as a nerfstudio-style dictionary, which `cameras_from_file` reads."""
     frames = []
     for camera in cameras:
         c2w = np.linalg.inv(camera.viewmat) @ _OPENGL_FROM_OPENCV

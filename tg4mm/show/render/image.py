@@ -1,4 +1,4 @@
-"""One picture of Gaussians: colours, or any per-Gaussian quantity blended the way colours are."""
+"""Pictures of Gaussians: colours, or any per-Gaussian quantity blended like colours."""
 
 import numpy as np
 import torch
@@ -14,11 +14,11 @@ WHITE = (1.0, 1.0, 1.0)
 def render(
     gaussians: Gaussians, camera: Camera, background: tuple[float, float, float] = WHITE
 ) -> np.ndarray:
-    """The picture that a camera takes of Gaussians, by `rasterization`.
+    """Return a camera's picture of Gaussians, by `rasterization`.
 
     Args:
-        gaussians: of `fit_space` or `animate`; on CUDA they are rendered there.
-        camera: of `capture_cameras`, `orbit` or your own.
+        gaussians: from `fit_space` or `animate`; if they are on CUDA, rendering is, too.
+        camera: from `capture_cameras`, `orbit`, or any other.
         background: display-referred sRGB, 0..1.
 
     Returns:
@@ -27,7 +27,7 @@ def render(
     Raises:
         Tg4mmError: the Gaussians are on CUDA and gsplat is not installed.
     """
-    return render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height, background)
+    return render_image(gaussians, *camera.view, background)
 
 
 def render_image(
@@ -39,9 +39,9 @@ def render_image(
     background: tuple[float, float, float] = WHITE,
     low_pass_px2: float = 0.3,
 ) -> np.ndarray:
-    """Display-referred sRGB picture [height, width, 3] float32 in 0..1; `viewmat` [4, 4], `K` [3, 3].
+    """Return a display-referred sRGB picture [height, width, 3] float32 in 0..1; `viewmat` [4, 4], `K` [3, 3].
 
-    `low_pass_px2`: what each Gaussian is drawn wider by, square pixels.
+    `low_pass_px2`: variance that widens each drawn Gaussian, square pixels.
     """
     return render_images(gaussians, viewmat[None], K[None], (width, height), background, low_pass_px2)[0]
 
@@ -55,7 +55,7 @@ def render_images(
     background: tuple[float, float, float] = WHITE,
     low_pass_px2: float = 0.3,
 ) -> np.ndarray:
-    """`render_image` of several cameras [C, 4, 4], [C, 3, 3] of one size (width, height): [C, height, width, 3]."""
+    """Return `render_image` [C, height, width, 3] for cameras [C, 4, 4], [C, 3, 3] of one size (width, height)."""
     device = gaussians.means.device
     views, ks = (torch.as_tensor(m, dtype=torch.float32, device=device) for m in (viewmats, Ks))
     if len(views) == 1:
@@ -83,9 +83,9 @@ def render_images(
 def render_features(
     gaussians: Gaussians, features: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of per-Gaussian `features` [N, F] under each pixel [H, W, F], weighted as colours; opacity [H, W].
+    """Return the mean of per-Gaussian `features` [N, F] in each pixel [H, W, F], weighted as colours; opacity [H, W].
 
-    Where nothing is hit the mean is 0.
+    The mean of an empty pixel is 0.
     """
     device = gaussians.means.device
     view = torch.as_tensor(camera.viewmat, dtype=torch.float32, device=device)

@@ -1,9 +1,9 @@
-"""A run rendered over time from given cameras; complete pictures stay, foreign ones are refused."""
+"""Renders a run over time from given cameras; keeps complete pictures and refuses those of other requests."""
 
 import hashlib
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,20 +28,23 @@ from tg4mm.show.render.video import check_rate, video_of_files
 
 RECORD = "render.json"
 FORMAT = "tg4mm-render"
-Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gaussians at that time
+Pose = Callable[[float], Gaussians]  # of a timestep, which may be fractional
+Job = tuple[float, Camera, Path]  # timestep, camera, picture
 
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """A render request, recorded in DIR/render.json so that DIR never mixes pictures of two requests."""
+    """A render request. DIR/render.json records it, so that DIR never has pictures of two requests."""
 
     magnified: Magnification = AS_CAPTURED
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
-    low_pass_px2: float = 0.3  # drawn wider by, square pixels; less where a file's scales hold some of it
+    low_pass_px2: float = (
+        0.3  # widening of drawn Gaussians, square pixels; less if a file's scales include some of it
+    )
 
     def checked(self) -> "RenderRequest":
-        """Itself. Raises RunError for an alpha or a speed that is out of range."""
+        """Return itself. Raises RunError for an alpha or a speed out of range."""
         for alpha in (self.magnified.everywhere, *(b.alpha for b in self.magnified.bands)):
             if not math.isfinite(alpha):
                 raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
@@ -69,52 +72,35 @@ def render_sequence(
 ) -> Path:
     """Write OUT/<t>/<camera>.png for every timestep (default: all) and camera, and OUT/<camera>.mp4.
 
-    Pictures that are complete are kept, whatever device they come from. Raises RunError where OUT holds another
-    request, where the run has no motion but alpha is not 0, or where a timestep does not exist.
+    Complete pictures are kept, whatever their device. Raises RunError if OUT has another request, the run has no motion
+    but alpha is not 0, or a timestep does not exist.
     """
     pose, n_timesteps, fps = pose_of(run, request, device)
     wanted = list(range(n_timesteps)) if timesteps is None else [int(t) for t in timesteps]
     for t in wanted:
         if not 0 <= t < n_timesteps:
             raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
+    jobs = [(float(t), c, out / f"{t:03d}" / f"{c.name}.png") for t in wanted for c in cameras]
+    speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
+    videos = {}
     if video and len(wanted) > 1:
-        check_rate(fps / request.slow)
-    folder = work_folder(out)
-    with folder.held("renders into it"):
-        folder.claim(record(run, request, cameras, "sequence"))
-        files = {
-            (t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras
-        }
-        jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
-        render_missing(jobs, close_up(run, pose), request, f"rendering, α = {request.label}")
-        if video and len(wanted) > 1:
-            speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
-            for camera in cameras:
-                pictures = [files[t, camera.name] for t in wanted]
-                _video_once(out / f"{camera.name}{speed}.mp4", pictures, fps / request.slow)
-    return out
+        for i, camera in enumerate(cameras):
+            videos[f"{camera.name}{speed}.mp4"] = [path for *_, path in jobs[i :: len(cameras)]]
+    return _render(run, cameras, request, out, "sequence", jobs, pose, videos, fps / request.slow)
 
 
 def render_orbit(
     run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path, device: str = "cpu"
 ) -> Path:
-    """Write OUT/r_000.png …, one per camera, while time runs on, and OUT/orbit.mp4.
+    """Write OUT/r_000.png …, one per camera, over time, and OUT/orbit.mp4.
 
-    The motion is a function of time, so slow motion has its own frames in between: frame i shows the
-    time i / slow and plays at the capture's frame rate. Past the capture's last timestep the modes go on.
+    Slow motion has frames in between, since the motion is a function of time: frame i shows the time i / slow at the
+    capture's frame rate. The modes continue after the capture's last timestep.
     """
     pose, _, fps = pose_of(run, request, device)
-    if len(cameras) > 1:
-        check_rate(fps)
-    folder = work_folder(out)
-    with folder.held("renders into it"):
-        folder.claim(record(run, request, cameras, "orbit"))
-        jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
-        render_missing(jobs, close_up(run, pose), request, f"orbit, α = {request.label}")
-        pictures = [path for _, _, path in jobs]
-        if len(pictures) > 1:
-            _video_once(out / "orbit.mp4", pictures, fps)
-    return out
+    jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
+    videos = {"orbit.mp4": [path for *_, path in jobs]} if len(jobs) > 1 else {}
+    return _render(run, cameras, request, out, "orbit", jobs, pose, videos, fps)
 
 
 def render_path(
@@ -127,77 +113,83 @@ def render_path(
 ) -> Path:
     """Write OUT/r_000.png …, timestep t from the t-th of `cameras`, and OUT/path.mp4."""
     pose, _, fps = pose_of(run, request, device)
-    if video:
-        check_rate(fps)
+    jobs = [(float(t), camera, out / f"{camera.name}.png") for t, camera in enumerate(cameras)]
+    videos = {"path.mp4": [path for *_, path in jobs]} if video else {}
+    return _render(run, cameras, request, out, "path", jobs, pose, videos, fps)
+
+
+def _render(
+    run: Run,
+    cameras: Sequence[Camera],
+    request: RenderRequest,
+    out: Path,
+    kind: str,
+    jobs: Sequence[Job],
+    pose: Pose,
+    videos: Mapping[str, Sequence[Path]],
+    rate: float,
+) -> Path:
+    """Render missing pictures and make the videos {name: pictures} of `rate` pictures a second; returns OUT."""
+    if videos:
+        check_rate(rate)
     folder = work_folder(out)
     with folder.held("renders into it"):
-        folder.claim(record(run, request, cameras, "path"))
-        jobs = [(float(t), camera, out / f"{camera.name}.png") for t, camera in enumerate(cameras)]
-        render_missing(jobs, close_up(run, pose), request, f"path, α = {request.label}")
-        if video:
-            _video_once(out / "path.mp4", [path for _, _, path in jobs], fps)
+        folder.claim(record(run, request, cameras, kind))
+        what = "rendering" if kind == "sequence" else kind
+        render_missing(jobs, close_up(run, pose), request, f"{what}, α = {request.label}")
+        for name, pictures in videos.items():
+            _video_once(out / name, pictures, rate)
     return out
 
 
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
-    """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
+    """Return the magnified Gaussians (on `device`) as a function of the timestep, the timesteps, and fps in Hz."""
     poses = poses_of(run, request.checked().magnified, device)
     return poses.at, poses.n_timesteps, poses.fps
 
 
 def render_missing(
-    jobs: Sequence[tuple[float, Camera, Path]],
+    jobs: Sequence[Job],
     pose: Callable[[float, Camera], Gaussians],
     request: RenderRequest,
     label: str,
 ) -> int:
-    """Render the (time, camera, file) jobs whose file is not complete; returns how many were rendered."""
+    """Render the jobs without a complete picture; returns their number."""
     todo = [job for job in jobs if not png.complete(job[2], job[1].width, job[1].height)]
     done = len(jobs) - len(todo)
     with progress(label, len(jobs), unit="pictures", start=done) as update:
         update(done)
         for time, camera, path in todo:
-            size = (camera.width, camera.height)
-            picture = render_image(
-                pose(time, camera),
-                camera.viewmat,
-                camera.K,
-                *size,
-                background=request.background,
-                low_pass_px2=request.low_pass_px2,
-            )
-            write_png(path, picture)
+            seen = pose(time, camera)
+            write_png(path, render_image(seen, *camera.view, request.background, request.low_pass_px2))
             done += 1
             update(done)
     return len(todo)
 
 
 def close_up(run: Run, pose: Pose) -> Callable[[float, Camera], Gaussians]:
-    """The Gaussians at a time for a camera: from closer than training was, as wide as training drew them.
+    """Return a function of time and camera: the Gaussians, for close cameras as wide as training drew them.
 
-    The 0.3 px² that training drew each Gaussian wider by are fewer scene units there, and leave needles and holes
-    (`show/export/lowpass.py`). A run whose dataset is gone, and a splat file, do not say how near training was.
+    The 0.3 px² by which training widened each Gaussian are fewer scene units there, and leave needles and holes
+    (`show/export/lowpass.py`). The distance in training is unknown for a run without its dataset and a splat file.
     """
-    known: list[
-        tuple[np.ndarray, np.ndarray | None]
-    ] = []  # means at rest and what training drew them wider by
+    known: list[tuple[np.ndarray, np.ndarray | None]] = []  # means at rest and their widening in training
     last: list[tuple[float, Gaussians]] = []
 
     def at(time: float, camera: Camera) -> Gaussians:
         if not last or last[0][0] != time:
             last[:] = [(time, pose(time))]
         gaussians = last[0][1]
-        if not known:  # of the first picture on: a folder that is complete needs none
+        if not known:  # at the first picture: a complete folder needs none
             known.append((run.load_space().means.numpy().astype(np.float64), smoothing_of(run, warn=False)))
         means, variance = known[0]
         if variance is None:
             return gaussians
-        extra = lacking(means, variance, (camera.viewmat, camera.K, camera.width, camera.height))
+        extra = lacking(means, variance, camera.view)
         if extra is None:
             return gaussians
-        wide = (
-            gaussians.scales.double().square() + torch.as_tensor(extra).to(gaussians.scales.device)[:, None]
-        )
+        added = torch.as_tensor(extra).to(gaussians.scales.device)
+        wide = gaussians.scales.double().square() + added[:, None]
         return replace(gaussians, scales=wide.sqrt().to(gaussians.scales.dtype))
 
     return at
@@ -210,13 +202,13 @@ def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
 
 
 def work_folder(out: Path) -> WorkFolder:
-    """OUT as a folder that belongs to a request: OUT/render.json."""
+    """Return OUT as the folder of a request, which OUT/render.json records."""
     others = {"cameras": "from other cameras", "model": "of another model"}
     return WorkFolder(out, RECORD, strangers="**/*.png", others=others)
 
 
 def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
-    """All that the pictures depend on, in JSON's types."""
+    """Return everything that determines the pictures, in JSON's types."""
     poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
     chosen = request.magnified
     method, temporal = method_of(run, chosen), chosen.filter
@@ -228,7 +220,7 @@ def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: st
         "alpha": 0.0 if several else chosen.alpha,
         "band_hz": list(one[0].band) if one and not several else None,
         "bands": [[b.low, b.high, b.alpha] for b in chosen.bands] if several else None,
-        "method": None if method == method_of(run, AS_CAPTURED) else method,  # null: the run's own
+        "method": None if method == method_of(run, AS_CAPTURED) else method,  # null: the run's
         "filter": None if temporal is None else [temporal.kind, temporal.taps],
         "background": list(request.background),
         "slow": request.slow if kind == "orbit" else 1.0,

@@ -1,4 +1,4 @@
-"""H.264 video that browsers play: yuv420p, even sizes, BT.709, repeated so that it lasts some seconds."""
+"""H.264 video for browsers: yuv420p, even sizes, BT.709, repeated to last some seconds."""
 
 import contextlib
 import errno
@@ -19,11 +19,11 @@ from tg4mm.core.files import write_atomic
 from tg4mm.core.pictures.decode import read_png
 from tg4mm.core.progress import progress
 
-_RATES = (0.01, 10_000.0)  # pictures a second that encoder and players can do
+_RATES = (0.01, 10_000.0)  # pictures a second; limits of encoder and players
 
 
 def check_rate(fps: float) -> None:
-    """Raises RunError for a rate, in pictures a second, at which no video can play."""
+    """Raise RunError for a rate, in pictures a second, that no video can have."""
     if not _RATES[0] <= fps <= _RATES[1]:
         raise RunError(
             f"a video of {fps:g} pictures a second: expected {_RATES[0]:g} … {_RATES[1]:g}; see --slow and --no-video"
@@ -36,7 +36,7 @@ def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
 
 
 def even_size(image: np.ndarray) -> np.ndarray:
-    """The picture [H, W, 3] with its last row or column repeated where a side is odd (yuv420p needs even)."""
+    """Return the picture [H, W, 3] with its last row or column repeated if a side is odd (yuv420p needs even)."""
     height, width = image.shape[:2]
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
@@ -46,8 +46,8 @@ def write_mp4(
 ) -> None:
     """Write uint8 pictures [H, W, 3] of one size as mp4, `loops` times over; `fps` in frames per second.
 
-    `scale` enlarges whole-numbered (bicubic), since 4:2:0 chroma would smear small pictures. `quality` is
-    x264's constant rate factor, smaller is better.
+    `scale` enlarges by an integer (bicubic), since 4:2:0 chroma would smear small pictures. `quality` is x264's
+    constant rate factor, smaller is better.
     """
     if not len(frames):
         raise RunError(f"{path}: no frames to write")
@@ -67,7 +67,7 @@ def write_mp4(
 def stream_mp4(
     path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, count: int
 ) -> None:
-    """`write_mp4` of `count` pictures that are made one after another, all of `size` (width, height), even pixels."""
+    """Write an mp4 of `count` pictures from an iterator, all of `size` (width, height), even pixels."""
     check_rate(fps)
     if size[0] % 2 or size[1] % 2:
         raise ValueError(f"size is {size[0]}×{size[1]}, expected even numbers")
@@ -84,7 +84,7 @@ def _encode(
     scale: int = 1,
     quality: int = 17,
 ) -> None:
-    """Raises RunError unless the encoder says that the file is whole: a full disk it tells by its exit status alone."""
+    """Encode to a file. Raises RunError unless the encoder ends well; only its exit status shows a full disk."""
     import imageio_ffmpeg
 
     width, height = size
@@ -95,14 +95,14 @@ def _encode(
         *("-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"),
         *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "slow"),
         *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-threads", "2"),
-        *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not say that it is one
+        *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not end in .mp4
         f"file:{path}",
     ]
     with (
         progress("video", count, "frames", brief=True) as update,
-        tempfile.TemporaryFile() as said,
+        tempfile.TemporaryFile() as messages,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **_OWN_GROUP
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages, **_SEPARATE_GROUP
         ) as encoder,
     ):
         assert encoder.stdin is not None
@@ -112,14 +112,14 @@ def _encode(
                 update(done)
             encoder.stdin.close()
             status = encoder.wait()
-        except OSError:  # it ended before it had all pictures
+        except OSError:  # it ended before the last picture
             with contextlib.suppress(OSError):
                 encoder.stdin.close()
             status = encoder.wait()
         except BaseException:
             encoder.kill()
             raise
-        errors = _errors(said)
+        errors = _errors(messages)
         if status or errors:
             remedy = f"; {ROOM}" if os.strerror(errno.ENOSPC) in errors else ""
             raise RunError(
@@ -127,23 +127,23 @@ def _encode(
             )
 
 
-# Ctrl+C goes to this program alone, which ends the encoder.
-_OWN_GROUP: dict[str, Any] = (
+# Ctrl+C must reach only this program, which ends the encoder.
+_SEPARATE_GROUP: dict[str, Any] = (
     {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     if sys.platform == "win32"
     else {"start_new_session": True}
 )
 
 
-def _errors(said: IO[bytes]) -> str:
-    """The last line of what the encoder said, without the address of the part that said it."""
-    said.seek(0)
-    lines = said.read().decode(errors="replace").strip().splitlines()
+def _errors(messages: IO[bytes]) -> str:
+    """Return the last line of the encoder's messages, without its origin."""
+    messages.seek(0)
+    lines = messages.read().decode(errors="replace").strip().splitlines()
     return lines[-1].partition("] ")[2] or lines[-1] if lines else ""
 
 
 def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
-    """An mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
+    """Write an mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
     frames = [read_png(picture) for picture in pictures]
     scale = max(1, math.ceil(256 / max(frames[0].shape[:2]))) if frames else 1
     write_mp4(path, frames, fps, loops_to_last(len(frames), fps, seconds), scale)

@@ -1,4 +1,4 @@
-"""What a finished run found, in one object: `train` prints it, `--band auto` takes it, reports and viewers show it."""
+"""The result of a finished run in one object, for `train`, `--band auto`, reports and viewers."""
 
 from tg4mm.show.result.model import Length, Result, Vibration, lines_of
 from tg4mm.show.result.read import result_of

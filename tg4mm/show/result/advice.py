@@ -1,4 +1,4 @@
-"""What to do with a result: a band around each frequency, a magnification that shows the motion, a command line."""
+"""Suggestions for a result: a band around each frequency, a magnification that shows the motion, a command line."""
 
 import math
 import shlex
@@ -10,20 +10,20 @@ from tg4mm.run import Run
 from tg4mm.show.result.model import Band, Vibration
 from tg4mm.show.result.reading import Reach
 
-_SHOWN = 0.04  # of the picture's shorter side: a motion so large is seen well
+_SHOWN = 0.04  # share of the picture's shorter side that is easy to see
 _STEPS = (1.0, 2.0, 5.0)
 _MOST, _DEFAULT = 500.0, 20.0
 _ORBIT = 90  # pictures
-_MANY = 60  # cameras: more of the training split are rendered for hours
+_MANY = 60  # cameras; rendering more of the training split takes hours
 
 
 def suggested_alpha(reach: Reach | None, capture: Capture | None) -> float:
-    """A round α (1, 2, 5, 10 …) at which the motion is seen well, as long as it stays within its limits.
+    """Return a round α (1, 2, 5, 10 …) at which the motion is easy to see and within its limits.
 
-    The one default of result, report, viewer and page: the largest motion spans 4 % of the picture's shorter side,
-    which a person sees at once and which leaves shapes whole; less where noise would be seen or parts would tear.
+    It is the default of result, report, viewer and page: the largest motion spans 4 % of the picture's shorter side,
+    which is visible at once and keeps shapes intact; less if noise became visible or parts tore.
 
-    reach: of the motion that is magnified, as it is.
+    reach: of the unmagnified motion.
     """
     if reach is None or reach.pixels is None or capture is None:
         return _DEFAULT
@@ -36,7 +36,7 @@ def suggested_alpha(reach: Reach | None, capture: Capture | None) -> float:
 
 
 def next_command(run: Run, capture: Capture | None, vibrations: Sequence[Vibration], alpha: float) -> str:
-    """A `tg4mm render` command line: of the strongest vibration, or of the scene at rest where there is none."""
+    """Return a `tg4mm render` command line for the strongest vibration, or without one for the scene at rest."""
     out = run.path.with_name(f"{run.path.name}_x{alpha:g}" if vibrations else f"{run.path.name}_rest")
     parts = ["tg4mm", "render", str(run.path), "--alpha", f"{alpha if vibrations else 0:g}"]
     if vibrations:
@@ -45,7 +45,7 @@ def next_command(run: Run, capture: Capture | None, vibrations: Sequence[Vibrati
 
 
 def _cameras(capture: Capture | None) -> list[str]:
-    """The test cameras where there are some, all training cameras where they are few, else an orbit."""
+    """Return options for the test cameras if there are any, for few training cameras, otherwise for an orbit."""
     if capture is None:
         return ["--orbit", str(_ORBIT)]
     if any(next(capture.root.glob(f"{where}transforms_{SPLITS[1]}.json"), None) for where in ("", "000*/")):
@@ -64,12 +64,11 @@ def suggested_bands(
     fps: float,
     reach_hz: Sequence[float] | None = None,
 ) -> list[Band]:
-    """A band for each of the frequencies [K], in their order, which does not hold another one of them.
+    """Return a band for each of the frequencies [K], in order, that contains none of the others.
 
-    One step of the record's resolution, 1 / duration, to either side, since that is how far a sinusoid's bins reach;
-    `reach_hz` where that is more, of lines that are wide since they ring down; and more where the frequency is known
-    to less than a third of it. It ends half-way to the next frequency, above 0 Hz and
-    below half the frame rate, and its ends are round numbers.
+    It reaches one step of the record's resolution, 1 / duration, to either side, as a sinusoid's bins do; further for
+    lines that ring down (`reach_hz`), and for a frequency with a deviation over a third of that. It ends half-way to
+    the next frequency, above 0 Hz and below half the frame rate, at round numbers.
     """
     out = []
     for f, deviation, reach in zip(hz, deviations_hz, reach_hz or [0.0] * len(hz), strict=True):
@@ -81,7 +80,7 @@ def suggested_bands(
 
 
 def _rounded(low: float, high: float, f: float) -> Band:
-    """Ends with as few digits as a twentieth of the band allows, moved inwards, the frequency still inside."""
+    """Return ends with as few digits as a twentieth of the band allows, moved inwards around the frequency."""
     digits = max(0, math.ceil(-math.log10((high - low) / 20)))
     scale = 10.0**digits
     inner = math.ceil(round(low * scale, 6)) / scale, math.floor(round(high * scale, 6)) / scale

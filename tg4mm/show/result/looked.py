@@ -1,4 +1,4 @@
-"""Vibrations before one fixed camera as the look at its regions found them, also what its whole does not show."""
+"""Vibrations that the look at a fixed camera's regions found, also those that the complete picture does not show."""
 
 import shlex
 from collections.abc import Sequence
@@ -16,16 +16,11 @@ from tg4mm.core.phasors import scale_top
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.motion.observations import CLEAR_PERIODS, fixed_cameras
 from tg4mm.show.result.advice import suggested_bands
-from tg4mm.show.result.model import Length, Vibration
+from tg4mm.show.result.model import WHY_NO_DAMPING, Length, Vibration
 from tg4mm.show.result.reading import Reading
 
-_MOST = 4  # things that move by themselves, said one by one
-_WHY_NO_DAMPING = {
-    "steady": "the amplitude stays constant during the record",
-    "grows": "the amplitude grows during the record",
-    "varies": "the amplitude rises and falls during the record",
-    "untold": "it is too faint to show whether it rings down",
-}
+_MOST = 4  # independently moving regions that are listed
+_WHY_NO_DAMPING = WHY_NO_DAMPING | {"untold": "it is too faint to show whether it rings down"}
 
 
 def looked_vibrations(
@@ -35,9 +30,9 @@ def looked_vibrations(
     duration_s: float,
     depths: Sequence[float] | None = None,
 ) -> tuple[Vibration, ...]:
-    """Those without a mark, the largest amplitude first.
+    """Return the vibrations without a mark, the largest amplitude first.
 
-    depths: how far from the camera, along its axis, each of them is; None: of a flat capture, at 1.
+    depths: distance of each from the camera, along its axis; None for a flat capture, at 1.
     """
     lines = found.vibrations
     apart = list({line.hz: line for line in lines}.values())  # parts of one frequency share its band
@@ -51,16 +46,13 @@ def looked_vibrations(
     for line, depth in zip(lines, depths or [1.0] * len(lines), strict=True):
         sight = np.linalg.solve(K, [*line.centre_px, 1.0]) * depth
         place = viewmat[:3, :3].T @ (sight - viewmat[:3, 3])
-        own = _vibration(line, place, depth / K[0, 0], bands[line.hz])
-        out.append(replace(own, place_px=line.centre_px) if depths is None else own)
+        made = _vibration(line, place, depth / K[0, 0], bands[line.hz])
+        out.append(replace(made, place_px=line.centre_px) if depths is None else made)
     return tuple(out)
 
 
 def depths_of(reading: Reading, found: Found, capture: Capture) -> list[float]:
-    """Return the median depth of what is seen in each vibration's region.
-
-    Of all that is seen where nothing is there.
-    """
+    """Return the median depth of the visible scene in each vibration's region, or of all of it in empty regions."""
     (frames, *_), means = fixed_cameras(capture), reading.gaussians.means.numpy()
     x = means.astype(float) @ frames.viewmat[:3, :3].T + frames.viewmat[:3, 3]
     depth = np.maximum(x[:, 2], 1e-9)
@@ -69,13 +61,13 @@ def depths_of(reading: Reading, found: Found, capture: Capture) -> list[float]:
     column, row = np.where(inside[:, None], at, 0).astype(int).T
     seen, out = np.where(inside, reading.seen.weights, 0), []
     for line in found.vibrations:
-        own = np.where(found.pixels(line.region)[row, column], seen, 0)
-        out.append(float(scale_top(depth, own if own.any() else seen, 0.5)))
+        here = np.where(found.pixels(line.region)[row, column], seen, 0)
+        out.append(float(scale_top(depth, here if here.any() else seen, 0.5)))
     return out
 
 
 def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float, float]) -> Vibration:
-    """unit: scene units of a pixel."""
+    """Return the vibration of a line; `unit` is a pixel's size in scene units."""
     pixels = Length(line.amplitude_px, line.amplitude_deviation_px, bool(line.lost))
     return Vibration(
         hz=line.hz,
@@ -92,8 +84,8 @@ def _vibration(line: LookLine, place: np.ndarray, unit: float, band: tuple[float
 
 
 def looked_notes(found: Found, is_flat: bool = True) -> list[str]:
-    """What moves by itself or passes, what the light does, and lines that may be none of their own."""
-    movers = found.movers if is_flat else ()  # other fits leave nothing out
+    """Return notes on independent motion, passing objects, flicker, and lines in doubt."""
+    movers = found.movers if is_flat else ()  # other fits exclude nothing
     out = [_moves(mover) for mover in movers[:_MOST]]
     if len(movers) > _MOST:
         out.append(f"{len(movers) - _MOST} more regions with independent motion or a passing object")
@@ -132,7 +124,7 @@ def _at(line: LookLine) -> str:
 
 
 def cannot_tell(reading: Reading, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
-    """What the run cannot tell, a line each."""
+    """Return a line for each quantity that the run cannot determine."""
     duration = reading.duration_s
     out = [*reading.log.get("notes", ())]
     if reading.look is not None and reading.capture is not None:

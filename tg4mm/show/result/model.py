@@ -1,7 +1,7 @@
-"""What a run found, as numbers and as a dozen lines of text."""
+"""The result of a run, as numbers and as a dozen lines of text."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,64 +15,60 @@ from tg4mm.fit.motion.observations import CLEAR_PERIODS
 
 Band = tuple[float, float]  # low and high, Hz, both ends inside
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
-_FREE = 8  # samples beside four for each line that a fit needs
+_FREE = 8  # samples that a fit needs beside four for each line
 
 
 @dataclass(frozen=True)
 class Length:
-    """A length and its standard deviation, None where that is not known."""
+    """A length and its standard deviation, None if unknown."""
 
     value: float
     deviation: float | None = None
-    is_bound: bool = False  # more moves than the deviation says (compression, the fit): shown as > value
+    is_bound: bool = False  # a lower bound, because of compression or the fit: shown as > value
 
     def times(self, factor: float) -> "Length":
-        """In another unit."""
+        """Return the length in another unit."""
         deviation = None if self.deviation is None else self.deviation * factor
         return Length(self.value * factor, deviation, self.is_bound)
 
 
 @dataclass(frozen=True)
 class Vibration:
-    """One frequency that was found, and how far things move at it where they move most."""
+    """A frequency and the largest motion at it."""
 
     hz: float
     deviation_hz: float
-    amplitude: (
-        Length  # scene units: the largest displacement from the middle, 99th percentile of what is seen
-    )
-    place: tuple[float, float, float]  # scene units: where that is, at rest
-    pixels: Length | None  # the same in the pictures, 99th percentile of what is seen; None without a dataset
-    damping: float | None  # ratio, of the critical; None: not to be told
-    damping_deviation: float | None
-    why_no_damping: str  # "" where there is one
+    amplitude: Length  # scene units: the largest displacement from the middle, 99th percentile of the visible
+    place: tuple[float, float, float]  # its position at rest, scene units
+    pixels: Length | None  # the same in the pictures, 99th percentile of the visible; None without a dataset
+    why_no_damping: str  # "" with a damping
     band: Band  # suggested for --band
-    place_px: tuple[float, float] | None = None  # of a flat capture: the same in its picture, right and down
-    begins_s: float | None = None  # where it begins in the record; None: before it
-    doubt: str = ""  # why it may be no vibration
+    damping: float | None = None  # ratio to the critical; None: not determined
+    damping_deviation: float | None = None
+    place_px: tuple[float, float] | None = None  # in the picture of a flat capture, right and down
+    begins_s: float | None = None  # its start in the record; None: before it
+    doubt: str = ""  # why it may not be a vibration
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a run found, what it could not tell, and what to do next. Vibrations are in order of falling strength."""
+    """Findings of a run, quantities that it cannot determine, and the next command. Vibrations fall in strength."""
 
     run: Path
     kind: Kind | None  # of the capture; None: its dataset is gone
     n_cameras: int  # poses that show motion; 0 if the dataset is gone
     n_timesteps: int
     fps: float  # Hz
-    vibrations: tuple[Vibration, ...]
-    untold_hz: tuple[Length, ...]  # frequencies that were found, but not how things move at them
     unit_scale_m: float | None  # metres per scene unit
-    noise: (
-        float | None
-    )  # scene units: the amplitude of a motion as large as the noise, median of what is seen
-    noise_px: float | None  # the same in the pictures
-    agreement: tuple[float, ...]  # 0 … 1: what two halves of the data agree on, of each function of time
-    cannot: tuple[str, ...]  # what cannot be told, a line each
-    beside: tuple[Vibration, ...] = field(
-        default=(), kw_only=True
-    )  # found region by region, but not in the model
+    vibrations: tuple[Vibration, ...] = ()
+    beside: tuple[Vibration, ...] = ()  # found in regions, but not in the model
+    shapeless_hz: tuple[Length, ...] = ()  # frequencies without a known motion
+    noise: float | None = (
+        None  # scene units: amplitude of a motion as large as the noise, median of the visible
+    )
+    noise_px: float | None = None  # the same in the pictures
+    agreement: tuple[float, ...] = ()  # 0 … 1: agreement of two halves of the data, for each function of time
+    cannot: tuple[str, ...]  # a line for each quantity that cannot be determined
     alpha: float  # suggested for --alpha
     next_command: str
 
@@ -83,26 +79,22 @@ class Result:
 
     @property
     def band(self) -> Band | None:
-        """What `--band auto` takes: around the strongest vibration; None where there is none."""
+        """The band of `--band auto`, around the strongest vibration; None without one."""
         return self.vibrations[0].band if self.vibrations else None
 
     @property
     def duration_s(self) -> float:
-        """What the record covers."""
+        """The duration of the record."""
         return self.n_timesteps / self.fps
 
 
 _MOST = 4  # vibrations
-
-
 _INDENT = "  "
-
-
 _WIDTH = 20
 
 
 def lines_of(result: Result) -> list[str]:
-    """What was found, how sure it is, what cannot be told, and what to do next."""
+    """Return the findings, their deviations, what cannot be determined, and the next command as lines."""
     lines = [_head(result)]
     for vibration in result.vibrations[:_MOST]:
         lines += _vibration(vibration, result)
@@ -139,21 +131,19 @@ def _head(result: Result) -> str:
 
 
 def _nothing(result: Result) -> str:
-    if not result.untold_hz:
+    if not result.shapeless_hz:
         return (
             "no vibration was found: no frequency exceeds the noise around it; --band LO HI selects a band "
             "anyway"
         )
-    named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
+    named = ", ".join(with_deviation(hz) for hz in result.shapeless_hz)
     return f"something changes at {named} Hz, but its amplitude and direction cannot be determined"
 
 
 def _vibration(v: Vibration, result: Result) -> list[str]:
-    lengths = (
-        [] if result.is_flat and v.pixels is not None else [f"{with_deviation(v.amplitude)} scene units"]
-    )
-    if v.pixels is not None:
-        lengths.insert(0, f"{with_deviation(v.pixels)} px")
+    lengths = [] if v.pixels is None else [f"{with_deviation(v.pixels)} px"]
+    if not (result.is_flat and lengths):
+        lengths.append(f"{with_deviation(v.amplitude)} scene units")
     if result.unit_scale_m is not None:
         lengths.append(" ".join(amount(v.amplitude, result.unit_scale_m)))
     where = ", ".join(f"{c:.3g}" for c in v.place)
@@ -192,12 +182,12 @@ def _row(name: str, text: str) -> str:
 
 
 def with_deviation(length: Length) -> str:
-    """`0.223 ± 0.008`, as `tg4mm.core.digits`; `> 0.223 ± 0.008` of a bound."""
+    """Return `0.223 ± 0.008`, or `> 0.223 ± 0.008` for a bound."""
     return ("> " if length.is_bound else "") + value_with_deviation(length.value, length.deviation)
 
 
 def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
-    """(value ± deviation, unit): mm or µm where the scale is known, else scene units."""
+    """Return (value ± deviation, unit): mm or µm if the scale is known, otherwise scene units."""
     if unit_scale_m is None:
         return with_deviation(length), "scene units"
     millimetres = length.times(1000.0 * unit_scale_m)
@@ -207,14 +197,14 @@ def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
 
 
 def percent(ratio: float | None, deviation: float | None) -> str:
-    """A damping ratio in percent; a dash where there is none."""
+    """Return a damping ratio in percent, or a dash."""
     if ratio is None:
         return "–"
     return f"{with_deviation(Length(100 * ratio, None if deviation is None else 100 * deviation))} %"
 
 
 def unit_of(capture: Capture | None) -> tuple[str, float]:
-    """(unit, factor) that lengths are shown in: pixels of a flat capture, mm where the scale is known."""
+    """Return unit and factor of shown lengths: pixels of a flat capture, mm if the scale is known."""
     if capture is None:
         return "scene units", 1.0
     pixels, scale = capture.scene.get("pixels_per_unit"), capture.unit_scale_m
@@ -224,7 +214,7 @@ def unit_of(capture: Capture | None) -> tuple[str, float]:
 
 
 def title_of(train: Capture) -> str:
-    """The scene's own name, else the dataset folder's."""
+    """Return the name that the scene states, otherwise the dataset folder's."""
     return str(train.scene.get("scene") or train.root.resolve().name)
 
 
@@ -236,7 +226,7 @@ def line_near(
     noise: float,
     between: np.ndarray | None = None,
 ) -> Line | None:
-    """The line of a series [T] that a mode at `hz` belongs to; None where the record is too short to tell.
+    """Return the line of a series [T] to which a mode at `hz` belongs; None if the record is too short.
 
     others: frequencies of other vibrations. noise: standard deviation of the series' noise over its rms, at least.
     between [T] bool: frames that the codec predicts from both sides.
@@ -257,7 +247,7 @@ def line_near(
 
 
 def phasors_at(motion: ModalMotion, line: Line, between: np.ndarray | None = None) -> np.ndarray:
-    """[N, 3] of every Gaussian where the line is largest, scene units: the modes' own series, fitted by the line."""
+    """Return every Gaussian's phasors [N, 3] at the line's maximum, scene units, from a fit to the modes' series."""
     some = np.arange(motion.n_timesteps)
     some = some if between is None else some[~between]
     gains = np.stack([motion.gains_at(int(t)) for t in some])  # [T, K]
@@ -268,28 +258,32 @@ def phasors_at(motion: ModalMotion, line: Line, between: np.ndarray | None = Non
     return np.asarray(along - np.tensordot(imaginary.astype(np.complex64), motion.displacement.imag, 1))
 
 
+WHY_NO_DAMPING = {
+    "steady": "the amplitude stays constant during the record",
+    "grows": "the amplitude grows during the record",
+    "varies": "the amplitude rises and falls during the record",
+}
+
+
 def why_no_damping(line: Line | None) -> str:
-    """In words; "" where there is a damping ratio."""
+    """Return the reason in words; "" with a damping ratio."""
     if line is None:
         return "the record is too short"
     if line.damping is not None:
         return ""
-    words = {
-        "steady": "the amplitude stays constant during the record",
-        "grows": "the amplitude grows during the record",
-        "varies": "the amplitude rises and falls during the record",
-        "begins": "the vibration begins during the record and lasts",
-    }
-    return words.get(line.change, "noise hides whether the amplitude decays during the record")
+    begins = {"begins": "the vibration begins during the record and lasts"}
+    return (WHY_NO_DAMPING | begins).get(
+        line.change, "noise hides whether the amplitude decays during the record"
+    )
 
 
 def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """[K, N] float32 scene units: standard deviation of each mode's amplitude at each Gaussian.
+    """Return the standard deviation of each mode's amplitude at each Gaussian, [K, N] float32 scene units.
 
     deviation, noise [N]: of the displacement, rms over time, root of the sum over x, y, z, in all and by noise alone
-    (RUN/uncertainty.safetensors). How an error spreads over frequencies is not known. Noise is taken to lie at this one
-    as a whole, which is the most it can be; errors of the model, which grow with the motion, by the mode's share of the
-    motion's power. A sinusoid's amplitude is √2 times its rms.
+    (RUN/uncertainty.safetensors). The spectrum of an error is unknown. All noise is assumed at this frequency, its
+    upper bound; errors of the model, which grow with the motion, by the mode's share of the motion's power. A
+    sinusoid's amplitude is √2 times its rms.
     """
     power = (np.abs(motion.displacement) ** 2).sum(2).mean(1).astype(np.float64)
     total = float(power[np.asarray(motion.freqs_hz) > 0].sum())
@@ -300,9 +294,9 @@ def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarra
 
 
 def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
+    """Return the motion over time [T] along a mode's shape, in units of its largest displacement at each Gaussian.
 
-    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
+    The shape is the real part of the phasors [N, 3] at the time of their maximum; weights [N].
     """
     turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
     shape = weights[:, None] * turned.real
@@ -315,7 +309,7 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
 
 @dataclass(frozen=True)
 class Peak:
-    """A peak of the modes, and the line that it belongs to."""
+    """A peak of the modes, and its line."""
 
     mode_hz: float
     hz: float
@@ -324,7 +318,7 @@ class Peak:
     is_steady: bool = False
 
     def reach(self, duration_s: float) -> float:
-        """Hz to either side that are its own: 1 / duration, or the width of what rings down."""
+        """Return the half-width in Hz: 1 / duration, or that of a line that rings down."""
         return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
 
 

@@ -1,4 +1,4 @@
-"""A run's files read as its `Result`."""
+"""Reads the `Result` of a run from its files."""
 
 from dataclasses import replace
 
@@ -24,7 +24,6 @@ from tg4mm.show.result.model import (
     drift_line,
     is_drift,
     line_near,
-    mode_deviations,
     phasors_at,
     series_of,
     why_no_damping,
@@ -32,11 +31,11 @@ from tg4mm.show.result.model import (
 from tg4mm.show.result.reading import Reading, reading_of
 
 
-def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
-    """What the run's modes in a band amount to, with a ± that says how little the record tells; None without a mode.
+def _requested(reading: Reading, band: Band) -> Vibration | None:
+    """Return the motion of the run's modes in a band, with a large ± that shows the doubt; None without a mode.
 
-    The shape is that of the strongest mode in the band. How large it is, and its frequency, is the tone of the motion
-    along that shape (`core/lines/band.py`); where the fit holds nothing but tones, what it said of this one.
+    The shape is that of the strongest mode in the band. Its size and frequency are those of the motion's tone along
+    that shape (`core/lines/band.py`), or of the mode if the fit has only tones.
     """
     motion = reading.motion
     if motion is None:
@@ -48,19 +47,14 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
     weights = reading.seen.weights
     power = np.einsum("knc,n->k", np.abs(motion.displacement[inside]) ** 2, weights)
     k = int(inside[power.argmax()])
-    own, share = _tone(reading, motion, k, band)
-    phasors = motion.displacement[k] * np.complex64(1.0 if own is None else abs(own.phasor[0]))
-    deviations = None
-    if "noise" in reading.uncertainty:
-        deviations = mode_deviations(
-            motion, reading.uncertainty["displacement"], reading.uncertainty["noise"]
-        )[k]
-    amplitude, place = reading.largest(phasors, deviations)
+    tone, share = _tone(reading, motion, k, band)
+    phasors = motion.displacement[k] * np.complex64(1.0 if tone is None else abs(tone.phasor[0]))
+    amplitude, place = reading.largest(phasors, k)
     deviation = float(np.hypot(amplitude.deviation or 0.0, share * amplitude.value))
     amplitude = replace(amplitude, deviation=deviation)
-    frequency, width = (
-        (float(hz[k]), (band[1] - band[0]) / np.sqrt(12)) if own is None else (own.hz, own.hz_deviation)
-    )
+    frequency, width = float(hz[k]), (band[1] - band[0]) / np.sqrt(12)
+    if tone is not None:
+        frequency, width = tone.hz, tone.hz_deviation
     periods = frequency * reading.duration_s
     return Vibration(
         hz=frequency,
@@ -68,8 +62,6 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
         amplitude=amplitude,
         place=place,
         pixels=reading.pixels(phasors, amplitude),
-        damping=None,
-        damping_deviation=None,
         why_no_damping="nothing stands out in the band",
         band=band,
         place_px=reading.pixel(place),
@@ -79,7 +71,7 @@ def asked_vibration(reading: Reading, band: Band) -> Vibration | None:
 
 
 def _tone(reading: Reading, motion: ModalMotion, k: int, band: Band) -> tuple[Tone | None, float]:
-    """Return the tone of the motion along mode k in units of the mode's own, and its amplitude's deviation over it."""
+    """Return the tone of the motion along mode k in units of the mode, and its amplitude's relative deviation."""
     if "asked_share" in reading.log:
         return None, float(reading.log["asked_share"])
     if motion.n_timesteps < FEWEST:
@@ -90,41 +82,41 @@ def _tone(reading: Reading, motion: ModalMotion, k: int, band: Band) -> tuple[To
     return tone, float(tone.amplitude_deviation[0]) / max(abs(tone.phasor[0]), 1e-300)
 
 
-_STEADY = "the fit takes the vibration to be steady"
+_STEADY = "the fit assumes a steady vibration"
 _DOUBT = "only the whole picture shows it, no region by itself: it may be a little sway, a passer-by or noise"
 
 
 def result_of(run: Run, band: Band | None = None) -> Result:
-    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished.
+    """Read the result of a finished run, which is always the same. Raises RunError for an unfinished one.
 
-    band: (low, high) in Hz that a person asks for: what the fit holds there is among the vibrations, found or not.
+    band: requested (low, high) in Hz; the fit's motion there is among the vibrations, significant or not.
     """
     return result_from(reading_of(run), band)
 
 
 def result_from(reading: Reading, band: Band | None = None) -> Result:
-    """`result_of`."""
+    """Return the result from a run's files, as `result_of`."""
     motion = reading.motion
     if motion is None:
         return _still(reading)
     found = [] if _by_regions(reading) else _found(reading, motion)
     drifts = [v for v in found if is_drift(v, reading.duration_s)]
     vibrations, beside = _named(reading, motion, [v for v in found if v not in drifts])
-    vibrations = _with_asked(reading, motion, vibrations, band)
+    vibrations = _with_requested(reading, motion, vibrations, band)
     noise, noise_px = reading.noise()
     low, high = vibrations[0].band if vibrations else (0.0, 0.0)
     strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
     alpha = suggested_alpha(reading.reach(strongest.astype(float)) if vibrations else None, reading.capture)
-    frames = frames_of(reading.capture)[1] if reading.capture is not None else []
+    capture = reading.capture
     return Result(
         run=reading.run.path,
-        kind=None if reading.capture is None else reading.capture.kind,
-        n_cameras=len(frames),
+        kind=None if capture is None else capture.kind,
+        n_cameras=0 if capture is None else len(frames_of(capture)[1]),
         n_timesteps=motion.n_timesteps,
         fps=motion.fps,
         vibrations=vibrations,
-        untold_hz=_untold(reading, motion),
-        unit_scale_m=None if reading.capture is None else reading.capture.unit_scale_m,
+        shapeless_hz=_shapeless(reading, motion),
+        unit_scale_m=None if capture is None else capture.unit_scale_m,
         noise=noise,
         noise_px=noise_px,
         agreement=tuple(float(r) for r in reading.log.get("reliability", ())),
@@ -134,29 +126,29 @@ def result_from(reading: Reading, band: Band | None = None) -> Result:
             *cannot_tell(reading, motion, vibrations),
         ),
         alpha=alpha,
-        next_command=next_command(reading.run, reading.capture, vibrations, alpha),
+        next_command=next_command(reading.run, capture, vibrations, alpha),
         beside=beside,
     )
 
 
-def _with_asked(
+def _with_requested(
     reading: Reading, motion: ModalMotion, found: tuple[Vibration, ...], band: Band | None
 ) -> tuple[Vibration, ...]:
-    """With the motion in the band that is asked for, or that the run was trained for, first; as it is if found."""
+    """Put the motion in the requested band, or in the band of training, first unless it was found already."""
     band = band or asked_band(str(reading.run.settings.get("motion", {}).get("band", "")), motion.fps)
     if band is None or any(band[0] <= v.hz <= band[1] for v in found):
         return found
-    asked = asked_vibration(reading, band)
-    return found if asked is None else (asked, *found)
+    requested = _requested(reading, band)
+    return found if requested is None else (requested, *found)
 
 
 def _named(
     reading: Reading, motion: ModalMotion, found: list[Peak]
 ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
-    """The vibrations that the model holds, and others; where a flat capture's regions name some, these alone.
+    """Return the model's vibrations, and others; of a flat capture only those of its regions, if there are any.
 
-    Where they name none, the whole picture may still show what no region does: motion that is no steady tone, but
-    also a little sway or noise. Of a scene with depth the model's are named, and what only a region shows beside them.
+    Otherwise the complete picture may still show motion that no region shows: not a steady tone, but also a little
+    sway or noise. For a scene with depth it is the model's, and beside them those that only a region shows.
     """
     if reading.look is None or reading.capture is None:
         return _vibrations(reading, motion, found), ()
@@ -174,7 +166,7 @@ def _named(
 
 
 def _by_regions(reading: Reading) -> bool:
-    """Whether the regions of a flat capture name its vibrations."""
+    """Return whether the vibrations are those of a flat capture's regions."""
     is_flat = reading.capture is not None and not reading.capture.kind.sees_depth
     return is_flat and reading.look is not None and bool(reading.look.vibrations)
 
@@ -182,24 +174,24 @@ def _by_regions(reading: Reading) -> bool:
 def _with_regions(
     found: tuple[Vibration, ...], every: tuple[Vibration, ...], hz: np.ndarray
 ) -> tuple[tuple[Vibration, ...], tuple[Vibration, ...]]:
-    """The model's vibrations and those that it does not hold; by its region what a small part alone does."""
-    own, beside = list(found), list[Vibration]()
+    """Return the model's vibrations, those of a small part as its region has them, and those outside the model."""
+    inside, beside = list(found), list[Vibration]()
     for line in every:
-        near = [k for k, v in enumerate(own) if v.band[0] <= line.hz <= v.band[1]]
+        near = [k for k, v in enumerate(inside) if v.band[0] <= line.hz <= v.band[1]]
         if not near:
             held = bool(((hz >= line.band[0]) & (hz <= line.band[1])).any())
-            (own if held else beside).append(line)
-        elif _is_local(own[near[0]], line):
-            own[near[0]] = replace(line, band=own[near[0]].band)
-    own.sort(key=lambda v: v.amplitude.value, reverse=True)
-    return tuple(own), tuple(beside)
+            (inside if held else beside).append(line)
+        elif _is_local(inside[near[0]], line):
+            inside[near[0]] = replace(line, band=inside[near[0]].band)
+    inside.sort(key=lambda v: v.amplitude.value, reverse=True)
+    return tuple(inside), tuple(beside)
 
 
-def _is_local(whole: Vibration, region: Vibration) -> bool:
-    """Whether a region moves more than twice as far as most of what is seen says."""
-    if whole.pixels is None or region.pixels is None:
+def _is_local(model: Vibration, region: Vibration) -> bool:
+    """Return whether a region moves more than twice as far as the model's visible scene."""
+    if model.pixels is None or region.pixels is None:
         return False
-    return whole.pixels.value < region.pixels.value / 2
+    return model.pixels.value < region.pixels.value / 2
 
 
 def _still(reading: Reading) -> Result:
@@ -210,12 +202,7 @@ def _still(reading: Reading) -> Result:
         n_cameras=0 if capture is None else len(capture),
         n_timesteps=1,
         fps=0.0,
-        vibrations=(),
-        untold_hz=(),
         unit_scale_m=None if capture is None else capture.unit_scale_m,
-        noise=None,
-        noise_px=None,
-        agreement=(),
         cannot=("motion: there is one timestep, at which nothing can move",),
         alpha=0.0,
         next_command=next_command(reading.run, capture, (), 0.0),
@@ -223,7 +210,7 @@ def _still(reading: Reading) -> Result:
 
 
 def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
-    """(frequency, band) of every vibration, then of what else stands out, what may be a drift among it."""
+    """Return frequency and band of every vibration, then of the other peaks, drifts included."""
     if reading.motion is None:
         return []
     known = {v.hz: v.band for v in result_from(reading).vibrations}
@@ -234,19 +221,19 @@ def peak_bands(reading: Reading) -> list[tuple[float, Band]]:
 
 
 def _found(reading: Reading, motion: ModalMotion) -> list[Peak]:
-    """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
+    """Return every peak, drifts included, the strongest first; none within a stronger one's line."""
     known = [] if reading.look is None else list({line.hz for line in reading.look.vibrations})
     noise = reading.uncertainty.get("noise")
     hz = [float(f) for f in peaks(motion, PERIODS / reading.duration_s, noise, known)]
-    told = {float(f): float(d) for f, d in zip(*(reading.log.get(k, ()) for k in _STATED), strict=False)}
+    stated = {length.value: length.deviation or 0.0 for length in _stated(reading)}
     out: list[Peak] = []
     for f in hz:
-        if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
-            out.append(Peak(f, f, told[min(told, key=lambda g: abs(g - f))], None, is_steady=True))
+        if stated:  # separate clocks, or a moving camera: the fit has only these frequencies
+            out.append(Peak(f, f, stated[min(stated, key=lambda g: abs(g - f))], None, is_steady=True))
             continue
-        own = _line(reading, motion, f, [g for g in hz if g != f])
-        if all(abs(own.hz - v.hz) >= v.reach(reading.duration_s) for v in out):
-            out.append(own)
+        peak = _line(reading, motion, f, [g for g in hz if g != f])
+        if all(abs(peak.hz - v.hz) >= v.reach(reading.duration_s) for v in out):
+            out.append(peak)
     return out
 
 
@@ -260,7 +247,7 @@ def _line(reading: Reading, motion: ModalMotion, hz: float, others: list[float])
 
 
 def at_least_seen(hz: float, deviation: float, look: Found | None) -> float:
-    """The deviation (Hz) of a frequency, no less than that of the same line region by region, which the codec is in."""
+    """Return a frequency's deviation (Hz), at least that of the same line in a region, which includes the codec."""
     lines = [] if look is None else look.lines
     return max([deviation, *(n.hz_deviation for n in lines if abs(n.hz - hz) < 2 * n.hz_deviation)])
 
@@ -270,18 +257,13 @@ def _vibrations(reading: Reading, motion: ModalMotion, found: list[Peak]) -> tup
         [v.hz for v in found], [v.deviation_hz for v in found], reading.duration_s, motion.fps,
         [v.reach(reading.duration_s) for v in found],
     )  # fmt: skip
-    deviations = None
-    if "noise" in reading.uncertainty:
-        deviations = mode_deviations(
-            motion, reading.uncertainty["displacement"], reading.uncertainty["noise"]
-        )
     out = []
     for v, band in zip(found, bands, strict=True):
         k, line = _index(motion, v.mode_hz), v.line
         phasors = motion.displacement[k] if line is None else phasors_at(motion, line, reading.between)
-        amplitude, place = reading.largest(phasors, None if deviations is None else deviations[k])
+        amplitude, place = reading.largest(phasors, k)
         if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
-            continue  # as large as its own error
+            continue  # not larger than its error
         amplitude = replace(amplitude, is_bound=reading.is_bound(v.hz))
         out.append(
             Vibration(
@@ -301,14 +283,16 @@ def _vibrations(reading: Reading, motion: ModalMotion, found: list[Peak]) -> tup
     return tuple(out)
 
 
-def _untold(reading: Reading, motion: ModalMotion) -> tuple[Length, ...]:
-    """What a fit found a frequency of, and let go since its two halves did not agree on the motion."""
-    if len(motion.freqs_hz):
-        return ()
-    return tuple(Length(f, d) for f, d in zip(*(reading.log.get(k, ()) for k in _STATED), strict=False))
+def _shapeless(reading: Reading, motion: ModalMotion) -> tuple[Length, ...]:
+    """Return the frequencies of motion that the fit dropped because its two halves disagreed."""
+    return () if len(motion.freqs_hz) else _stated(reading)
 
 
-_STATED = ("frequencies_hz", "frequency_deviation_hz")
+def _stated(reading: Reading) -> tuple[Length, ...]:
+    keys = ("frequencies_hz", "frequency_deviation_hz")
+    return tuple(
+        Length(float(f), float(d)) for f, d in zip(*(reading.log.get(k, ()) for k in keys), strict=False)
+    )
 
 
 def _index(motion: ModalMotion, hz: float) -> int:

@@ -2,8 +2,8 @@
 
 A displacement is magnified exactly for any α. The limits are noise, which is magnified too, and rotation: a turn by θ
 is drawn as a displacement that grows with the distance from its axis, so that a part that turns by θ becomes √(1 + θ²)
-times as large (12 % at half a radian), and where neighbours move apart by their distance, surfaces tear. The change of
-the displacement from one Gaussian to the next, per distance, shows both.
+times as large (12 % at half a radian), and surfaces tear if neighbours move apart by their distance. The difference
+of displacement between neighbouring Gaussians, per distance, shows both.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from tg4mm.run import Run
 from tg4mm.run.checks import check_readout, check_times
 from tg4mm.run.stages import look_of
 from tg4mm.show.maps import blending_weights, evenly, pixel_rows
-from tg4mm.show.result.model import Length
+from tg4mm.show.result.model import Length, mode_deviations
 
 TURN = 0.5  # radians, or displacement per distance, beyond which shapes stretch by 12 % and more
 NOISE_PX = 1.0  # noise of a pixel looks like motion
@@ -189,10 +189,16 @@ class Reading:
         """The result of the look at the one fixed camera's regions."""
         return None if self.capture is None else look_of(self.run)
 
-    def largest(
-        self, phasors: np.ndarray, deviation: np.ndarray | None
-    ) -> tuple[Length, tuple[float, float, float]]:
-        """Return the largest amplitude (99th percentile of the visible) and its position, scene units."""
+    @cached_property
+    def _deviations(self) -> np.ndarray | None:
+        """[K, N] of the modes' amplitudes; None if unknown."""
+        if self.motion is None or "noise" not in self.uncertainty:
+            return None
+        return mode_deviations(self.motion, self.uncertainty["displacement"], self.uncertainty["noise"])
+
+    def largest(self, phasors: np.ndarray, mode: int) -> tuple[Length, tuple[float, float, float]]:
+        """Return the largest amplitude (99th percentile of the visible) of a mode and its position, scene units."""
+        deviation = None if self._deviations is None else self._deviations[mode]
         amplitude = peak_displacement(phasors)
         top = scale_top(amplitude, self.seen.weights, _TOP)
         there = int(np.argmin(np.where(self.seen.weights > 0, np.abs(amplitude - top), np.inf)))

@@ -1,4 +1,4 @@
-"""What is asked to be magnified, against what a run holds: `--band auto`, bands without motion, α that goes too far."""
+"""Checks of a request against a run: `--band auto`, bands without motion, α beyond the limits."""
 
 from collections.abc import Sequence
 
@@ -19,9 +19,9 @@ _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
 
 
 def auto_band(run: Run) -> tuple[Band, str]:
-    """The band that `--band auto` stands for, around the strongest vibration, and a line that says so.
+    """Return the band of `--band auto`, around the strongest vibration, and a line that states it.
 
-    Raises Tg4mmError where none was found.
+    Raises Tg4mmError without a vibration.
     """
     result = result_of(run)
     if result.band is None:
@@ -35,9 +35,9 @@ def auto_band(run: Run) -> tuple[Band, str]:
 
 
 def refuse_empty(run: Run, plan: Magnification) -> None:
-    """Raise Tg4mmError for a band of the plan that holds no motion, with the frequencies there are.
+    """Raise Tg4mmError for a band of the plan without motion; the message lists the frequencies with motion.
 
-    A mode that holds nothing but noise (`mode_selection.py`) is none.
+    Modes of noise alone (`mode_selection.py`) do not count.
     """
     motion = run.load_motion()
     if motion is None or not plan.bands:
@@ -45,8 +45,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
     plan.checked(motion.fps)
     for band in plan.bands:
         check_band_told(band.band, motion.n_timesteps / motion.fps)
-    told = worth_keeping(motion, run.load_noise()) & motion.is_magnified()
-    freqs = motion.freqs_hz[told]
+    freqs = motion.freqs_hz[worth_keeping(motion, run.load_noise()) & motion.is_magnified()]
     is_modal = method_of(run, plan) == "modal"
     for band in plan.bands:
         one = Magnification.of(1.0, band.band, method=plan.method, filter=plan.filter)
@@ -59,7 +58,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
 
 
 def how_sure(run: Run, plan: Magnification) -> list[str]:
-    """A line for each band of the plan in which nothing stands out: how large the motion there is, and its ±."""
+    """Return a line with the motion and its ± for each band of the plan in which nothing stands out."""
     if run.load_motion() is None:
         return []
     reading, out = reading_of(run), []
@@ -75,7 +74,7 @@ def how_sure(run: Run, plan: Magnification) -> list[str]:
 
 
 def reversed_motion(plan: Magnification) -> str | None:
-    """A line where α is below −1; None elsewhere."""
+    """Return a line if α is below −1, otherwise None."""
     least = min([*(b.alpha for b in plan.bands), plan.everywhere])
     if least >= -1:
         return None
@@ -83,7 +82,7 @@ def reversed_motion(plan: Magnification) -> str | None:
 
 
 def too_far(run: Run, plan: Magnification) -> str | None:
-    """A line where a magnified motion goes further than it holds, or its noise is seen; None where it does not."""
+    """Return a line if the magnified motion exceeds its limits or its noise becomes visible, otherwise None."""
     motion = run.load_motion()
     if motion is None or plan.is_identity:
         return None
@@ -97,8 +96,7 @@ def too_far(run: Run, plan: Magnification) -> str | None:
         return None
     alpha = plan.alpha
     moved = "" if reach.pixels is None else f"the largest motion becomes {reach.pixels:.3g} px; "
-    # Everything that limits grows with |1 + α|.
-    most = abs(1 + alpha) / reach.too_far - 1
+    most = abs(1 + alpha) / reach.too_far - 1  # all limits are proportional to |1 + α|
     within = "it does not hold as captured either"
     if most > 0:
         within = f"α = {float(f'{most:.2g}'):g} is as far as it holds"
