@@ -59,7 +59,7 @@ def known_bands(run: Run, bands: Sequence[Band | None]) -> list[Band]:
 
 
 def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:
-    """Raise Tg4mmError where there is not one alpha for each band."""
+    """Raise Tg4mmError unless there is one alpha for each band."""
     if len(alphas) != max(len(bands), 1):
         need = "each band needs its own" if bands else "without --band there is one"
         raise Tg4mmError(f"--alpha is given {_times(alphas)}, --band {_times(bands)}: {need}")
@@ -70,7 +70,7 @@ def _times(given: Sequence[object]) -> str:
 
 
 def magnified(run: Run, alphas: Sequence[float], options: MagnifyOptions, **more: Any) -> Magnification:
-    """Return what the options ask for: one α for each band, or one of all frequencies."""
+    """Return the magnification of the options: one α for each band, or one for all frequencies."""
     from tg4mm.core.magnification import BandGain, Magnification
 
     bands = known_bands(run, options.bands)
@@ -88,7 +88,7 @@ def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
 
 
 def warn_too_far(run: Run, plan: Magnification) -> None:
-    """Warn where motion is shown reversed, or is magnified beyond the range in which it holds."""
+    """Warn of reversed motion, and of motion magnified beyond its limits."""
     from tg4mm.show.result.requested import how_sure, reversed_motion, too_far
 
     for line in (reversed_motion(plan), too_far(run, plan), *how_sure(run, plan)):
@@ -126,7 +126,7 @@ def render(options: RenderOptions) -> None:
 
 
 def _check_render(options: RenderOptions) -> list[str]:
-    """Return which cameras are asked for. Raises Tg4mmError for options that exclude each other."""
+    """Return the options that select cameras. Raises Tg4mmError for options that exclude each other."""
     o = options
     cameras = {"--split": o.split, "--cameras": o.cameras, "--orbit": o.orbit, "--path": o.path}
     given = [name for name, value in cameras.items() if value is not None]
@@ -144,7 +144,7 @@ def _check_render(options: RenderOptions) -> list[str]:
 
 
 def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
-    """The cameras of one split of the run's dataset; None is the test split, with an error that names the others."""
+    """Return the cameras of a split of the run's dataset; None: the test split, with an error that names the others."""
     from tg4mm.capture import load_capture
     from tg4mm.core.errors import CaptureError
     from tg4mm.show.render.cameras import capture_cameras
@@ -154,12 +154,12 @@ def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
     except CaptureError as error:
         if split is not None:
             raise
-        load_capture(run.dataset)  # raises where more than the test split is wrong
+        load_capture(run.dataset)  # raises if more than the test split is wrong
         raise CaptureError(f"{error}; choose --split train, --orbit N or --cameras FILE") from None
 
 
 def path_cameras(run: Run) -> tuple[Camera, ...]:
-    """One for each timestep of the run's dataset. Raises CaptureError where the timesteps have several poses each."""
+    """Return a camera for each timestep of the run's dataset. Raises CaptureError for several poses at one."""
     from tg4mm.capture import load_capture
     from tg4mm.show.render.cameras import capture_path
 
@@ -167,7 +167,7 @@ def path_cameras(run: Run) -> tuple[Camera, ...]:
 
 
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
-    """The cameras of a file; without a size there, pictures are as large as the dataset's, or as its first one."""
+    """Return the cameras of a file; a missing size is that of the dataset's pictures, or of the file's first one."""
     from tg4mm.capture import load_capture
     from tg4mm.capture.cameras import relative_to
     from tg4mm.run.splat_run import SplatRun
@@ -181,7 +181,7 @@ def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
 
 
 def orbit_cameras(run: Run, n: int) -> tuple[Camera, ...]:
-    """`n` cameras on a circle around what the dataset's cameras look at, or else the Gaussians' middle."""
+    """Return `n` cameras on a circle around the subject of the dataset's cameras, or the Gaussians' middle."""
     from tg4mm.capture import load_capture
     from tg4mm.show.render.cameras import orbit
 
@@ -202,8 +202,7 @@ def measure(options: MeasureOptions) -> None:
     o = options
     sensors = [*(read_sensors(o.sensors) if o.sensors else []), *o.sensor]
     formats = parse_formats(o.formats)
-    scene, drawn = (_video_scene if is_video(o.run) else _run_scene)(options, sensors)
-    sensors += drawn
+    scene = (_video_scene if is_video(o.run) else _run_scene)(options, sensors)
     scale = None if o.regions is None else o.regions.scale
     with work_folder(o.out).held("writes a measurement there"):
         remove_leftovers(o.out)
@@ -211,51 +210,45 @@ def measure(options: MeasureOptions) -> None:
         print(write_measurement(found, o.out, o.animate, formats), end="")
 
 
-# made when it is asked for; the sensors that were drawn
-_Scene = tuple[Callable[[], "Prepared"], list["Sensor"]]
-
-
-def _video_scene(options: MeasureOptions, sensors: Sequence[Sensor]) -> _Scene:
+def _video_scene(options: MeasureOptions, sensors: list[Sensor]) -> Callable[[], Prepared]:
     from tg4mm.show.measure import prepare_video
-    from tg4mm.show.measure.sensors import drawn_sensors
 
     scene = prepare_video(options.run, options.fps, (options.readout or 0.0) / 1e3)
-    drawn: list[Sensor] = []
-    if options.regions is not None:
-        options.regions.check_size(scene.observations.size, options.run)
-        drawn = list(drawn_sensors(options.regions, [options.run.stem]))
-    _check_sensors([*sensors, *drawn], options.reference)
-    return lambda: scene, drawn
+    _add_drawn(options, sensors, scene.observations.size, options.run, [options.run.stem])
+    return lambda: scene
 
 
-def _run_scene(options: MeasureOptions, sensors: Sequence[Sensor]) -> _Scene:
+def _run_scene(options: MeasureOptions, sensors: list[Sensor]) -> Callable[[], Prepared]:
     from tg4mm.capture import load_capture
     from tg4mm.fit.motion.observations import frames_of
     from tg4mm.run import Run
     from tg4mm.show.measure import prepare
     from tg4mm.show.measure.locate import check_sensors
-    from tg4mm.show.measure.sensors import drawn_sensors
 
     opened = Run.open(options.run)
     if (options.fps, options.readout) != (None, None):
         raise Tg4mmError("--fps and --readout are of a video; a run has them from tg4mm sfm")
-    drawn: list[Sensor] = []
+    size, cameras = (0, 0), list[str]()
     if options.regions is not None:
         capture = load_capture(opened.dataset, split="train")
-        options.regions.check_size((capture.width, capture.height), opened.dataset)
-        drawn = list(drawn_sensors(options.regions, [frame.name for frame in frames_of(capture)[1]]))
-    _check_sensors([*sensors, *drawn], options.reference)
-    check_sensors(opened, [*sensors, *drawn])
-    return lambda: prepare(opened, options.keep), drawn
+        size, cameras = (capture.width, capture.height), [frame.name for frame in frames_of(capture)[1]]
+    _add_drawn(options, sensors, size, opened.dataset, cameras)
+    check_sensors(opened, sensors)
+    return lambda: prepare(opened, options.keep)
 
 
-def _check_sensors(sensors: Sequence[Sensor], reference: str | None) -> None:
-    from tg4mm.show.measure.sensors import checked_names
+def _add_drawn(
+    options: MeasureOptions, sensors: list[Sensor], size: tuple[int, int], source: Path, cameras: list[str]
+) -> None:
+    """Append the drawn sensors, and check all names."""
+    from tg4mm.show.measure.sensors import checked_names, drawn_sensors
 
-    checked_names(sensors)
-    names = [s.name for s in sensors]
-    if reference is not None and names and reference not in names:
-        raise Tg4mmError(f"--reference {reference!r} is not a sensor; sensors: {', '.join(names)}")
+    if options.regions is not None:
+        options.regions.check_size(size, source)
+        sensors += drawn_sensors(options.regions, cameras)
+    names = [s.name for s in checked_names(sensors)]
+    if options.reference is not None and names and options.reference not in names:
+        raise Tg4mmError(f"--reference {options.reference!r} is not a sensor; sensors: {', '.join(names)}")
 
 
 def analyse(options: AnalyseCommand) -> None:
@@ -292,7 +285,7 @@ def evaluate(options: EvaluateOptions) -> None:
     largest = max(check_alphas(alphas, opened.dataset), default=0)
     plan = magnified(opened, [largest] * max(len(o.bands), 1), options)
     check_magnified(opened, plan, o.allow_empty_band)
-    target_file(opened, o.out)  # raises where it cannot be written
+    target_file(opened, o.out)  # raises if it cannot be written
     warn_too_far(opened, plan)
     weights = list(o.lpips_weights) or None
     print(
@@ -338,7 +331,7 @@ def view(options: ViewOptions) -> None:
 
 
 def _serve(server: Any, browse_from: Path | None, notes: Sequence[str] = ()) -> None:
-    """Serve until Ctrl+C; `browse_from` is the folder that the opened browser belongs to, None: none is opened."""
+    """Serve until Ctrl+C; `browse_from`: folder of the file that opens the browser, None: none is opened."""
     from tg4mm.show.view.local_server import browsed
 
     print(f"{server.url}  (Ctrl+C ends)", flush=True)
@@ -354,7 +347,7 @@ def _serve(server: Any, browse_from: Path | None, notes: Sequence[str] = ()) -> 
 
 
 def _draw(source: Path, options: ViewOptions) -> None:
-    """Let a person draw regions on a recording without a run."""
+    """Serve a page to draw regions on a recording without a run."""
     from tg4mm.core.regions import read_regions
     from tg4mm.show.view.desk import Desk
 
@@ -426,7 +419,7 @@ def _export_magnified(run: Run, options: ExportOptions, baked: bool) -> None:
 
 
 def _check_export(options: ExportOptions) -> None:
-    """Raise Tg4mmError for an option that the format has no use for."""
+    """Raise Tg4mmError for an option that does not apply to the format."""
     o = options
     values = (o.alpha, o.bands, o.method, o.filter, o.timesteps)
     given = [name for name, value in zip(_MAGNIFIED, values, strict=True) if value not in (None, ())]

@@ -1,4 +1,4 @@
-"""The stages of a run of the preset `modal`: look, space and motion. Each is kept in the run folder."""
+"""The stages of a run of the preset `modal`, look, space and motion, each with its files in the run folder."""
 
 import dataclasses
 import hashlib
@@ -36,7 +36,7 @@ from tg4mm.fit.space.train import fit_space
 from tg4mm.run import UNCERTAINTY, Run
 
 _SCENE = "scene"
-_VERSION = 18  # of a checkpoint: steps of another version are computed anew
+_VERSION = 18  # of a checkpoint; steps of another version are repeated
 _LOG = logging.getLogger("tg4mm")
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -54,12 +54,12 @@ def train_motion(
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
 
-    mask [H, W] bool: pixels of one fixed camera that are left out, as what they show moves by itself. moves [H, W]
-    bool: where motion may be; what lies around is not read. found: what was seen region by region before.
-    The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
-    docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
-    each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
-    Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
+    mask [H, W] bool: excluded pixels of one fixed camera, in which objects move independently. moves [H, W] bool:
+    pixels that may move; no others are read. found: result of the look at the regions.
+    The run gets motion.safetensors, uncertainty.safetensors if it is known, and in its log the figures that
+    docs/conventions.md lists; large motion also sharpens space.safetensors. Quantities that cannot be determined give
+    a warning each. Raises CaptureError for too few pictures to show motion, RunError if none of them sees a Gaussian,
+    Tg4mmError on settings out of range or if the device has too little memory.
     """
     kept = Checkpoint(run, "motion")
     reset_peak_memory()
@@ -67,10 +67,10 @@ def train_motion(
     window = window_on(capture, config, moves)
     observations = observe(capture, images, window)
     if moves is not None and config.nuisance == "auto":
-        config = dataclasses.replace(config, nuisance="exposure")  # too little is left to tell a shake by
+        config = dataclasses.replace(config, nuisance="exposure")  # too little is left to show a shake
     if mask is not None and mask.any():
-        own = mask if window is None else window.any_of(mask)
-        observations = masked(observations, own[None])
+        excluded = mask if window is None else window.any_of(mask)
+        observations = masked(observations, excluded[None])
     if found is not None and found.vibrations and observations.clock == Clock.synchronous:
         times = observations.frames[0].times_s
         lines = {
@@ -102,7 +102,7 @@ def train_motion(
     if fit.gaussians is not gaussians:
         checkpoint.expect_scene(fit.gaussians)
         run.save_space(fit.gaussians, {})
-    if fit.uncertainty:  # before the motion, which tells that the stage is done
+    if fit.uncertainty:  # before the motion, which completes the stage
         run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
     run.save_motion(fit.motion, figures)
     kept.drop()
@@ -110,7 +110,7 @@ def train_motion(
 
 
 class RunCheckpoint:
-    """`Checkpoint` in the run, and the Gaussians that its steps belong to."""
+    """A `Checkpoint` in the run, and the Gaussians of its steps."""
 
     def __init__(self, run: Run, kept: Checkpoint, readout_s: float = 0.0) -> None:
         self._kept, self._readout_s = kept, readout_s
@@ -132,7 +132,7 @@ class RunCheckpoint:
         self._arrays = {k: v.numpy() for k, v in tensors.items()}
 
     def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
-        """`Checkpoint`."""
+        """Return a step's arrays from the checkpoint, or compute and store them."""
         kept = {k.partition("/")[2]: v for k, v in self._arrays.items() if k.partition("/")[0] == name}
         if kept:
             return kept
@@ -143,7 +143,7 @@ class RunCheckpoint:
         return arrays
 
     def expect_scene(self, gaussians: Gaussians) -> None:
-        """The run's Gaussians are about to become these: the checkpoint keeps those that its steps belong to."""
+        """Announce the run's next Gaussians; the checkpoint keeps those of its steps."""
         self._arrays |= {f"{_SCENE}/{k}": v for k, v in arrays_of(self.gaussians).items()}
         self._save(expected_scene=_digest(arrays_of(gaussians)))
 
@@ -165,9 +165,9 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
 def train_space(
     run: Run, views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str = "cpu"
 ) -> Gaussians:
-    """`fit_space`, kept in the run: RUN/checkpoint_space.safetensors while it goes on, then RUN/space.safetensors.
+    """Run `fit_space` with RUN/checkpoint_space.safetensors, and save RUN/space.safetensors.
 
-    Returns the Gaussians (on the CPU). The run's log gets the figures of `SpaceFit`. Raises what `fit_space` raises.
+    Returns the Gaussians (on the CPU). The run's log gets the figures of `SpaceFit`. Raises the errors of `fit_space`.
     """
     reset_peak_memory()
     kept = Checkpoint(run, "space")
@@ -178,7 +178,7 @@ def train_space(
 
 
 def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "cpu") -> Gaussians:
-    """`fit_plane`, saved in the run with its figures. Returns the Gaussians (on the CPU)."""
+    """Run `fit_plane` and save it in the run with its figures. Returns the Gaussians (on the CPU)."""
     reset_peak_memory()
     fit = fit_plane(views, config, device)
     run.save_space(fit.gaussians, fit.figures)

@@ -24,9 +24,9 @@ _BOOLEANS = {"true": True, "false": False}
 
 
 def parse_settings(pairs: Mapping[str, str], preset: str = "modal") -> dict[str, Any]:
-    """Configurations of all stages of a preset from `{"space.iterations": "3000", …}`.
+    """Return the configurations of all stages of a preset from `{"space.iterations": "3000", …}`.
 
-    Raises Tg4mmError for a name that is none, with those that may be meant, and for a value of the wrong type.
+    Raises Tg4mmError for an unknown name, with similar ones, and for a value of the wrong type.
     """
     defaults = preset_named(preset).defaults
     chosen: dict[str, dict[str, Any]] = {stage: {} for stage in defaults}
@@ -56,9 +56,9 @@ def train(
 ) -> Run:
     """Train on a dataset (any layout of docs/conventions.md) into the folder `run_path`.
 
-    Stages that are complete there are skipped, an unfinished one goes on from its checkpoint. A capture of one
-    timestep ends after the space stage. settings: `{"space.iterations": "3000", …}`.
-    Raises Tg4mmError (CaptureError, RunError) on bad input; RunError too while another process trains the run.
+    Complete stages are skipped, an unfinished one continues from its checkpoint. A capture of one timestep ends after
+    the space stage. settings: `{"space.iterations": "3000", …}`.
+    Raises Tg4mmError (CaptureError, RunError) on bad input, and RunError while another process trains the run.
     """
     chosen = preset_named(preset)
     check_device(device)
@@ -77,9 +77,9 @@ def train(
 
 
 def _capture(dataset: Path) -> Capture:
-    """The capture of a dataset. For a video or pictures, CaptureError with the command that makes a dataset.
+    """Load the capture of a dataset. A video or pictures raise CaptureError with the command that makes a dataset.
 
-    A dataset of one timestep is a still scene, which may be intended; a message says so.
+    A dataset of one timestep is a still scene, which may be intended, and gives a warning.
     """
     if (part := whole_dataset(dataset)) is not None:
         root, what = part
@@ -100,7 +100,7 @@ def _capture(dataset: Path) -> Capture:
 
 def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
     """Run the unfinished stages."""
-    # texts that are not set stay out: a run of a program without that setting is the same request
+    # unset texts are left out, so that a run of a version without that setting is the same request
     plain = {
         stage: {k: v for k, v in dataclasses.asdict(config).items() if v != ""}
         for stage, config in configs.items()

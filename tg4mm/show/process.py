@@ -1,4 +1,4 @@
-"""From a video to numbers, a page and a magnified video, in one folder; how long it will take, and what came out."""
+"""Makes numbers, pages and a magnified video from a video, in one folder; estimates the time; prints the result."""
 
 import shutil
 from collections.abc import Mapping
@@ -44,29 +44,26 @@ from tg4mm.show.result.read import result_of
 from tg4mm.show.result.requested import how_sure, refuse_empty
 from tg4mm.show.web.write import export_html
 
-# Processor seconds by measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
+# Processor seconds in measured runs: for each megapixel of all pictures (the model; then numbers, video and report),
 # for each of one picture, and in any case. Model and memory: docs/results.md, "Large videos"; the rest: 301 pictures of
 # 960×544 took 348 s in all, 120 of 240×160 106 s. The third dimension costs more.
 _FLAT_S = 0.16 + 1.34, 25.0, 90.0
 _DEEP_S = 2.0 + 1.34, 0.0, 120.0
 _FLAT_GB, _DEEP_GB = 0.25, 1.7  # for each megapixel of one picture
-_LEAST_GB, _MORE_GB, _ALL_MP = (
-    0.6,
-    1.4,
-    150.0,
-)  # in any case; where all pictures have so many megapixels, so much more
+# in any case; in addition for all pictures, up to so many megapixels
+_LEAST_GB, _MORE_GB, _ALL_MP = 0.6, 1.4, 150.0
 _NAMED = 2  # vibrations
 RECORD, ANALYSIS = "process.json", "analysis"
 ORBIT = 90  # pictures
 LARGEST_PAGE = 10_000_000  # bytes
-_AROUND = 0.5  # of a region's own size, that its video shows around it
+_AROUND = 0.5  # margin of a region's video over the region's size
 _BAND_BINS = 1.5  # over the duration, to either side of a region's strongest line
-# of a first answer: the fewest iterations that a scene of any size is given, and Gaussians that they can place
+# For a first answer: the fewest iterations for a scene of any size, and the Gaussians that they can place.
 QUICK = {"space.iterations": "1000", "space.max_gaussians": "10000"}
 
 
 def estimate_line(sources: Sources, config: SfmConfig) -> str:
-    """About how long all steps take and how much memory, by the number of pictures, their size and the kind."""
+    """Return a line with time and memory of all steps, estimated from number, size and kind of the pictures."""
     pictures, size = _pictures(sources, config)
     one = size[0] * size[1] / 1e6
     every = pictures * one
@@ -83,7 +80,7 @@ def estimate_line(sources: Sources, config: SfmConfig) -> str:
 
 
 def _about(seconds: float) -> str:
-    """To two digits at most: 90 s as 2 min."""
+    """Return a duration with at most two digits, such as 2 min for 90 s."""
     minutes = seconds / 60
     if minutes < 10:
         return f"{max(1, round(minutes))} min"
@@ -91,7 +88,7 @@ def _about(seconds: float) -> str:
 
 
 def _pictures(sources: Sources, config: SfmConfig) -> tuple[int, tuple[int, int]]:
-    """How many, and their width and height."""
+    """Return the number of pictures, and their width and height."""
     first = [*sources.clips, *sources.every()][0]
     pixels = decode(first.pictures[0]) if first.pictures else next(iter(clip_frames(first))).pixels
     return sum(_count(clip, config) for clip in sources.every()), (pixels.shape[1], pixels.shape[0])
@@ -108,17 +105,15 @@ def _count(clip: Clip, config: SfmConfig) -> int:
 
 
 def result_lines(result: Result, out: Path, opens: str) -> list[str]:
-    """Five lines: frequency, amplitude, where, what was not found, and what to open."""
+    """Return five lines: frequency, amplitude, position, unknown quantities, and the file to open."""
     found = [*result.vibrations, *result.beside][:_NAMED]
     more = len(result.vibrations) + len(result.beside) - len(found)
     others = f", and {more} more" if more else ""
+    hz = [f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz" for v in found]
     lines = [
-        (
-            "frequency",
-            f"{_each([f'{with_deviation(Length(v.hz, v.deviation_hz))} Hz' for v in found])}{others}",
-        ),
-        ("amplitude", _each([_size(v, result) for v in found])),
-        ("where", _each([_where(v) for v in found])),
+        ("frequency", f"{'; '.join(hz)}{others}"),
+        ("amplitude", "; ".join(_size(v, result) for v in found)),
+        ("where", "; ".join(_where(v) for v in found)),
     ]
     if not found:
         nothing = "nothing vibrates" if result.n_timesteps > 1 else "a still scene: there is one timestep"
@@ -129,12 +124,8 @@ def result_lines(result: Result, out: Path, opens: str) -> list[str]:
     return [*(f"{name:<11}{text}" for name, text in lines), f"{'open':<11}{out / opens}"]
 
 
-def _each(texts: list[str]) -> str:
-    return "; ".join(texts)
-
-
 def _size(v: Vibration, result: Result) -> str:
-    """Millimetres where the scale is known, else pixels."""
+    """Return the amplitude in millimetres if the scale is known, otherwise in pixels."""
     if result.unit_scale_m is None and v.pixels is not None:
         return f"{with_deviation(v.pixels)} px"
     return " ".join(amount(v.amplitude, result.unit_scale_m))
@@ -147,11 +138,11 @@ def _where(v: Vibration) -> str:
 
 
 def process(source: Path, out: Path, options: ProcessOptions | None = None, say: Say = print) -> Path:
-    """Make all of OUT from photographs or recordings: `dataset/`, `run/`, `measured/`, `magnified.mp4`, the pages.
+    """Make OUT from photographs or recordings: `dataset/`, `run/`, `measured/`, `magnified.mp4`, the pages.
 
-    Finished steps are skipped, so the same call goes on after a kill, and one with other options does what they change:
-    the folder of another request is kept under another name. Returns OUT. Raises Tg4mmError on bad input, RunError
-    where OUT holds anything but what this made of the same source.
+    Finished steps are skipped, so that the same call continues after a kill, and one with other options repeats what
+    they change; the folder of another request is kept under another name. Returns OUT. Raises Tg4mmError on bad input,
+    RunError if OUT holds anything else than this function's files of the same source.
     """
     options = options or ProcessOptions()
     if options.only:
@@ -193,12 +184,13 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
     largest = None if options.all_files else LARGEST_PAGE
 
     def with_band() -> dict[str, str]:
-        """The settings, with the band where the fit depends on it."""
-        own = {} if options.band is None else {"motion.band": "{:g} {:g}".format(*options.band)}
-        return {**(own if own and _fits_by_band(dataset, options.band) else {}), **trained}
+        """Return the settings, with the band if the fit depends on it."""
+        if options.band is None or not _fits_by_band(dataset, options.band):
+            return trained
+        return {"motion.band": "{:g} {:g}".format(*options.band), **trained}
 
     def banded() -> dict[str, Any]:
-        """The band where nothing was found in it, so that sensors need to be told of it."""
+        """Return the band if nothing was found in it, so that sensors depend on it."""
         low, high = options.band or (0.0, 0.0)
         found = options.band is None or any(low <= v.hz <= high for v in result_of(Run.open(run)).vibrations)
         return {} if found else {"band": options.band}
@@ -207,7 +199,7 @@ def _steps(source: Path, out: Path, options: ProcessOptions, pictures: Any, say:
         reconstruct(source, dataset, options.sfm, options.threads, name)
 
     def fit() -> None:
-        _check_asked(dataset, options)
+        _check_options(dataset, options)
         train(dataset, run, "modal", options.device, _for_kind(dataset, with_band()))
 
     def reported() -> Path:
@@ -249,7 +241,7 @@ def _if_there(path: Path) -> Path | None:
 
 
 def _sensors(dataset: Path, options: ProcessOptions) -> list[Sensor]:
-    """Those asked for and those drawn; with `only` that alone."""
+    """Return the requested and the drawn sensors, or the one of `only`."""
     if options.regions is None:
         return list(options.sensors)
     capture = load_capture(dataset)
@@ -260,8 +252,8 @@ def _sensors(dataset: Path, options: ProcessOptions) -> list[Sensor]:
     return checked_names([*options.sensors, *drawn_sensors(options.regions, cameras)])
 
 
-def _check_asked(dataset: Path, options: ProcessOptions) -> None:
-    """What the dataset tells of a band and of sensors' cameras, before minutes of training."""
+def _check_options(dataset: Path, options: ProcessOptions) -> None:
+    """Check band and sensors' cameras against the dataset, before minutes of training."""
     capture = load_capture(dataset)
     if options.band is not None:
         check_band(options.band, capture.fps)
@@ -274,15 +266,15 @@ def _check_asked(dataset: Path, options: ProcessOptions) -> None:
 
 
 def _for_kind(dataset: Path, settings: Mapping[str, str]) -> dict[str, str]:
-    """Without the sizes of a first answer where the capture is flat, whose fit takes seconds."""
+    """Return the settings, for a flat capture without the sizes of a first answer, since its fit takes seconds."""
     deep = load_capture(dataset).kind.sees_depth
     return {k: v for k, v in settings.items() if deep or QUICK.get(k) != v}
 
 
-def _fits_by_band(dataset: Path, band: tuple[float, float] | None) -> bool:
-    """Whether a fit holds what lies in the band only if it is told: fixed cameras of one clock hold every bin."""
+def _fits_by_band(dataset: Path, band: tuple[float, float]) -> bool:
+    """Return whether a fit needs the band to include it; with fixed cameras of one clock it has every bin."""
     capture = load_capture(dataset)
-    if band is None or capture.n_timesteps < 2:
+    if capture.n_timesteps < 2:
         return False
     check_band(band, capture.fps)
     bins = np.arange(1, capture.n_timesteps // 2 + 1) * capture.fps / capture.n_timesteps
@@ -290,7 +282,7 @@ def _fits_by_band(dataset: Path, band: tuple[float, float] | None) -> bool:
 
 
 def _measure(path: Path, out: Path, options: ProcessOptions, say: Say) -> list[Measurement]:
-    """OUT/measured; returns the measurement, none of a still scene."""
+    """Write OUT/measured; returns the measurement, or none for a still scene."""
     run = Run.open(path)
     if run.load_motion() is None:
         out.mkdir(exist_ok=True)
@@ -319,7 +311,7 @@ def _analyse(measured: Path, all_files: bool, say: Say) -> None:
 
 
 def _shown(run: Run, out: Path, options: ProcessOptions) -> Shown | None:
-    """What OUT/magnified.mp4 shows; None where there is none."""
+    """Return band and α of OUT/magnified.mp4; None without a vibration."""
     result = result_of(run, options.band)
     band = options.band or (_band_of(out / "measured", options.only) if options.only else result.band)
     if run.load_motion() is None or band is None:
@@ -329,7 +321,7 @@ def _shown(run: Run, out: Path, options: ProcessOptions) -> Shown | None:
 
 
 def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
-    """OUT/magnified.mp4 of the strongest vibration's band, or a line that says why there is none."""
+    """Write OUT/magnified.mp4 for the strongest vibration's band, or print the reason why not."""
     run, folder, video = Run.open(path), out / "magnified", out / "magnified.mp4"
     shown = _shown(run, out, options)
     video.unlink(missing_ok=True)
@@ -348,7 +340,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
         refuse_empty(run, request.magnified)
         for line in how_sure(run, request.magnified):
             say(line)
-    camera = _standing(run)
+    camera = _fixed_camera(run)
     if camera is None:
         centre = run.load_space().means.median(dim=0).values.numpy()
         cameras, kind = list(orbit(load_capture(run.dataset), ORBIT, centre)), "orbit"
@@ -371,7 +363,7 @@ def _magnify(path: Path, out: Path, options: ProcessOptions, say: Say) -> None:
 
 
 def _remove_others(folder: Path, asked: Mapping[str, Any]) -> None:
-    """Remove the pictures of another request from the folder of the magnified video's."""
+    """Remove another request's pictures from the magnified video's folder."""
     record = folder / RENDER_RECORD
     if record.exists() and read_json(record) != asked:
         shutil.rmtree(folder)
@@ -379,7 +371,7 @@ def _remove_others(folder: Path, asked: Mapping[str, Any]) -> None:
 
 
 def _remove_pictures(folder: Path) -> None:
-    """Leave of the magnified video's folder what it was rendered by."""
+    """Remove all but the render request from the magnified video's folder."""
     for path in folder.glob("*") if (folder / RENDER_RECORD).exists() else ():
         if path.is_dir():
             shutil.rmtree(path)
@@ -388,18 +380,18 @@ def _remove_pictures(folder: Path) -> None:
 
 
 def _band_of(measured: Path, sensor: str) -> tuple[float, float] | None:
-    """Around the strongest peak of a measured sensor; None where it has none."""
+    """Return a band around the strongest peak of a measured sensor; None without a peak."""
     content = read_json(measured / MARK)
-    own = next(s for s in content["sensors"] if s["name"] == sensor)
-    if not own["peaks"]:
+    found = next(s for s in content["sensors"] if s["name"] == sensor)
+    if not found["peaks"]:
         return None
-    strongest = max(own["peaks"], key=lambda p: p["main_amplitude"])
-    hz, wide = strongest["frequency_hz"], max(_BAND_BINS / np.ptp(own["series"][0]["times_s"]), 0.01)
+    strongest = max(found["peaks"], key=lambda p: p["main_amplitude"])
+    hz, wide = strongest["frequency_hz"], max(_BAND_BINS / np.ptp(found["series"][0]["times_s"]), 0.01)
     return round(max(hz - wide, 0.0), 3), round(hz + wide, 3)
 
 
-def _standing(run: Run) -> Camera | None:
-    """The fixed camera that took most pictures; None where the camera moves, or nothing does."""
+def _fixed_camera(run: Run) -> Camera | None:
+    """Return the fixed camera with most pictures; None for a moving camera or a still scene."""
     capture = load_capture(run.dataset)
     counts = np.bincount(capture.camera_ids)
     most = int(np.argmax(counts))

@@ -1,4 +1,4 @@
-"""`tg4mm view` put together: server, panel, and the loop that draws for every open page."""
+"""Server, panel and drawing loop of `tg4mm view`."""
 
 import threading
 import time
@@ -8,23 +8,22 @@ from pathlib import Path
 import numpy as np
 import viser
 
-from tg4mm.show.view.charts import ACCENT_RGB, block, key_words
-from tg4mm.show.view.local_server import address, start_server, stop_server
+from tg4mm.show.view.charts import block, key_words
+from tg4mm.show.view.local_server import add_side_panel, address, set_theme, start_server, stop_server
 from tg4mm.show.view.panel import CameraPanel, Panel
 from tg4mm.show.view.pixel_panel import PixelPanel
 from tg4mm.show.view.saving import SavePanel
 from tg4mm.show.view.screen import RATE, Canvas, Screen
 from tg4mm.show.view.session import Session
 
-_IDLE = 0.1  # seconds between looks at cameras that say nothing
-_PANEL = 400  # pixels
+_IDLE = 0.1  # seconds between checks of cameras without events
 _BESIDE = "Side by side"
 _KEYS = ((" ", "Play|Pause"), ("b", _BESIDE), ("0", "all"), ("c", "Clip (mp4)"), ("n", "Numbers (CSV)"),
          ("s", "Snapshot (PNG)"), ("j", "previous"), ("k", "next"))  # fmt: skip
 
 
 def canvas_of(client: viser.ClientHandle) -> Canvas:
-    """The camera of a page as it is now."""
+    """Return the present camera of a page."""
     c = client.camera
     return Canvas(
         tuple(map(float, c.position)),
@@ -36,17 +35,17 @@ def canvas_of(client: viser.ClientHandle) -> Canvas:
 
 
 class App:
-    """A session in the browser. One set of controls for all open pages, a camera for each; they share the processor."""
+    """A session in the browser: shared controls for all open pages, and a camera for each."""
 
     def __init__(self, session: Session, port: int, folder: Path) -> None:
-        """Serve at 127.0.0.1:`port`; pictures and clips go to `folder`. Raises Tg4mmError where the port is taken."""
+        """Serve at 127.0.0.1:`port`; pictures and clips go to `folder`. Raises Tg4mmError if the port is taken."""
         self._session = session
         self._screens: dict[int, tuple[viser.ClientHandle, Screen]] = {}
         self._stopping = threading.Event()
         self._failure: BaseException | None = None
         self.server = start_server(port)
         self.url = address(self.server)
-        self._dress()
+        add_side_panel(self.server, session.scene.path)
         self._panel = Panel(self.server, session)
         self._cameras = CameraPanel(self.server, session, self._panel.view)
         self._pixel = PixelPanel(self.server, session)
@@ -57,7 +56,7 @@ class App:
                 )
                 beside.on_click(lambda _: self._put_beside())
             dark = self.server.gui.add_checkbox("Dark page", False, hint="The scene stays over white.")
-        dark.on_update(lambda _: self._theme(dark=bool(dark.value)))
+        dark.on_update(lambda _: set_theme(self.server, bool(dark.value)))
         SavePanel(self.server, session, folder, canvas_of, lambda: self._pixel.shown)
         self.server.gui.add_html(block(key_words(_KEYS if session.scene.duration > 0 else _KEYS[-3:])))
         self._listen()
@@ -68,18 +67,6 @@ class App:
         self._session.set_look(beside=not self._session.look.beside)
         for client, _ in list(self._screens.values()):
             self._cameras.again(client)
-
-    def _dress(self) -> None:
-        gui = self.server.gui
-        self._theme(dark=False)
-        gui.set_panel_label(f"tg4mm view: {self._session.scene.path.resolve().name}")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(_PANEL)
-
-    def _theme(self, dark: bool) -> None:
-        self.server.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB
-        )
 
     def _listen(self) -> None:
         server = self.server
@@ -100,7 +87,7 @@ class App:
             self._pixel.clicked(canvas_of(event.client), *event.screen_pos)
 
     def wait(self) -> None:
-        """Until `stop`, or an interrupt; an error of the drawing loop is raised here."""
+        """Wait for `stop` or an interrupt; raises an error of the drawing loop."""
         while not self._stopping.wait(0.2):
             pass
         if self._failure is not None:
@@ -124,7 +111,7 @@ class App:
             self._stopping.set()
 
     def _round(self, meter: "_Meter") -> None:
-        """One picture for every page that needs one, then wait for the next moment or the next change."""
+        """Draw for every page that needs a picture, then wait for the next moment or change."""
         begun = time.monotonic()
         self._session.changed.clear()
         drew = [
@@ -133,22 +120,22 @@ class App:
         self._panel.follow(begun)
         if drew:
             plays = self._session.clock.running(begun)
-            self._panel.tell(meter.rate(begun) if plays else None, drew[-1].size, plays)
+            self._panel.show_size(meter.rate(begun) if plays else None, drew[-1].size, plays)
             self._stopping.wait(max(1 / RATE - (time.monotonic() - begun), 0.0))
         else:
             self._session.changed.wait(_IDLE)
 
 
 class _Meter:
-    """Rounds a second, while it plays."""
+    """Counts drawing rounds a second while time advances."""
 
     def __init__(self) -> None:
         self._since = self._last = 0.0
         self._count = 0
 
     def rate(self, now: float) -> float | None:
-        """Count a round; return the rate once a second, else None."""
-        if now - self._last > 0.5:  # it stood still in between
+        """Count a round; return the rate once a second, otherwise None."""
+        if now - self._last > 0.5:  # paused in between
             self._since, self._count = now, -1
         self._last = now
         self._count += 1
@@ -162,7 +149,7 @@ class _Meter:
 def _sender(client: viser.ClientHandle) -> Callable[[np.ndarray, int], None]:
     def send(picture: np.ndarray, quality: int) -> None:
         client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
-        client.flush()  # else viser waits 16 ms for more
+        client.flush()  # without it viser waits 16 ms for more
 
     return send
 

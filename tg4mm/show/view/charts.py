@@ -1,4 +1,4 @@
-"""Drawings of the panel: a spectrum whose peaks can be clicked, a waveform. Inline SVG in the browser's own colours."""
+"""Charts of the panel, a spectrum with peaks to click and a waveform, as inline SVG in the browser's colours."""
 
 import json
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from tg4mm.show.view.colours import Band
 _NOTHING = Markup("")
 WIDTH, HEIGHT = 360, 140
 LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
-ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
+ACCENT = hex_colour(amount_colours(np.array(0.62)))  # from the report's map, visible on light and dark
 ACCENT_RGB = int(ACCENT[1:3], 16), int(ACCENT[3:5], 16), int(ACCENT[5:7], 16)
 STYLE = (  # of the page
     ".tg4mm{padding:0 .5em .25em;font-size:.8rem;line-height:1.35;color:var(--mantine-color-text)}"
@@ -33,7 +33,7 @@ STYLE = (  # of the page
     ".tg4mm .cursor text{fill:var(--mantine-color-text)}"
     ".tg4mm .hit{fill:transparent;cursor:pointer}.tg4mm .hit:hover{fill:var(--mantine-color-default-hover)}"
 )
-# The page answers a click on a peak by pressing the button of the same name below the chart.
+# A click on a peak presses the button of the same name below the chart.
 BAND_FIELD = "From, to (Hz)"  # of the panel: a drag over a spectrum fills it
 _SIZES = {"WIDTH": WIDTH, "HEIGHT": HEIGHT, "LEFT": LEFT, "RIGHT": RIGHT, "TOP": TOP, "BOTTOM": BOTTOM}
 SCRIPT = "".join(
@@ -42,13 +42,13 @@ SCRIPT = "".join(
 
 
 def block(*parts: str | Markup) -> str:
-    """Paragraphs (text, escaped) and drawings (markup) as one block of the panel."""
+    """Return paragraphs (text, escaped) and drawings (markup) as one block of the panel."""
     body = Markup("").join(p if isinstance(p, Markup) else Markup("<p>{}</p>").format(p) for p in parts if p)
     return str(Markup('<div class="tg4mm">{}</div>').format(body))
 
 
 def key_words(keys: Sequence[tuple[str, str]]) -> Markup:
-    """The keys of the page: each presses the button of one of the names, which "|" parts."""
+    """Return the keys of the page; each presses a button with one of the names, separated by "|"."""
     each = Markup('<kbd data-key="{}" data-press="{}">{}</kbd> {}')
     parts = [
         each.format(key, names, {" ": "space"}.get(key, key), names.partition("|")[0].lower())
@@ -65,9 +65,9 @@ def spectrum_chart(
     band: Band = None,
     labels: Sequence[str] = (),
 ) -> Markup:
-    """Stems over 0 … `nyquist` Hz, those in the band in colour and the band shaded.
+    """Draw stems over 0 … `nyquist` Hz, those in the band coloured, and the band shaded.
 
-    Where `labels` name the stems, a click nearest to a stem presses the button of that name; "" has none.
+    A click presses the button named by the label of the nearest stem with one ("": none).
     """
     frequencies, peaks = np.asarray(frequencies, float), np.asarray(peaks, float)
     top = (float(peaks.max()) if len(peaks) else 0.0) * 1.08 or 1.0
@@ -92,20 +92,17 @@ def spectrum_chart(
 def waveform_chart(
     times: np.ndarray, values: np.ndarray, unit: str, deviation: np.ndarray | None = None
 ) -> Markup:
-    """A curve of values [F] over times [F] in seconds, and a band of one standard deviation [F] on either side."""
+    """Draw values [F] over times [F] in seconds, with a band of one standard deviation [F] on either side."""
     spread = np.zeros_like(values) if deviation is None else deviation
     low, high = float((values - spread).min()), float((values + spread).max())
     margin = 0.08 * (high - low) or 1.0
     limits = low - margin, high + margin
     span = float(times[0]), float(times[-1])
     parts = [_axes(span, limits, "time (s)", unit)]
-    x = [_x(t, *span) for t in times]
     if deviation is not None:
-        above = [f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values + spread, strict=True)]
-        under = [f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values - spread, strict=True)]
-        parts.append(Markup('<polygon class="spread" points="{}"/>').format(" ".join(above + under[::-1])))
-    points = " ".join(f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values, strict=True))
-    parts.append(Markup('<polyline class="curve" points="{}"/>').format(points))
+        around = np.append(times, times[::-1]), np.append(values + spread, (values - spread)[::-1])
+        parts.append(_curve("polygon", "spread", *around, span, limits))
+    parts.append(_curve("polyline", "curve", times, values, span, limits))
     return _svg(parts, f"waveform: displacement ({unit}) over time (s)")
 
 
@@ -116,18 +113,15 @@ def density_chart(
     unit: str,
     named: Sequence[tuple[float, str]] = (),
 ) -> Markup:
-    """A spectrum [B] over frequencies [B] in Hz with its noise floor [B] dashed.
+    """Draw a spectrum [B] over frequencies [B] in Hz with its noise floor [B] dashed.
 
-    A click presses the button of the nearest frequency (Hz) that is `named`.
+    A click presses the button of the nearest `named` frequency (Hz).
     """
     top = float(max(amplitudes.max(), floor.max())) * 1.08 or 1.0
     span = 0.0, float(frequencies[-1])
     parts = [_axes(span, (0.0, top), "frequency (Hz)", unit)]
     for style, values in (("floor", floor), ("curve", amplitudes)):
-        points = " ".join(
-            f"{_x(f, *span):.1f},{_y(v, 0, top):.1f}" for f, v in zip(frequencies, values, strict=True)
-        )
-        parts.append(Markup('<polyline class="{}" points="{}"/>').format(style, points))
+        parts.append(_curve("polyline", style, frequencies, values, span, (0, top)))
     if named:
         hz, labels = np.array([f for f, _ in named]), [name for _, name in named]
         parts += _hits(hz, np.interp(hz, frequencies, amplitudes), labels, span[1], unit)
@@ -136,7 +130,7 @@ def density_chart(
 
 
 def composite_chart(found: Found) -> Markup:
-    """Power over noise, mean over all cells of a flat capture, as decibels; what noise alone exceeds dashed."""
+    """Draw a flat capture's power over noise, mean over all cells, in decibels, and the level of noise dashed."""
     power = np.maximum(found.composite[1:], 1.0)
     floor = np.full(len(power), found.composite_floor)
     return density_chart(found.hz[1:], 10 * np.log10(power), 10 * np.log10(floor), "dB over noise")
@@ -145,7 +139,7 @@ def composite_chart(found: Found) -> Markup:
 def _hits(
     frequencies: np.ndarray, peaks: np.ndarray, labels: Sequence[str], nyquist: float, unit: str
 ) -> list[Markup]:
-    """Transparent areas from half way to half way between the stems that have a label."""
+    """Return transparent areas around the stems with a label, up to half-way to the next."""
     named = [i for i in np.argsort(frequencies, kind="stable") if i < len(labels) and labels[i]]
     if not named:
         return []
@@ -170,6 +164,18 @@ def _x(value: float, low: float, high: float) -> float:
 
 def _y(value: float, low: float, high: float) -> float:
     return HEIGHT - BOTTOM - (value - low) / ((high - low) or 1.0) * (HEIGHT - TOP - BOTTOM)
+
+
+def _curve(
+    element: str,
+    style: str,
+    x: np.ndarray,
+    y: np.ndarray,
+    span: tuple[float, float],
+    limits: tuple[float, float],
+) -> Markup:
+    points = " ".join(f"{_x(a, *span):.1f},{_y(b, *limits):.1f}" for a, b in zip(x, y, strict=True))
+    return Markup('<{} class="{}" points="{}"/>').format(element, style, points)
 
 
 def _axes(x: tuple[float, float], y: tuple[float, float], x_label: str, y_label: str) -> Markup:
@@ -205,7 +211,7 @@ def _svg(parts: Sequence[Markup], label: str, read: Markup = _NOTHING) -> Markup
 
 
 def _read(hz: np.ndarray, sizes: np.ndarray, span: tuple[float, float], unit: str) -> Markup:
-    """Attributes of what the pointer reads: the span, Hz, the curve's points, and the unit of their sizes."""
+    """Return attributes for the pointer: the span in Hz, the curve's points, and their unit."""
     points = [[float(f"{v:.4g}") for v in values] for values in (hz, sizes)]
     text = ' data-span="{:.6g} {:.6g}" data-points="{}" data-unit="{}"'
     return Markup(text).format(

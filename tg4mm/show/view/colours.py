@@ -1,4 +1,4 @@
-"""Bands and colours of the viewer: from slider and peaks to words, and from the motion to a colour of each Gaussian."""
+"""Bands of the viewer from its slider and peaks, and a colour for each Gaussian's motion."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -25,18 +25,18 @@ class Colour(StrEnum):
 
 
 def choices(scene: RunScene) -> tuple[Colour, ...]:
-    """The colours that this scene has data for."""
+    """Return the colours for which the scene has data."""
     if scene.motion is None or not len(scene.frequencies):
         return (Colour.picture,)
     return tuple(c for c in Colour if c is not Colour.uncertainty or scene.deviation is not None)
 
 
 def gaussian_colours(scene: RunScene, colour: Colour, magnified: Magnification) -> np.ndarray | None:
-    """[N, 3] sRGB in 0..1; None for the colours as filmed, and where no frequency is in the band.
+    """Return sRGB [N, 3] in 0..1; None for the colours as filmed, and without a frequency in the band.
 
     Amplitude (peak displacement) and phase (of the motion along its main direction, at timestep 0) are those of the
-    frequency in the band that moves most; phases fade to grey where there is little motion. Uncertainty is the standard
-    deviation of the displacement, of all frequencies together.
+    band's strongest frequency; phases of little motion fade to grey. Uncertainty is the standard deviation of the
+    displacement, for all frequencies together.
     """
     if colour is Colour.uncertainty and scene.deviation is not None:
         return amount_colours(scene.deviation / max(scale_top(scene.deviation, scene.weights), 1e-30))
@@ -54,7 +54,7 @@ def gaussian_colours(scene: RunScene, colour: Colour, magnified: Magnification) 
 
 
 def legend(scene: RunScene, colour: Colour, magnified: Magnification) -> Markup:
-    """The scale of the colours, as a drawing under a line that names what is shown; empty for `as filmed`."""
+    """Return the colour scale under a line that names its quantity; empty for `as filmed`."""
     if colour is Colour.picture or scene.motion is None:
         return Markup()
     if colour is Colour.uncertainty and scene.deviation is not None:
@@ -73,18 +73,18 @@ def legend(scene: RunScene, colour: Colour, magnified: Magnification) -> Markup:
 
 
 ALL = "all"  # the button for all frequencies
-_BUTTONS = 8  # peaks that get a button of their own
-_FAINT = 0.05  # of the largest peak; what is below is not looked for
+_BUTTONS = 8  # peaks that get a button
+_FAINT = 0.05  # of the largest peak; lower ones get no button
 
 
 def band_of_slider(low: float, high: float, nyquist: float) -> Band:
-    """The band between two slider positions, Hz; None, all frequencies, where it is the whole range."""
+    """Return the band between two slider positions, Hz; None, all frequencies, for the complete range."""
     low, high = min(low, high), max(low, high)
     return None if low <= 0 and high >= nyquist * (1 - 1e-9) else (low, high)
 
 
 def band_around(frequency: float, frequencies: np.ndarray, nyquist: float) -> tuple[float, float]:
-    """A band around one of `frequencies` (Hz) that holds no other: a tenth of it to either side, or less."""
+    """Return a band around one of `frequencies` (Hz) without any other, at most a tenth of it to either side."""
     others = np.abs(frequencies - frequency)
     others = others[others > 1e-9]
     reach = min(0.1 * frequency, 0.5 * float(others.min()) if len(others) else np.inf)
@@ -92,9 +92,9 @@ def band_around(frequency: float, frequencies: np.ndarray, nyquist: float) -> tu
 
 
 def main_peaks(frequencies: np.ndarray, peaks: np.ndarray, duration: float) -> np.ndarray:
-    """The frequencies that get a button: those that move most, ascending; none below 5 % of the largest peak.
+    """Return the strongest frequencies, which get a button, ascending; none below 5 % of the largest peak.
 
-    What takes longer for a cycle than the capture's `duration` in seconds is drift, unless there is nothing else.
+    Cycles longer than the capture's `duration` in seconds are drift, and count only if there are no others.
     """
     cyclic = frequencies * duration > 1 - 1e-9
     peaks = np.where(cyclic, peaks, 0.0) if cyclic.any() else peaks

@@ -1,4 +1,4 @@
-"""`tg4mm view` before there is a run: regions and a scale are drawn on a recording's first picture, and looked at."""
+"""`tg4mm view` without a run: draws regions and a scale on a recording's first picture, and looks at them."""
 
 import shlex
 import threading
@@ -24,13 +24,12 @@ from tg4mm.core.pictures.decode import decode
 from tg4mm.core.regions import Regions, write_regions
 from tg4mm.fit.motion.observations import frames_of
 from tg4mm.show.look.words import HEADER, Words
-from tg4mm.show.view.charts import ACCENT_RGB, block, composite_chart, key_words
+from tg4mm.show.view.charts import block, composite_chart, key_words
 from tg4mm.show.view.drawing import TOOLS, Drawing, Texture, drawn, opened, texture_of
-from tg4mm.show.view.local_server import address, start_server, stop_server
+from tg4mm.show.view.local_server import add_side_panel, address, start_server, stop_server
 from tg4mm.show.view.screen import NARROW
 
-_FIRST = 24  # pictures that tell the noise
-_PANEL = 400  # pixels
+_FIRST = 24  # pictures, for the noise
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _KEYS = (("b", "box"), ("p", "polygon"), ("o", "point"), ("l", "length"), ("r", "rectangle"), ("f", "Finish"),
          ("u", "Undo"), ("s", "Save"))  # fmt: skip
@@ -40,7 +39,7 @@ _KEYS = (("b", "box"), ("p", "polygon"), ("o", "point"), ("l", "length"), ("r", 
 class Shot:
     """The first picture of one fixed camera."""
 
-    camera: str  # "" of a recording that is no dataset yet
+    camera: str  # "" for a recording
     rgb: np.ndarray  # [H, W, 3] uint8
     texture: Texture
 
@@ -86,7 +85,7 @@ class Desk:
     def __init__(
         self, source: Path, file: Path, drawing: Regions | None, port: int, fps: float | None
     ) -> None:
-        """Serve at 127.0.0.1:`port`; Save writes `file`. Raises Tg4mmError where the port is taken."""
+        """Serve at 127.0.0.1:`port`; Save writes `file`. Raises Tg4mmError if the port is taken."""
         self._source, self._file, self._fps = source, file, fps
         self._shots = shots_of(source)
         self._shot = self._shots[0]
@@ -94,7 +93,7 @@ class Desk:
         if drawing is not None:
             drawing.check_size((width, height), source)
         begun = opened(drawing) if drawing is not None else Drawing((width, height))
-        self._drawing = replace(begun, camera=self._own_camera())
+        self._drawing = replace(begun, camera=self._stored_camera())
         self._lock, self._looking = threading.Lock(), threading.Lock()
         self._stopping = threading.Event()
         self.server = start_server(port)
@@ -102,16 +101,13 @@ class Desk:
         self._add_panel()
         self._listen()
 
-    def _own_camera(self) -> str:
+    def _stored_camera(self) -> str:
         """Return the camera name stored in a region, or nothing if there is only one camera."""
         return self._shot.camera if len(self._shots) > 1 else ""
 
     def _add_panel(self) -> None:
         gui = self.server.gui
-        gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB)
-        gui.set_panel_label(f"tg4mm view: {self._source.resolve().name}")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(_PANEL)
+        add_side_panel(self.server, self._source)
         with gui.add_folder("Draw"):
             if len(self._shots) > 1:
                 cameras = gui.add_dropdown("Camera", tuple(shot.camera for shot in self._shots))
@@ -131,7 +127,7 @@ class Desk:
                 "Texture", True, hint="Green: motion is measurable. Amber: only along the stroke."
             )
             self._show.on_update(lambda _: self._draw())
-            self._said = gui.add_html("")
+            self._message = gui.add_html("")
         with gui.add_folder("File"):
             gui.add_button("Save").on_click(lambda _: self._save())
             self._saved = gui.add_html(block(f"To {self._file}", key_words(_KEYS)))
@@ -139,7 +135,7 @@ class Desk:
             with gui.add_folder("Look"):
                 gui.add_button("What vibrates?").on_click(lambda _: self._look())
                 self._found = gui.add_html("")
-        self._tell()
+        self._show_state()
 
     def _listen(self) -> None:
         server = self.server
@@ -170,7 +166,7 @@ class Desk:
             self._change(lambda drawing: drawing.dragged(*corners))
 
     def wait(self) -> None:
-        """Until `stop`, or an interrupt."""
+        """Wait for `stop` or an interrupt."""
         self._stopping.wait()
 
     def stop(self) -> None:
@@ -192,12 +188,12 @@ class Desk:
                 self._drawing = change(replace(before, name=str(self._name.value), sides_mm=sides))
                 if len(self._drawing.regions) > len(before.regions):
                     self._name.value = ""
-                self._tell()
+                self._show_state()
             except Tg4mmError as error:
-                self._tell(str(error))
+                self._show_state(str(error))
         self._draw()
 
-    def _tell(self, error: str = "") -> None:
+    def _show_state(self, error: str = "") -> None:
         drawing, size = self._drawing, (int(self._drawing.size[0]), int(self._drawing.size[1]))
         lines = [Markup('<p class="dim">{}</p>').format(f"{drawing.tool}: {TOOLS[drawing.tool]}")]
         if error:
@@ -211,15 +207,17 @@ class Desk:
             at = f"{number(1e3 * drawing.scale.reference_m)} mm per pixel ± {100 * drawing.scale.share:.2g} %"
             tilt = ", tilted" if drawing.scale.corners else ", of a surface that the camera faces"
             lines.append(Markup("<p>Scale: {}</p>").format(at + tilt))
-        self._said.content = block(*lines)
+        self._message.content = block(*lines)
 
     def _fit(self, client: viser.ClientHandle) -> tuple[float, int, int, int, int]:
-        """Scale, left and upper edge of the picture on a page's canvas, and the canvas' size."""
+        """Return scale, left and upper edge of the picture on a page's canvas, and the canvas' size."""
         width, height = max(int(client.camera.image_width), 2), max(int(client.camera.image_height), 2)
-        own = self._shot.rgb.shape
-        scale = min(width / own[1], height / own[0])
-        upper = round((height - own[0] * scale) / 2) if width > NARROW else 0  # where the panel hides no part
-        return scale, round((width - own[1] * scale) / 2), upper, width, height
+        high, wide = self._shot.rgb.shape[:2]
+        scale = min(width / wide, height / high)
+        upper = (
+            round((height - high * scale) / 2) if width > NARROW else 0
+        )  # the panel must not hide the picture
+        return scale, round((width - wide * scale) / 2), upper, width, height
 
     def _place(self, client: viser.ClientHandle, x: float, y: float) -> tuple[float, float]:
         scale, left, upper, width, height = self._fit(client)

@@ -1,4 +1,4 @@
-"""Regions and a scale as they are drawn, click by click; where texture makes motion measurable; the picture of both."""
+"""Regions and a scale drawn click by click, the texture that makes motion measurable, and the picture of both."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,10 +23,10 @@ TOOLS = {
     RECTANGLE: "Give width and height, then click its corners: upper left, upper right, lower right, lower left.",
 }
 _NEEDED = {BOX: 2, POINT: 1, LENGTH: 2, RECTANGLE: 4}
-_EDGE = 10.0  # times as uncertain as the best direction: the other one is not told
+_EDGE = 10.0  # deviation over that of the best direction, from which the other counts as unresolved
 _BOTH, _ONE = (60, 190, 90), (250, 190, 40)
 _TINT = 0.35
-_WHOLE, _HALF = 0.95, 0.5  # of a cell that a region covers
+_ALL, _HALF = 0.95, 0.5  # share of a cell inside a region
 
 
 @dataclass(frozen=True)
@@ -38,23 +38,23 @@ class Drawing:
     scale: Scale | None = None
     tool: str = BOX
     clicks: tuple[Pixel, ...] = ()
-    name: str = ""  # of the next region; "": numbered
+    name: str = ""  # of the next region; "" for a number
     camera: str = ""
-    sides_mm: Pixel = (0.0, 0.0)  # of a length the first, of a rectangle both
+    sides_mm: Pixel = (0.0, 0.0)  # a length uses the first, a rectangle both
     before: "Drawing | None" = field(default=None, repr=False, compare=False)
 
     def taking(self, tool: str) -> "Drawing":
-        """With another tool; clicks of an unfinished shape are dropped."""
+        """Return the drawing with another tool and without an unfinished shape."""
         return replace(self, tool=tool, clicks=())
 
     def clicked(self, at: Pixel) -> "Drawing":
-        """One more click, pixels. Raises Tg4mmError where what it finishes cannot be."""
+        """Return the drawing with one more click, pixels. Raises Tg4mmError if it finishes an invalid shape."""
         inside = (min(max(at[0], 0.0), self.size[0]), min(max(at[1], 0.0), self.size[1]))
         more = replace(self, clicks=(*self.clicks, inside), before=self)
         return more.finished() if len(more.clicks) == _NEEDED.get(self.tool) else more
 
     def dragged(self, first: Pixel, last: Pixel) -> "Drawing":
-        """A box from corner to corner, pixels. Raises Tg4mmError where it cannot be, and with another tool."""
+        """Return the drawing with a box between corners, pixels. Raises Tg4mmError if invalid, or for another tool."""
         if self.tool != BOX:
             raise RegionError(
                 f"a box is dragged with the tool {BOX}; {self.tool}: {TOOLS[self.tool].lower()}"
@@ -62,7 +62,7 @@ class Drawing:
         return replace(self.taking(BOX).clicked(first).clicked(last), before=self)
 
     def finished(self) -> "Drawing":
-        """The clicks made a shape. Raises Tg4mmError where they are none."""
+        """Return the drawing with a shape made of the clicks. Raises Tg4mmError if it is invalid."""
         scale = self.scale or Scale()
         metres = [mm / 1e3 for mm in self.sides_mm]
         if self.tool == LENGTH:
@@ -118,8 +118,8 @@ class Texture:
     grid: Grid
     information: np.ndarray  # [C, 2, 2] px⁻²; 0 where there is no texture
 
-    def told(self) -> tuple[np.ndarray, np.ndarray]:
-        """[C] number of directions that are told, 0 to 2, and [C, 2] the better one, right and down."""
+    def resolved(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return each cell's number of resolved directions [C], 0 to 2, and the better one [C, 2], right and down."""
         values, axes = np.linalg.eigh(self.information)
         least = np.maximum(values[:, 1] / _EDGE**2, LEAST_INFORMATION)
         return (values > least[:, None]).sum(1), axes[:, :, 1]
@@ -127,12 +127,12 @@ class Texture:
     def words(self, region: Region, size: tuple[int, int]) -> str:
         """Describe what can be measured in a region."""
         share = self.grid.cut(region.mask(size)[None])[:, 0].mean(1)
-        cells = share >= (_WHOLE if (share >= _WHOLE).any() else _HALF)
+        cells = share >= (_ALL if (share >= _ALL).any() else _HALF)
         if not cells.any():
             return f"smaller than look's cells of {self.grid.size} px"
-        told, _ = self.told()
-        values, axes = np.linalg.eigh(self.information[cells & (told > 0)].sum(0))
-        if not told[cells].any():
+        count, _ = self.resolved()
+        values, axes = np.linalg.eigh(self.information[cells & (count > 0)].sum(0))
+        if not count[cells].any():
             return "no texture: nothing can be measured here"
         best = f"± {values[1] ** -0.5:.2g} px a picture"
         if values[0] > max(values[1] / _EDGE**2, LEAST_INFORMATION):
@@ -142,7 +142,7 @@ class Texture:
 
 
 def texture_of(pictures: np.ndarray) -> Texture:
-    """Compute it from the first pictures [F, H, W], float32 grey levels, whose scatter gives the noise."""
+    """Compute the texture from the first pictures [F, H, W], float32 grey levels; their scatter gives the noise."""
     height, width = pictures.shape[1:]
     grid = Grid.of(width, height, min(CELL, height, width))
     covariance = Template(pictures.mean(0, dtype=np.float32), grid).covariance
@@ -159,23 +159,25 @@ def texture_of(pictures: np.ndarray) -> Texture:
 
 
 def drawn(picture: np.ndarray, drawing: Drawing, texture: Texture | None, scale: float = 1.0) -> np.ndarray:
-    """[H·scale, W·scale, 3] uint8: a picture [H, W, 3] with texture, regions and marks on it.
+    """Return a picture [H, W, 3] with texture, regions and marks as [H·scale, W·scale, 3] uint8.
 
-    Green cells tell both directions, amber ones the direction of their stroke alone, plain ones none.
+    Green cells resolve both directions, amber ones only that of their stroke, others none.
     """
     shown = picture.astype(np.float32)
-    told, axes = (np.zeros(0, int), np.zeros((0, 2))) if texture is None else texture.told()
+    resolved, axes = (np.zeros(0, int), np.zeros((0, 2))) if texture is None else texture.resolved()
     if texture is not None:
         size = texture.grid.size
         for count, colour in ((1, _ONE), (2, _BOTH)):
-            cells = np.kron(texture.grid.picture(told == count), np.ones((size, size), bool))
+            cells = np.kron(texture.grid.picture(resolved == count), np.ones((size, size), bool))
             part = shown[: cells.shape[0], : cells.shape[1]]
             part[cells] = (1 - _TINT) * part[cells] + _TINT * np.array(colour)
     height, width = round(picture.shape[0] * scale), round(picture.shape[1] * scale)
     image = Image.fromarray(shown.astype(np.uint8)).resize((max(width, 1), max(height, 1)))
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(max(13, round(min(image.size) / 32)))
     if texture is not None:
-        for (x, y), (right, down) in zip(texture.grid.centres()[told == 1], axes[told == 1], strict=True):
+        for (x, y), (right, down) in zip(
+            texture.grid.centres()[resolved == 1], axes[resolved == 1], strict=True
+        ):
             reach = 0.4 * texture.grid.size
             ends = (x - reach * right, y - reach * down), (x + reach * right, y + reach * down)
             draw.line([_at(end, scale) for end in ends], fill=_ONE, width=2)

@@ -1,4 +1,4 @@
-"""viser's web server on 127.0.0.1, a token in its address: who is let in, and what the page may do."""
+"""viser's web server on 127.0.0.1 with a token in its address: access, the page's policy, and its side panel."""
 
 import hmac
 import logging
@@ -24,14 +24,14 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.show.view.charts import SCRIPT, STYLE
+from tg4mm.show.view.charts import ACCENT_RGB, SCRIPT, STYLE
 
 LARGEST_MESSAGE = 1 << 16  # bytes; a camera or a slider is a few hundred
-# Any port: a tunnel from another machine ends at one of its own.
+# Any port, since a tunnel from another machine may end at another one.
 _HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d{1,5})?")
 _PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
-# viser's page makes elements of style and script as it goes: they get the answer's nonce. Its sorter of Gaussians,
-# which is not used, would evaluate text.
+# Elements of style and script that viser's page makes get the answer's nonce. Its unused sorter of Gaussians would
+# evaluate text.
 _HEAD = """<script nonce="{nonce}">{{
 const {{nonce}} = document.currentScript, make = Document.prototype.createElement;
 Document.prototype.createElement = function (...given) {{
@@ -50,17 +50,18 @@ _POLICY = (
     "frame-ancestors 'none'"
 )
 HOST = "127.0.0.1"
+_PANEL = 400  # pixels
 _starting = Lock()
 
 
 class Guard:
-    """Lets in whoever knows the token, which is the path of the page's address, and no page of another origin."""
+    """Admits requests with the token, which is the path of the page's address, and no page of another origin."""
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(24)
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The page, a refusal, or None: the websocket of the page may open."""
+        """Return the page, a refusal, or None to let the page's websocket open."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         websocket = request.headers.get("Upgrade", "").lower() == "websocket"
         if len(hosts) != 1 or _HOST.fullmatch(hosts[0]) is None:
@@ -76,7 +77,7 @@ class Guard:
 
 
 def _page(host: str) -> Response:
-    """viser's page with a nonce of its own, and the policy that goes with it."""
+    """Return viser's page with a new nonce and its policy."""
     nonce = secrets.token_urlsafe(16)
     page = _PAGE.read_text(encoding="utf-8").replace("<script ", f'<script nonce="{nonce}" ')
     page = page.replace("<head>", "<head>" + _HEAD.format(nonce=nonce, script=SCRIPT, style=STYLE), 1)
@@ -115,16 +116,16 @@ class LocalServer(viser.ViserServer):
     guard: Guard
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Always None: what is served here stays on this machine."""
+        """Return None, since pages stay on this machine."""
         return None
 
 
 def start_server(port: int) -> LocalServer:
-    """Serve on 127.0.0.1:`port`; 0 takes any free one. Raises Tg4mmError where the port is taken.
+    """Serve on 127.0.0.1:`port`; 0 takes any free one. Raises Tg4mmError if the port is taken.
 
-    viser itself would go on to the next free port.
+    viser alone would take the next free port.
     """
-    # Neither a page of another site that is turned away nor one that was closed while its picture was drawn is news.
+    # Refused pages of other sites, and pages closed during drawing, are no errors.
     logging.getLogger("websockets").setLevel(logging.CRITICAL + 1)
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     if not 0 <= port <= 65535:
@@ -138,7 +139,7 @@ def start_server(port: int) -> LocalServer:
             options |= {"process_request": guard.answer, "max_size": LARGEST_MESSAGE}
             return serve(handler, *args, **options)
 
-        # viser hands on no guard; its announcements say what the command says itself
+        # viser has no argument for a guard; the command prints the address itself
         websockets.asyncio.server.serve = guarded  # type: ignore[assignment, misc]
         console.quiet = True
         try:
@@ -152,6 +153,21 @@ def start_server(port: int) -> LocalServer:
     return server
 
 
+def add_side_panel(server: LocalServer, shown: Path) -> None:
+    """Put the controls into a panel on the right, named after the displayed file or folder."""
+    set_theme(server)
+    server.gui.set_panel_label(f"tg4mm view: {shown.resolve().name}")
+    server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(_PANEL)
+
+
+def set_theme(server: LocalServer, dark: bool = False) -> None:
+    """Set the light or dark theme of all pages."""
+    server.gui.configure_theme(
+        dark_mode=dark, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB
+    )
+
+
 def stop_server(server: LocalServer) -> None:
     """Close all connections and stop serving."""
     console = rich.get_console()
@@ -163,13 +179,13 @@ def stop_server(server: LocalServer) -> None:
 
 
 def address(server: LocalServer) -> str:
-    """Where the browser finds it; whoever knows it is let in."""
+    """Return the server's address, which includes the token."""
     return f"http://{HOST}:{server.get_port()}/{server.guard.token}/"
 
 
 @contextmanager
 def browsed(url: str, folder: Path) -> Iterator[None]:
-    """Open the browser at `url` by a file in `folder` that its owner alone can read.
+    """Open the browser at `url` through a file in `folder` that only its owner can read.
 
     All users of a machine see the arguments of a program.
     """

@@ -1,6 +1,6 @@
-"""The panel beside the picture: sliders, spectrum, colours, time. Shared by all open pages.
+"""The panel beside the picture, shared by all open pages: sliders, spectrum, colours, time.
 
-Controls that are also moved from here are `Any`: viser's `value` can be set, which mypy does not see.
+Controls that the program also moves are `Any`, since mypy does not see that viser's `value` can be set.
 """
 
 import time
@@ -28,18 +28,18 @@ from tg4mm.show.view.screen import NARROW
 from tg4mm.show.view.session import Session
 
 _FOLLOW_EVERY = 0.2  # seconds between moves of the time slider as it plays
-_HANDS_OFF = 0.7  # seconds after a hand moved it
-_ALIASED = 4.0  # pictures a cycle below which the eye is misled
+_HANDS_OFF = 0.7  # seconds after the user moved it
+_ALIASED = 4.0  # pictures a cycle; fewer mislead the eye
 
 
 class Panel:
-    """The controls of what is shown and when. Scenes at rest have none but their notes."""
+    """Controls of display and time; scenes at rest only have notes."""
 
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self._gui, self._session = server.gui, session
         self._followed = self._touched = 0.0
         self._rate: float | None = None
-        self._told = ""
+        self._size = ""
         scene = session.scene
         self._status = self._gui.add_html(block(*scene.notes, Markup('<p class="dim">&nbsp;</p>')))
         if scene.look is not None:
@@ -91,7 +91,7 @@ class Panel:
         self._band_words = self._gui.add_html("")
 
     def _choose(self, name: str) -> None:
-        """The band of a button: around a peak, or all frequencies."""
+        """Select the band of a button: around a peak, or all frequencies."""
         frequencies = self._session.scene.frequencies
         if name not in self._names:
             band = None
@@ -102,14 +102,14 @@ class Panel:
         self._show_band()
 
     def _slid(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client is None:  # set by a button, to the slider's own steps
+        if event.client is None:  # set by a button, in the slider's steps
             return
         low, high = self._band.value
         self._session.choose_band(band_of_slider(float(low), float(high), self._nyquist))
         self._show_band()
 
     def _type(self, text: str) -> None:
-        """The band of two numbers; what is none yet, as it is typed, changes nothing."""
+        """Select the band of two numbers; incomplete text changes nothing."""
         try:
             low, high = (min(max(float(word), 0.0), self._nyquist) for word in text.replace(",", " ").split())
         except ValueError:
@@ -120,7 +120,7 @@ class Panel:
             self._show_band()
 
     def _show_band(self) -> None:
-        """Everything that depends on the band."""
+        """Update everything that depends on the band."""
         scene, look, band = self._session.scene, self._session.look, self._session.band
         labels = dict(zip(self._buttons.tolist(), self._names, strict=True))
         chart = spectrum_chart(
@@ -172,7 +172,7 @@ class Panel:
         self._session.set_clock(lambda c, now: c.sought(now, float(self._time.value)))
 
     def _show_speed(self) -> None:
-        """A warning where the fastest magnified motion shows too few pictures a cycle to be seen as it is."""
+        """Show a warning if the fastest magnified motion has too few pictures a cycle."""
         band = self._session.band
         inside = [f for f in self._buttons if band is None or band[0] <= f <= band[1]]
         cycles = max(inside, default=0.0) * self._session.clock.speed
@@ -193,7 +193,7 @@ class Panel:
             self._show_band()
 
     def follow(self, now: float) -> None:
-        """Move the time slider along, and name the button after what it would do."""
+        """Move the time slider with the clock, and name the button after its action."""
         clock = self._session.clock
         if clock.duration <= 0 or now - self._followed < _FOLLOW_EVERY or now - self._touched < _HANDS_OFF:
             return
@@ -203,12 +203,12 @@ class Panel:
         if self._play.label != label:
             self._play.label = label
 
-    def tell(self, rate: float | None, size: tuple[int, int], plays: bool) -> None:
-        """Show the size of the last picture and, as it plays, pictures a second; `rate` is None between two counts."""
+    def show_size(self, rate: float | None, size: tuple[int, int], plays: bool) -> None:
+        """Show the last picture's size and, while playing, pictures a second; `rate` is None between counts."""
         shown = f"{size[0]} × {size[1]} pixels"
-        if (plays and rate is None) or (not plays and shown == self._told):
+        if (plays and rate is None) or (not plays and shown == self._size):
             return
-        self._told = shown
+        self._size = shown
         words = shown if rate is None else f"{shown}, {rate:.0f} frames/s"
         line = Markup('<p class="dim">{}</p>').format(words)
         self._status.content = block(*self._session.scene.notes, line)
@@ -242,9 +242,9 @@ class CameraPanel:
         self.jump(client, i)
 
     def jump(self, client: viser.ClientHandle | None, i: int) -> None:
-        """Put a page's camera where camera `i` of the capture stood, with all of its picture in view.
+        """Move a page's camera to that of camera `i` of the capture, with all of its picture in view.
 
-        None, where the list was moved from here, moves no one.
+        None, for a change by the program, moves no page.
         """
         if client is None:
             return
@@ -256,12 +256,12 @@ class CameraPanel:
         place(client, standpoint_of(self._cameras[i], depth, aspect))
 
     def again(self, client: viser.ClientHandle) -> None:
-        """Back to the camera that is chosen."""
+        """Return a page to the chosen camera."""
         self.jump(client, self._chosen())
 
 
 def place(client: viser.ClientHandle, to: Standpoint) -> None:
-    """Move a page's camera there at once."""
+    """Move a page's camera to a standpoint at once."""
     with client.atomic():
         client.camera.up_direction = to.up
         client.camera.position = to.position

@@ -1,4 +1,4 @@
-"""The panel's answer to a clicked pixel, and the mark in the scene."""
+"""The waveform and spectrum of a clicked pixel, and the mark in the scene."""
 
 import threading
 import time
@@ -28,11 +28,11 @@ _MISSED = "Nothing there: the pixel shows background."
 _STILL = "Nothing moves in this run."
 _READING = "Reading the capture's pictures once, for all pixels …"
 _SHADED = "; shaded: ± one standard deviation"
-_MARK = 0.004  # radius of the mark, of the picture's height where it lies
+_MARK = 0.004  # radius of the mark over the picture's height at its depth
 
 
 class PixelPanel:
-    """Waveform and spectrum of the pixel clicked last, on any page: of the fitted motion, or of the pictures."""
+    """Waveform and spectrum of the last clicked pixel, on any page, from the fitted motion or the pictures."""
 
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self._server, self._session = server, session
@@ -69,7 +69,7 @@ class PixelPanel:
         self._answer_last()
 
     def _answer_last(self) -> None:
-        """Show what is known of the last pixel; one at a time, lest a slow answer come after a later one."""
+        """Show the last pixel's motion; one at a time, so that a slow answer never follows a later one."""
         with self._busy:
             if self._last is None:
                 return
@@ -81,7 +81,7 @@ class PixelPanel:
             self._answer.content = block(_STILL) if found is None else self._words(found, point)
 
     def _measure(self, point: np.ndarray) -> None:
-        """Measure there; until the pictures are read that lasts."""
+        """Measure the point; the first time all pictures are read."""
         words = "Measuring …" if self._measurer.is_ready else _READING
         self._answer.content = block(words)
         try:
@@ -93,7 +93,7 @@ class PixelPanel:
         self._answer.content = self._words(found, point)
 
     def _heard(self, words: str, let_paint: Callable[[], None]) -> Callable[[str], None]:
-        """Shows under `words` how far a job is."""
+        """Return a listener that shows a job's progress under `words`."""
 
         def heard(line: str) -> None:
             self._answer.content = block(words, line[:1].upper() + line[1:])
@@ -150,32 +150,31 @@ _FAINTEST = 0.05  # opacity of a pixel that counts as hit
 
 @dataclass(frozen=True)
 class Waveform:
-    """The motion of the surface under a pixel, as captured (α = 0), in scene units."""
+    """The captured motion (α = 0) of the surface in a pixel, scene units."""
 
     along: str  # the direction, in words
     times: np.ndarray  # [F] seconds
     displacement: np.ndarray  # [F] about its mean
-    deviation: np.ndarray | None  # [F] standard deviation of that
+    deviation: np.ndarray | None  # [F] standard deviation
     frequencies: np.ndarray  # [B] Hz
     amplitudes: np.ndarray  # [B] zero to peak
-    peak: tuple[float, float] | None  # Hz and zero to peak; None where nothing stands out
-    # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
-    floor: np.ndarray | None = None
+    peak: tuple[float, float] | None  # Hz and zero to peak; None if nothing stands out
+    floor: np.ndarray | None = None  # [B] noise floor of the amplitudes; None for the fitted motion
     peak_deviation: tuple[float, float] | None = None  # standard deviations of the peak's two numbers
-    of_clip: str = ""  # what the displacement is, where that is another direction: of clips
+    of_clip: str = ""  # direction of the displacement in a clip, if another
 
 
 def seen_at(scene: RunScene, weights: np.ndarray) -> np.ndarray | None:
-    """[3] the mean place of the Gaussians with these blending weights [N]; None for background (opacity below 0.05)."""
+    """Return the mean position [3] of Gaussians by blending weights [N]; None for background (opacity below 0.05)."""
     total = float(weights.sum())
     return None if total < _FAINTEST else weights @ scene.gaussians.means.numpy().astype(float) / total
 
 
 def modal_waveform(scene: RunScene, weights: np.ndarray) -> Waveform | None:
-    """The fitted motion of the Gaussians blended in a pixel, with their blending weights [N] there.
+    """Return the fitted motion of the Gaussians in a pixel by their blending weights [N]; None if nothing moves.
 
-    None where nothing moves. Displacements are blended as colours are; the standard deviation is that of a single
-    Gaussian, as if all erred alike.
+    Displacements are blended like colours; the standard deviation is that of a single Gaussian, as if all had the same
+    error.
     """
     if scene.motion is None or not len(scene.frequencies):
         return None
@@ -205,19 +204,19 @@ def modal_waveform(scene: RunScene, weights: np.ndarray) -> Waveform | None:
 
 
 def _times(duration: float, frequencies: np.ndarray, main: float) -> np.ndarray:
-    """Seconds at which a waveform is drawn: the capture, or the first 12 cycles of its main frequency."""
+    """Return a drawn waveform's times, seconds: the capture, or the first 12 cycles of its main frequency."""
     end = min(duration, 12.0 / main)
     steps = int(np.clip(16 * end * float(frequencies.max()), 100, 1200))
     return np.linspace(0.0, end, steps + 1)
 
 
 def vector(v: np.ndarray) -> str:
-    """x, y, z to two decimals."""
+    """Return x, y, z with two decimals."""
     return ", ".join(f"{x:.2f}".replace("-", "−") for x in np.round(v, 2) + 0.0)
 
 
 class Measurer:
-    """Measures points of the scene in the capture's own pictures, which it reads once, when first asked."""
+    """Measures points of the scene in the capture's pictures, which it reads at the first request."""
 
     def __init__(self, scene: RunScene) -> None:
         self._scene = scene
@@ -229,14 +228,14 @@ class Measurer:
         return self._prepared is not None
 
     def radius(self, point: np.ndarray) -> float:
-        """Four pixels of the capture's nearest camera, at that point; scene units."""
+        """Return four pixels of the capture's nearest camera at a point, scene units."""
         per_pixel = [
             float(np.linalg.norm(point - camera.position)) / camera.K[0, 0] for camera in self._scene.cameras
         ]
         return PIXEL_RADIUS * min(per_pixel)
 
     def at(self, point: np.ndarray) -> Waveform:
-        """The displacement of what lies within `radius` of `point` [3]. Raises Tg4mmError as `measure` does."""
+        """Measure the displacement within `radius` of `point` [3]. Raises Tg4mmError as `measure` does."""
         if self._prepared is None:
             self._prepared = prepare(Run.open(self._scene.path))
         sensor = Sensor("pixel", "sphere", (*map(float, point), self.radius(point)))
@@ -273,7 +272,7 @@ def measured_waveform(result: SensorResult) -> Waveform:
 
 
 def _best_axis(amplitude: np.ndarray | None, deviation: np.ndarray) -> int:
-    """The observed axis with the largest amplitude [3], or without one the surest by deviation [T, 3]."""
+    """Return the observed axis with the largest amplitude [3], or the least deviation [T, 3] if there is none."""
     if amplitude is None:
         return int(np.argmax(1.0 / np.square(deviation).mean(axis=0)))
     return int(np.argmax(amplitude * np.isfinite(deviation).all(axis=0)))

@@ -1,4 +1,4 @@
-"""Snapshots and clips: what a page shows, to disk."""
+"""Writes a page's picture as a snapshot or clip."""
 
 import re
 import threading
@@ -25,7 +25,7 @@ _LARGEST = 1280  # pixels, a clip's longer side
 
 
 def save_snapshot(session: Session, canvas: Canvas, now: float, folder: Path) -> Path:
-    """Write what `canvas` shows at `now`, at its full size, as a new PNG in `folder`."""
+    """Write the picture of `canvas` at `now`, at full size, as a new PNG in `folder`."""
     size = full_size(canvas.width, canvas.height)
     picture = picture_of(session.painter, session.look, session.clock.at(now), canvas, size)
     path = next_name(folder, "snapshot", ".png")
@@ -36,9 +36,9 @@ def save_snapshot(session: Session, canvas: Canvas, now: float, folder: Path) ->
 def save_clip(
     session: Session, canvas: Canvas, folder: Path, update: Callable[[float], None] = lambda share: None
 ) -> Path:
-    """Write one pass through the capture as `canvas` shows it now, at the speed it plays, as a new mp4 in `folder`.
+    """Write one pass through the capture on `canvas`, at its present speed, as a new mp4 in `folder`.
 
-    At most 20 seconds, at most 1280 pixels wide or high. `update` is told the share that is done, 0 … 1.
+    It has at most 20 seconds and 1280 pixels a side. `update` is called with the finished share, 0 … 1.
     """
     look, clock = session.look, session.clock
     share = min(1.0, _LARGEST / max(canvas.width, canvas.height))
@@ -56,7 +56,7 @@ def save_clip(
 
 
 def save_numbers(found: Waveform, unit: str, per_unit: float, folder: Path) -> Path:
-    """A pixel's waveform as a new CSV that `tg4mm analyse` reads, its spectrum beside it; returns the waveform's."""
+    """Write a pixel's waveform as a new CSV for `tg4mm analyse`, and its spectrum; returns the waveform's file."""
     folder.mkdir(parents=True, exist_ok=True)
     path = next_name(folder, "waveform", ".csv")
     name = "along_" + unit.replace(" ", "_")
@@ -78,13 +78,13 @@ def _write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def clip_moments(duration: float, speed: float) -> np.ndarray:
-    """Seconds of the capture that the pictures of a clip show: one pass, or as much of it as 20 seconds hold."""
+    """Return the capture's times in a clip, seconds: one pass, or its first 20 seconds of playing."""
     count = round(min(duration / speed, LONGEST) * CLIP_RATE)
     return np.arange(max(count, 1)) * speed / CLIP_RATE
 
 
 def next_name(folder: Path, stem: str, suffix: str) -> Path:
-    """`folder/stem_0001.suffix`, or the number after the highest that is there."""
+    """Return `folder/stem_0001.suffix`, or the number after the highest that exists."""
     pattern = re.compile(rf"{stem}_(\d+){re.escape(suffix)}")
     found = [pattern.fullmatch(path.name) for path in folder.glob(f"{stem}_*{suffix}")]
     highest = max((int(match[1]) for match in found if match), default=0)
@@ -96,7 +96,7 @@ def _even(pixels: float) -> int:
 
 
 class SavePanel:
-    """Snapshot (PNG) and clip (mp4) of the page whose button was pressed; one at a time."""
+    """Buttons for snapshots (PNG) and clips (mp4) of their page, one at a time."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class SavePanel:
             )
             numbers.visible = session.scene.duration > 0
             self._bar: Any = server.gui.add_progress_bar(0.0, visible=False)
-            self._said = server.gui.add_html(block(f"To {folder}"))
+            self._message = server.gui.add_html(block(f"To {folder}"))
         snapshot.on_click(lambda event: self._save(event.client, self._snapshot))
         numbers.on_click(lambda event: self._save(event.client, self._numbers))
         clip.on_click(lambda event: self._save(event.client, self._clip))
@@ -128,9 +128,9 @@ class SavePanel:
             return
         try:
             path = write(self._canvas_of(client))
-            self._said.content = block(f"Wrote {path}")
+            self._message.content = block(f"Wrote {path}")
         except (Tg4mmError, OSError) as error:
-            self._said.content = block(f"Not written: {error}")
+            self._message.content = block(f"Not written: {error}")
         finally:
             self._bar.visible = False
             self._busy.release()

@@ -1,4 +1,4 @@
-"""The picture of one open page: drawn anew when what it shows or its camera changed."""
+"""The picture of one open page, drawn again after a change of its contents or camera."""
 
 import math
 import time
@@ -16,7 +16,7 @@ from tg4mm.show.view.scene import camera_of
 from tg4mm.show.view.session import Look, Painter, Session
 
 _MOVING, _STILL = 80, 95  # JPEG quality
-NARROW = 600  # pixels: a phone, whose lower half the panel covers
+NARROW = 600  # pixels of a phone, whose lower half the panel covers
 _LETTER = 0.022  # of a picture's height
 _BORDER = 90  # grey level between two pictures
 _RING, _STROKE = 0.012, 1.5  # of the picture's shorter side; pixels
@@ -33,7 +33,7 @@ class Canvas:
     height: int  # pixels
 
     def camera(self, size: tuple[int, int]) -> Camera:
-        """The camera for a picture of `size` (width, height)."""
+        """Return the camera for a picture of `size` (width, height)."""
         rotation = Rotation.from_quat(np.roll(self.wxyz, -1)).as_matrix()
         return camera_of(np.array(self.position), rotation, self.fov, self.width / self.height, size)
 
@@ -55,17 +55,17 @@ class Canvas:
         return self.width >= NARROW
 
     def halved(self) -> "Canvas":
-        """One of two pictures side by side."""
+        """Return the canvas of one of two pictures side by side."""
         return replace(self, width=self.width // 2)
 
 
 def picture_of(
     painter: Painter, look: Look, seconds: float, canvas: Canvas, size: tuple[int, int]
 ) -> np.ndarray:
-    """[H, W, 3] uint8 of `size` (w, h): what a page shows.
+    """Return a page's picture [H, W, 3] uint8 of `size` (w, h).
 
-    With `look.beside` the scene as captured comes first: the film's own picture where a camera filmed from there, else
-    the model at α = 0; which of the two is written on it.
+    With `look.beside` the captured scene comes first: the film's picture if a camera stood there, otherwise the model
+    at α = 0, each with a caption.
     """
     if not (look.beside and canvas.holds_two and size[0] > 1):
         return painter.paint(look, seconds, canvas.camera(size))
@@ -73,11 +73,11 @@ def picture_of(
     film = painter.filmed(seconds, camera)
     first = painter.paint(replace(look, magnified=AS_CAPTURED), seconds, camera) if film is None else film
     parts = [first, painter.paint(look, seconds, camera)]
-    told = (
+    captions = (
         "model, not magnified" if film is None else "as filmed",
         f"{1 + look.magnified.alpha:g} times the motion",
     )
-    for part, words in zip(parts, told, strict=True):
+    for part, words in zip(parts, captions, strict=True):
         if look.mark is not None:
             _marked(part, camera, np.array(look.mark))
         _written(part, words)
@@ -86,7 +86,7 @@ def picture_of(
 
 
 def _written(picture: np.ndarray, words: str) -> None:
-    """Words into the upper left corner of picture [H, W, 3], at the size of a page's text."""
+    """Write words into the upper left corner of picture [H, W, 3], at the size of a page's text."""
     height = max(12, round(_LETTER * picture.shape[0]))
     font = ImageFont.load_default(height)
     right, lower = (round(v) for v in font.getbbox(words)[2:])
@@ -99,7 +99,7 @@ def _written(picture: np.ndarray, words: str) -> None:
 
 
 def _marked(picture: np.ndarray, camera: Camera, point: np.ndarray) -> None:
-    """A ring where the point [3] lies, into picture [H, W, 3]."""
+    """Draw a ring around the point [3] into picture [H, W, 3]."""
     x, y, depth = camera.K @ (camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3])
     if depth > 0:
         rows, columns = np.ogrid[: camera.height, : camera.width]
@@ -118,7 +118,7 @@ class Screen:
         self.size = (0, 0)  # of the last picture, pixels
 
     def refresh(self, canvas: Canvas, now: float) -> bool:
-        """Draw and send what the page should show at `now`, if that is something else; whether it was."""
+        """Draw and send the page's picture at `now` if it changed; returns whether it did."""
         session = self._session
         look, seconds = session.look, session.clock.at(now)
         wanted = (session.revision, seconds, canvas)
@@ -135,24 +135,24 @@ class Screen:
         return True
 
 
-RATE = 30.0  # pictures a second that playing aims at
+RATE = 30.0  # intended pictures a second
 _COARSEST = 0.4  # of the canvas' sides; below, fewer pictures a second are better than fewer pixels
 _FINEST = 2400  # pixels, longer side
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Pixels of the next picture, found from how long the last ones took."""
+    """Pixels of the next picture, from the drawing times of the last ones."""
 
     pixels: float = 768.0 * 768.0
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """(width, height) of a picture of the canvas' shape, at most the canvas' own."""
+        """Return (width, height) of a picture of the canvas' shape, at most its size."""
         share = math.sqrt(self.pixels / (width * height))
         return _scaled(width, height, min(1.0, max(share, _COARSEST)))
 
     def after(self, seconds: float, drawn: int) -> "Pace":
-        """The pace after a picture of `drawn` pixels took `seconds`; small misses change nothing."""
+        """Return the pace after a picture of `drawn` pixels took `seconds`; small deviations change nothing."""
         aim = 0.85 / RATE
         if 0.6 * aim < seconds <= aim:
             return self
@@ -161,7 +161,7 @@ class Pace:
 
 
 def full_size(width: int, height: int) -> tuple[int, int]:
-    """(width, height) of a still picture: the canvas' own, its longer side held to 2400 pixels."""
+    """Return (width, height) of a still picture: the canvas' size, its longer side at most 2400 pixels."""
     return _scaled(width, height, 1.0)
 
 

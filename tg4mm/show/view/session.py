@@ -1,4 +1,4 @@
-"""The state shared by all pages: scene, display settings, time; and the painter that draws a picture of it."""
+"""The state shared by all pages, scene, display settings and time, and its painter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tg4mm.show.view.colours import Colour, gaussian_colours
 from tg4mm.show.view.scene import RunScene
 
 Bands = tuple[tuple[float, float], ...]
-_MOMENT = 0.02  # seconds: enough for a thread that waits for the painter to be let in
+_MOMENT = 0.02  # seconds, enough for a thread that waits for the painter
 _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to colour
 
 
@@ -36,13 +36,13 @@ class Look:
     magnified: Magnification = AS_CAPTURED
     colour: Colour = Colour.picture
     beside: bool = False  # as captured and magnified, side by side
-    mark: tuple[float, ...] | None = None  # [3] scene units, of the clicked pixel, where they are
+    mark: tuple[float, ...] | None = None  # [3] position of the clicked pixel, scene units
 
 
 class Painter:
-    """Draws a scene. One picture at a time: calls from several threads wait for each other.
+    """Draws a scene, one picture at a time; calls from several threads wait for each other.
 
-    numba's kernels take all cores anyway, and not all of its threading layers may be entered twice.
+    numba's kernels use all cores anyway, and some of its threading layers allow only one caller.
     """
 
     def __init__(self, scene: RunScene) -> None:
@@ -53,10 +53,10 @@ class Painter:
 
     @contextmanager
     def beside(self) -> Iterator[Callable[[], None]]:
-        """Within it other kernels of numba may run beside the painter's.
+        """Let other numba kernels run beside the painter's.
 
-        Where numba's threads do not allow that, pictures wait, but for a moment whenever the function that it yields is
-        called.
+        If numba's threads do not allow that, pictures wait until the yielded function is called, which admits them for
+        a moment.
         """
         if numba.threading_layer() != "workqueue":
             yield lambda: None
@@ -71,23 +71,21 @@ class Painter:
             yield let_paint
 
     def paint(self, look: Look, seconds: float, camera: Camera) -> np.ndarray:
-        """[height, width, 3] uint8: the scene `seconds` into the capture over white."""
+        """Return the scene `seconds` into the capture over white, [height, width, 3] uint8."""
         with self._lock:
-            gaussians = self._gaussians(look, seconds)
-            size = (camera.width, camera.height)
-            return to_bytes(render_image(gaussians, camera.viewmat, camera.K, *size))
+            return to_bytes(render_image(self._gaussians(look, seconds), *camera.view))
 
     def filmed(self, seconds: float, camera: Camera) -> np.ndarray | None:
-        """[height, width, 3] uint8: the capture's own picture from there; None where there is none, or it is gone."""
+        """Return the capture's picture from a camera, [height, width, 3] uint8; None if it does not exist."""
         try:
             return None if self._scene.filmed is None else self._scene.filmed.seen_by(camera, seconds)
         except (CaptureError, OSError):
             return None
 
     def pixel_weights(self, look: Look, seconds: float, camera: Camera, x: int, y: int) -> np.ndarray:
-        """[N] float64: blending weight α·T ([3DGS] Eq. (3)) of every Gaussian in pixel (x, y); they sum to its opacity.
+        """Return the blending weight α·T ([3DGS] Eq. (3)) of every Gaussian in pixel (x, y), [N] float64.
 
-        It is the gradient of the pixel by the Gaussian's colour, which the rasteriser gives exactly.
+        They sum to the opacity. A weight is the pixel's gradient by the Gaussian's colour, from the rasteriser.
         """
         chosen = np.zeros((camera.height, camera.width, 1), np.float32)
         chosen[y, x] = 1
@@ -102,7 +100,7 @@ class Painter:
         return gaussians if sh is None else replace(gaussians, sh=sh)
 
     def _colours(self, look: Look) -> Tensor | None:
-        """[N, 1, 3] spherical harmonics of a colouring; of the last one they are kept."""
+        """Return spherical harmonics [N, 1, 3] of a colouring; the last ones are cached."""
         if self._coloured[0] != (key := (look.colour, look.magnified.limits)):
             rgb = gaussian_colours(self._scene, look.colour, look.magnified)
             sh = None if rgb is None else torch.tensor((rgb[:, None] - 0.5) / _SH_0, dtype=torch.float32)
@@ -111,9 +109,9 @@ class Painter:
 
 
 class Session:
-    """A scene that is being looked at.
+    """A displayed scene.
 
-    `revision` counts the changes of the look, `changed` is set by every change: whoever draws waits for it.
+    `revision` counts changes of the look; every change sets `changed`, for which the drawing loop waits.
     """
 
     def __init__(self, scene: RunScene, look: Look, clock: Clock) -> None:
@@ -149,12 +147,12 @@ class Session:
         self.set_look(magnified=self._look.magnified.times(alpha))
 
     def choose_band(self, band: tuple[float, float] | None) -> None:
-        """Another band, by the same α; None: all frequencies."""
+        """Select another band with the same α; None: all frequencies."""
         limits = () if band is None else (band,)
         self.set_look(magnified=Magnification.of(self._look.magnified.alpha, *limits))
 
     def set_clock(self, change: Callable[[Clock, float], Clock]) -> None:
-        """Put `change(clock, now)` in the clock's place."""
+        """Replace the clock by `change(clock, now)`."""
         with self._lock:
             self._clock = change(self._clock, time.monotonic())
         self.changed.set()
@@ -162,12 +160,12 @@ class Session:
 
 @dataclass(frozen=True)
 class Clock:
-    """Seconds of the capture as they play; moments `now` are of one monotonic clock, in seconds.
+    """The playing time of the capture; moments `now` are seconds of one monotonic clock.
 
-    Every change returns a new clock that goes on from where this one was.
+    Every change returns a new clock that continues at the same time.
     """
 
-    duration: float  # seconds of the capture, T / fps; 0 for a scene that does not move
+    duration: float  # seconds of the capture, T / fps; 0 for a still scene
     offset: float = 0.0  # seconds of the capture at `since`
     since: float = 0.0
     speed: float = 1.0  # seconds of the capture for each second
@@ -175,7 +173,7 @@ class Clock:
     loop: bool = True
 
     def at(self, now: float) -> float:
-        """Seconds of the capture: 0 … duration; with `loop` it starts anew at the end, else it stays there."""
+        """Return the capture's time, 0 … duration; at the end it starts again with `loop`, otherwise it stays."""
         if not self.playing or self.duration <= 0:
             return self.offset
         position = self.offset + self.speed * (now - self.since)
@@ -186,21 +184,21 @@ class Clock:
         return self.playing and self.duration > 0 and (self.loop or self.at(now) < self.duration)
 
     def changed(self, now: float, **changes: object) -> Clock:
-        """With other `speed`, `playing` or `loop` from now on; playing from the end starts at 0."""
+        """Return a clock with another `speed`, `playing` or `loop` from now on; playing at the end starts at 0."""
         offset = self.at(now)
         if changes.get("playing") and not self.running(now) and offset >= self.duration:
             offset = 0.0
         return replace(self, offset=offset, since=now, **changes)  # type: ignore[arg-type]
 
     def sought(self, now: float, seconds: float) -> Clock:
-        """Moved to `seconds`, held within the capture; plays on from there if it played."""
+        """Return a clock moved to `seconds`, limited to the capture, which keeps playing if it did."""
         return replace(self, offset=min(max(seconds, 0.0), self.duration), since=now)
 
 
 def slow_enough(frequency_hz: float, cycles_per_second: float = 3.0) -> float:
-    """A round speed, at most 1, at which `frequency_hz` shows at most so many cycles a second.
+    """Return a round speed, at most 1, at which `frequency_hz` shows at most so many cycles a second.
 
-    At 24 pictures a second that leaves eight for a cycle.
+    The default leaves eight of 24 pictures a second for a cycle.
     """
     speeds = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
     return next((s for s in speeds if s * frequency_hz <= cycles_per_second), speeds[-1])
