@@ -224,7 +224,7 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
         "settings": {stage: dataclasses.asdict(config) for stage, config in configs.items()},
         "scorings": [dataclasses.asdict(s) for s in training.ways],
         "alphas": None if plan.alphas is None else list(plan.alphas),
-        "band_hz": list(data.band_hz) if plan.banded else None,
+        "band_hz": plan.band(data),
         "device": plan.device,
         "metrics": list(plan.metrics),
         **({"lpips": weights_state(plan)} if "lpips" in plan.metrics else {}),

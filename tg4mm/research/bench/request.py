@@ -1,4 +1,4 @@
-"""What a benchmark runs: trainings and how each is magnified, what holds for all, and settings sorted by preset."""
+"""Trainings of a benchmark and their magnification, the common plan, and settings sorted by preset."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,10 +21,10 @@ class Scoring:
 
     name: str
     method: str  # "modal", "linear", "phase"
-    filter: str | None = None  # None: the method's own, zero-phase
+    filter: str | None = None  # None: the method's default, zero-phase
 
     def magnified(self, bands: Iterable[tuple[float, float]], alpha: float = 1.0) -> Magnification:
-        """By α in the bands; without any everywhere."""
+        """Return a magnification by α in the bands, or everywhere without any."""
         chosen = None if self.filter is None else TemporalFilter(self.filter)
         return Magnification.of(alpha, *bands, method=self.method, filter=chosen)
 
@@ -37,24 +37,24 @@ SCORINGS = {
 
 
 class Trainer(Protocol):
-    """Another way to a run than `tg4mm train`."""
+    """A trainer of runs in place of `tg4mm train`."""
 
     def plain(self) -> dict[str, Any]:
-        """Its settings, in JSON's types."""
+        """Return the settings, in JSON's types."""
         ...
 
     def overrides(self) -> dict[str, str]:
-        """Those that differ from its defaults, as `--set` takes them."""
+        """Return the settings that differ from the defaults, as `--set` takes them."""
         ...
 
     def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
-        """Train into the folder `place`, or go on there; `settings` as of the preset."""
+        """Train into the folder `place`, or continue there; `settings`: those of the preset."""
         ...
 
 
 @dataclass(frozen=True)
 class Training:
-    """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
+    """A model to train, and its magnification. `settings` as in `tg4mm train --set`."""
 
     name: str  # a folder's name
     preset: str
@@ -74,28 +74,32 @@ class Training:
 
 @dataclass(frozen=True)
 class Plan:
-    """What holds for all runs of a benchmark."""
+    """Options of all runs of a benchmark."""
 
     alphas: tuple[float, ...] | None = None  # None: all with ground truth
     banded: bool = True  # magnify the band around the motion; False: every frequency
     lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
     device: str = "cpu"
-    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
+    metrics: tuple[str, ...] = ("ssim",)  # of renderings; the others are computed from pictures on disk
 
     def bands(self, data: BenchSet) -> tuple[tuple[float, float], ...]:
-        """That every method magnifies, Hz; (): every frequency."""
+        """Return the bands that every method magnifies, Hz; (): every frequency."""
         return (data.band_hz,) if self.banded else ()
+
+    def band(self, data: BenchSet) -> list[float] | None:
+        """Return the band in JSON's types; None: every frequency."""
+        return list(data.band_hz) if self.banded else None
 
 
 SAME_TIME = "modal's time"
-# With a `paper` preset the base Gaussians' iterations are paper.warm_up, so this one is for modal alone.
+# Only `modal` has this setting: with a `paper` preset the base Gaussians' iterations are paper.warm_up.
 _OF_MODAL = {"space.iterations"}
 
 
 def settings_by_preset(given: Mapping[str, str], presets: Sequence[str]) -> dict[str, dict[str, str]]:
-    """For each preset those of the settings that it has.
+    """Return the settings of each preset.
 
-    Raises Tg4mmError for a setting that none of the presets has, and for a value that does not fit.
+    Raises Tg4mmError for a setting of none of the presets, and for an invalid value.
     """
     known = {p: setting_names(p) for p in presets}
     for name in given:
@@ -109,7 +113,7 @@ def settings_by_preset(given: Mapping[str, str], presets: Sequence[str]) -> dict
 
 
 def setting_names(preset: str) -> set[str]:
-    """What `--set` can name with this preset."""
+    """Return the names that `--set` accepts with this preset."""
     names = {f"{s}.{f.name}" for s, c in preset_named(preset).defaults.items() for f in dataclasses.fields(c)}
     return names if preset == "modal" else names - _OF_MODAL
 
@@ -120,10 +124,10 @@ def check_settings(settings: Mapping[str, str], preset: str) -> None:
 
 
 def same_time_training(preset: str, settings: dict[str, str], factor: float) -> Training:
-    """The preset with all its iterations times `factor`.
+    """Return a training of the preset with all iterations times `factor`.
 
-    The factor is measured, so it differs between machines; the iterations that follow from it are settings like any
-    other, stand on the page, and repeat the run bit for bit.
+    The factor is measured and differs between machines; the resulting iterations are ordinary settings, are listed on
+    the page, and repeat the run bit for bit.
     """
     config: PaperConfig = parse_settings(settings, preset)["paper"]
     warm_up = max(round(config.warm_up * factor), 1)

@@ -1,11 +1,9 @@
-"""Scores of a folder of pictures against the truth, and by metrics that another program's checkout computes.
+"""Scores of a folder of pictures against the truth, and by metrics of other programs.
 
-Video quality without a reference: MD-VQA and FAST-VQA, of which neither is part of this program. MD-VQA: the
-authors' `test_video.py`; FAST-VQA: the authors' `vqa.py`. Both print the score as the last number of their last
-line.
+MD-VQA and FAST-VQA measure video quality without a reference, and are not part of this program: the authors'
+`test_video.py` and `vqa.py` print the score as the last number of their last line.
 """
 
-import hashlib
 import re
 import subprocess
 import tempfile
@@ -22,10 +20,10 @@ from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, has_flip, psnr, ssim
 from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import progress
 from tg4mm.research.bench import BenchError
-from tg4mm.research.evaluate.scores import BACKGROUND, Metric, closure, regressed
+from tg4mm.research.evaluate.scores import BACKGROUND, Metric, closure, content_key, regressed
 from tg4mm.show.render.video import loops_to_last, write_mp4
 
-MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
+MOVES = 8 / 255  # a moving pixel's ground truth differs by more from its mean over time, in any colour
 _THREADS = 2
 # {key: (title, format)}, in the order of the tables
 METRICS: dict[str, tuple[str, str]] = {
@@ -56,9 +54,9 @@ class _Sums:
 def score_pictures(
     capture: Capture, folder: Path, lpips: Metric | None = None, label: str = "scores"
 ) -> dict[str, float | int | None]:
-    """Means over the pictures under `folder` that are named as the ground truth `capture`'s are under its root.
+    """Return mean scores of the pictures in `folder`, which have the names of the ground truth `capture`'s.
 
-    Its progress is shown as `label`, where it takes long.
+    Progress appears as `label`.
 
     ssim, psnr_db, flip, lpips     of whole pictures over white; flip None without its package, lpips without weights
     ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
@@ -109,21 +107,14 @@ def _score_camera(
     sums.products += [(a * a).sum(), (a * c).sum(), (c * c).sum()]
     sums.n_moving += int(mask.sum())
     sums.n_pixels += mask.size
-    keys = [_digest(m, t, mask) for m, t in zip(made, truth, strict=True)]
+    # equal pictures, of motion within its period, score alike
+    keys = [content_key(m, t, mask) for m, t in zip(made, truth, strict=True)]
     todo = {key: i for i, key in enumerate(keys) if key not in cache}
     with ThreadPoolExecutor(_THREADS) as pool:
         found = pool.map(lambda i: _score(made[i], truth[i], mask, lpips), todo.values())
         cache |= dict(zip(todo, found, strict=True))
     sums.pictures += [cache[key] for key in keys]
     sums.moving += [cache[key] for key in keys if "ssim_moving" in cache[key]]
-
-
-def _digest(*arrays: np.ndarray) -> bytes:
-    """Motion repeats within its period, and equal pictures score alike."""
-    digest = hashlib.blake2b(digest_size=16)
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()
 
 
 def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric | None) -> dict[str, float]:
@@ -134,8 +125,8 @@ def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric 
         scores["flip"] = flip(made, truth)
     if lpips is not None:
         scores["lpips"] = lpips(made, truth)
-    inside = mask.copy()
-    inside[:b], inside[-b:], inside[:, :b], inside[:, -b:] = False, False, False, False
+    inside = np.zeros_like(mask)
+    inside[b:-b, b:-b] = mask[b:-b, b:-b]
     if inside.any():
         scores["ssim_moving"] = float(similar[inside].mean())
         scores["mse_moving"] = float(((made[inside].astype(np.float64) - truth[inside]) ** 2).mean())
@@ -150,8 +141,8 @@ def _mean(scores: list[dict[str, float]], key: str) -> float | None:
 def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
     """Add `closure` and `ssim_gap` to every row's scores of one set and α.
 
-    `closure` is SSIM on a scale from the row `still` (0) to the row `ceiling` (1); `ssim_gap` is how far SSIM lies
-    below that of `ceiling`.
+    `closure` is SSIM on a scale from the row `still` (0) to the row `ceiling` (1); `ssim_gap` is the SSIM of `ceiling`
+    less that of the row.
     """
     rest, best = (rows.get(name, {}).get("ssim") for name in (still, ceiling))
     for scores in rows.values():
@@ -163,7 +154,7 @@ def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -
 
 
 def cameras_of(capture: Capture) -> list[np.ndarray]:
-    """For each camera the indices of its images in order of time."""
+    """Return the indices of each camera's images in order of time."""
     found = []
     for camera in np.unique(capture.camera_ids):
         rows = np.flatnonzero(capture.camera_ids == camera)
@@ -172,20 +163,20 @@ def cameras_of(capture: Capture) -> list[np.ndarray]:
 
 
 def most_changing(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
-    """(indices of its images in order of time, their video) of the camera whose pictures vary most over time."""
+    """Return indices in order of time, and video, of the camera with the most variable pictures."""
     videos = ((rows, video_of(capture, rows)) for rows in cameras_of(capture))
     return max(videos, key=lambda found: float(found[1].var(0).mean()))
 
 
 def picture_name(capture: Capture, image: int) -> Path:
-    """Where a method's picture of an image lies in its folder: as the image in the dataset, but always a PNG."""
+    """Return the path of a method's picture in its folder: that of the image in the dataset, as PNG."""
     return capture.paths[image].relative_to(capture.root).with_suffix(".png")
 
 
 def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np.ndarray:
-    """Load the images `rows`, or a method's pictures of them under `root`: [T, H, W, 3] float32 in 0..1 over white.
+    """Load the images `rows`, or a method's pictures of them in `root`, as [T, H, W, 3] float32 in 0..1 over white.
 
-    Raises BenchError for a file that is not there, leads out of `root` or has another size, CaptureError for a torn
+    Raises BenchError for a file that is missing, leads out of `root` or has another size, CaptureError for a truncated
     one.
     """
     frames = []
@@ -205,8 +196,8 @@ def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np
     return np.stack(frames)
 
 
-_SECONDS = 4.0  # that a video lasts, by repetition
-_MINUTES = 30  # after which a program is stopped
+_SECONDS = 4.0  # duration of a video, by repetition
+_MINUTES = 30  # time limit of a program
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 # {metric: arguments before the video's name, run by Python in the checkout's folder}
 PROGRAMS = {"md_vqa": ("test_video.py", "-i"), "fast_vqa": ("vqa.py", "-m", "FAST-VQA", "-v")}
@@ -215,24 +206,24 @@ OPTIONS = {"md_vqa": "--md-vqa", "fast_vqa": "--fast-vqa"}
 
 @dataclass(frozen=True)
 class Checkout:
-    """A metric's program where the user has it."""
+    """A metric's program in the user's checkout."""
 
     metric: str  # of PROGRAMS
     folder: Path
-    python: str = "python3"  # which has what the checkout needs: often another environment than this one
+    python: str = "python3"  # of an environment with the checkout's requirements
 
     @property
     def program(self) -> Path:
         return self.folder / PROGRAMS[self.metric][0]
 
     def checked(self) -> "Checkout":
-        """Itself. Raises BenchError where the program is not there."""
+        """Return itself. Raises BenchError if the program does not exist."""
         if not self.program.is_file():
             raise BenchError(f"{OPTIONS[self.metric]} {self.folder}: holds no {self.program.name}")
         return self
 
     def __call__(self, video: np.ndarray, fps: float) -> float:
-        """The score of a video [T, H, W, 3] uint8. Raises BenchError where the program fails or prints no number."""
+        """Score a video [T, H, W, 3] uint8. Raises BenchError if the program fails or prints no number."""
         with tempfile.TemporaryDirectory(prefix="tg4mm-") as folder:
             path = Path(folder) / "video.mp4"
             write_mp4(path, list(video), fps, loops_to_last(len(video), fps, _SECONDS), 1, quality=12)
@@ -254,8 +245,8 @@ class Checkout:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise BenchError(f"{where}: {' '.join(command[:2])} did not run: {error}") from None
         if done.returncode != 0:
-            said = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
-            raise BenchError(f"{where}: ended with status {done.returncode}: {said[:200]}")
+            message = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
+            raise BenchError(f"{where}: ended with status {done.returncode}: {message[:200]}")
         last = (done.stdout.strip().splitlines() or [""])[-1]
         found = _NUMBER.findall(last)
         if not found:
@@ -266,5 +257,5 @@ class Checkout:
 
 
 def checkouts(folders: Mapping[str, Path | None], python: str) -> tuple[Checkout, ...]:
-    """Those that are given. Raises BenchError for a folder without the program."""
+    """Return the checkouts of the given folders. Raises BenchError for a folder without the program."""
     return tuple(Checkout(m, f.resolve(), python).checked() for m, f in folders.items() if f is not None)

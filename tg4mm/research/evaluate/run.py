@@ -1,4 +1,4 @@
-"""Evaluation of a trained run against ground truth, beside the two rows that give its figures meaning."""
+"""Evaluates a trained run against ground truth, with two rows for comparison."""
 
 import math
 import tempfile
@@ -42,7 +42,7 @@ from tg4mm.run.preset import method_of
 
 
 def target_file(run: Run, out: Path | str | None) -> Path:
-    """The file for the figures, its folder made: one that cannot be is better known before minutes of scoring."""
+    """Return the file of the figures, and make its folder, so that errors appear before minutes of scoring."""
     target = Path(out) if out is not None else run.path / "metrics.json"
     if target.is_dir():
         raise EvaluationError(
@@ -67,7 +67,7 @@ def _is_ours(target: Path) -> bool:
 
 
 def alphas_with_truth(alphas: Sequence[float] | None, root: Path, absent: dict[str, str]) -> list[int]:
-    """0 and the whole α that have ground truth; the others go to `absent`."""
+    """Return 0 and the integer α with ground truth; the others go to `absent`."""
     for alpha in alphas or ():
         if not (math.isfinite(alpha) and alpha >= 0):
             raise EvaluationError(f"--alphas holds {alpha}, expected numbers ≥ 0")
@@ -82,7 +82,7 @@ def alphas_with_truth(alphas: Sequence[float] | None, root: Path, absent: dict[s
 
 
 def check_alphas(alphas: Sequence[float] | None, root: Path) -> list[int]:
-    """The α that are scored. Raises EvaluationError for one that is asked for and has no ground truth."""
+    """Return the scored α. Raises EvaluationError for a requested one without ground truth."""
     absent: dict[str, str] = {}
     found = alphas_with_truth(alphas, root, absent)
     if alphas is not None and absent:
@@ -96,7 +96,7 @@ def image_metrics(
     absent: dict[str, str],
     names: Sequence[str] | None = None,
 ) -> dict[str, Metric]:
-    """The metrics `names`, None for all. LPIPS without weights goes to `absent`. Raises EvaluationError for others."""
+    """Return the metrics `names`, or all. LPIPS without weights goes to `absent`. Raises EvaluationError for others."""
     found: dict[str, Metric] = {"psnr_db": psnr, "ssim": ssim, "flip": flip}
     for name in names or ():
         if name not in {*found, "lpips"}:
@@ -126,7 +126,7 @@ def capture_with_truth(root: Path, alpha: int, absent: dict[str, str]) -> Captur
     try:
         return load_capture(root, split="test")
     except CaptureError as error:
-        # Absent is said; present and broken is an error.
+        # An absent split is noted, a broken one is an error.
         if any(root.glob("transforms_test.json")) or any(root.glob("*/transforms_test.json")):
             raise
         absent["α = 0"] = f"no test split ({error})"
@@ -134,7 +134,7 @@ def capture_with_truth(root: Path, alpha: int, absent: dict[str, str]) -> Captur
 
 
 def fitting(metrics: Mapping[str, Metric], capture: Capture, absent: dict[str, str]) -> dict[str, Metric]:
-    """The metrics that images of this size allow."""
+    """Return the metrics that images of this size allow."""
     least = {"ssim": SSIM_WINDOW, "lpips": MIN_SIZE}
     small = {m for m in metrics if min(capture.width, capture.height) < least.get(m, 1)}
     for name in small:
@@ -147,7 +147,7 @@ LPIPS_COLUMN = ("lpips", "LPIPS ↓", "{:.4f}")
 
 
 def format_table(metrics: dict[str, Any]) -> str:
-    """Markdown of what `evaluate_run` returns: a row per α and method, displacement, what is absent."""
+    """Return the figures of `evaluate_run` as Markdown: a row per α and method, displacement, absent parts."""
     columns = [*COLUMNS, *([LPIPS_COLUMN] if "lpips" in metrics["metrics"] else [])]
     rows = [["α", "method", *(title for _, title, _ in columns), "displacement error"]]
     for entry in metrics["alphas"]:
@@ -161,7 +161,7 @@ def format_table(metrics: dict[str, Any]) -> str:
 
 
 def _changes(entries: list[dict[str, Any]]) -> list[str]:
-    """A line for each α with a ceiling: how much of what the exact motion would show is shown."""
+    """Return a line for each α with a ceiling: the shown share of the exact motion's change."""
     return [
         f"α = {entry['alpha']:g}: closure {shown(entry['closure'], '{:.2f}')} (SSIM, nothing moves 0, ceiling 1); "
         f"the picture's change is {shown(entry['change_gain'], '{:.2f}')} of the ceiling's, "
@@ -175,16 +175,14 @@ def _displacement(figures: dict[str, Any] | None) -> list[str]:
     if figures is None:
         return []
     error = shown(figures["relative_error"], "{:.3f}")
-    lines = ["", f"Displacement error {error} (rms/rms, weighted by what is seen)"]
+    lines = ["", f"Displacement error {error} (rms/rms, weighted by visibility)"]
     leak = figures["static_leak"]
     if leak is not None:
-        lines.append(
-            f"Static leak {leak:.4f} (rms of motion given to what stands still / rms of true motion)"
-        )
+        lines.append(f"Static leak {leak:.4f} (rms of estimated motion of static parts / rms of true motion)")
     if sure := figures.get("uncertainty"):
         lines.append(
-            f"Uncertainty {sure['said']:.2g} units rms as the run says it, {sure['error']:.2g} by the truth; "
-            f"{100 * sure['within_two']:.0f} % of what is seen is off by at most twice what is said"
+            f"Uncertainty {sure['said']:.2g} units rms as the run states it, {sure['error']:.2g} by the truth; "
+            f"{100 * sure['within_two']:.0f} % of the visible scene has at most twice the stated error"
         )
     for row in figures["per_frequency"]:
         estimated, true = (_length(row, f"amplitude_{which}") for which in ("estimated", "true"))

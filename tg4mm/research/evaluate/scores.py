@@ -1,4 +1,4 @@
-"""Rendering and scoring of a split's images, each distinct (motion state, camera, ground truth) only once."""
+"""Renders and scores a split's images, each distinct (motion state, camera, ground truth) once."""
 
 import hashlib
 import math
@@ -37,7 +37,7 @@ class Posing:
     """Magnified Gaussians by any method of `tg4mm.fit.magnify`."""
 
     at: Callable[[float], Callable[[float], Gaussians]]  # alpha -> timestep -> Gaussians
-    label: str  # method, filter and bands, and what else the poses depend on
+    label: str  # everything that determines the poses: method, filter, bands, model
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Candidate:
 
     name: str
     motion: ModalMotion | None
-    magnified: Magnification = AS_CAPTURED  # whose α the one asked for replaces
-    posing: Posing | None = None  # in place of these: how the run itself poses and magnifies
+    magnified: Magnification = AS_CAPTURED  # its α is replaced
+    posing: Posing | None = None  # the run's posing and magnification instead
 
     def state(self, t: int, alpha: float) -> Key:
-        """What the pose at (t, α) depends on: equal keys, equal poses. `()` is the rest pose of every method.
+        """Return a key of the pose at (t, α); equal keys mean equal poses, `()` the rest pose of every method.
 
         Per mode the factors of the phasors' real and imaginary parts (g cos θ and −g sin θ, g = 1 + α in the
         band), left out where that part is zero for all Gaussians: motion in phase repeats within its period.
@@ -65,7 +65,7 @@ class Candidate:
         return (self.name, tuple(factors.ravel().tolist())) if factors.any() else ()
 
     def pose(self, gaussians: Gaussians, t: int, alpha: float) -> Gaussians:
-        """The Gaussians as the method has them at timestep t, magnified by α."""
+        """Return the method's Gaussians at timestep t, magnified by α."""
         if self.posing is not None:
             return self.posing.at(alpha)(t)
         if self.motion is None:
@@ -78,7 +78,7 @@ class Candidate:
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Whether any Gaussian's phasor of mode k has a real part, an imaginary part: two [K] bool."""
+        """Whether any Gaussian's phasor of mode k has a real part and an imaginary part: two [K] bool."""
         assert self.motion is not None
         both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
         has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
@@ -89,7 +89,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scorer:
-    """Scores methods against images and remembers every score: equal images are rendered and scored once."""
+    """Scores methods against images; equal images are rendered and scored once."""
 
     gaussians: Gaussians
     metrics: Mapping[str, Metric]
@@ -104,7 +104,7 @@ class Scorer:
         alpha: float,
         update: Callable[[int], None],
     ) -> dict[str, list[dict[str, float]]]:
-        """{method: the metrics of each of the capture's images}. `update(done)` counts images × methods."""
+        """Return {method: metrics of each image of the capture}. `update(done)` counts images × methods."""
         keys = self._keys(methods, capture, images, alpha)
         done = 0
         for method in methods:
@@ -129,7 +129,7 @@ class Scorer:
         n = range(len(images))
         if not self.use_cache:
             return {m.name: [((m.name, int(capture.timesteps[i])), i, alpha) for i in n] for m in methods}
-        scenes = [(camera_key(capture, i), content_key(images, i)) for i in n]
+        scenes = [(camera_key(capture, i), content_key(images.data[i])) for i in n]
         times = np.unique(capture.timesteps).tolist()
         states = {m.name: {t: m.state(t, alpha) for t in times} for m in methods}
         return {m.name: [(states[m.name][int(capture.timesteps[i])], *scenes[i]) for i in n] for m in methods}
@@ -137,7 +137,7 @@ class Scorer:
     def _score_state(
         self, method: Candidate, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
     ) -> Iterator[tuple[Key, dict[str, float]]]:
-        """Score the images `wanted` of one motion state: each camera is rendered once, a few at a time."""
+        """Score the images `wanted` of one motion state; each camera is rendered once, a few at a time."""
         by_camera: dict[Any, list[Key]] = {}
         for key in wanted:
             by_camera.setdefault(key[1], []).append(key)
@@ -157,24 +157,27 @@ class Scorer:
 
 
 def render_views(gaussians: Gaussians, capture: Capture, which: np.ndarray) -> np.ndarray:
-    """Images [n, H, W, 3] float32 in 0..1 on the white background, of the capture's cameras `which` [n]."""
+    """Render the capture's cameras `which` [n] on white as [n, H, W, 3] float32 in 0..1."""
     size = capture.width, capture.height
     return render_images(gaussians, capture.viewmats[which], capture.Ks[which], size, BACKGROUND)
 
 
 def camera_key(capture: Capture, i: int) -> bytes:
-    """Pose, intrinsics and size of image i, equal for equal cameras of any split or α."""
+    """Return pose, intrinsics and size of image i as bytes, equal for equal cameras of any split or α."""
     size = np.array([capture.width, capture.height])
     return b"".join(a.tobytes() for a in (capture.viewmats[i].round(9) + 0.0, capture.Ks[i].round(9), size))
 
 
-def content_key(images: ImageStack, i: int) -> bytes:
-    """Digest of the pixels of image i: equal for copies as well as for hard links."""
-    return hashlib.blake2b(np.ascontiguousarray(images.data[i]).tobytes(), digest_size=16).digest()
+def content_key(*arrays: np.ndarray) -> bytes:
+    """Return a digest of the arrays' contents, such as an image's pixels."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()
 
 
 def closure(ours: float, static: float, ceiling: float) -> float | None:
-    """(ours − static) / (ceiling − static); None where the ceiling is no better than nothing moving."""
+    """Return (ours − static) / (ceiling − static); None if the ceiling is no better than nothing moving."""
     return (ours - static) / (ceiling - static) if ceiling > static else None
 
 
@@ -186,11 +189,11 @@ def change_figures(
     alpha: float,
     update: Callable[[int], None] = lambda done: None,
 ) -> dict[str, float | None]:
-    """`change_gain` and `change_residual` over the capture's pictures, magnified by α; None where nothing changes.
+    """Return `change_gain` and `change_residual` over the capture's pictures, magnified by α; None without a change.
 
-    With a and c the changes of picture that `ours` and `ceiling` make (all pixels and colours, white background):
+    With a and c the changes of the picture by `ours` and `ceiling` (all pixels and colours, white background):
     gain g = Σ a·c / Σ c², residual rms(a − g c) / rms(c). The exact motion has 1 and 0, nothing moving 0 and 0, a
-    change that has nothing to do with the motion 0 and its own size. `update(done)` counts pictures.
+    change unrelated to the motion 0 and its relative size. `update(done)` counts pictures.
     """
     products = np.zeros(3)  # a·a, a·c, c·c
     known: dict[Key, np.ndarray] = {}
@@ -216,7 +219,7 @@ def change_figures(
 
 
 def regressed(products: np.ndarray) -> tuple[float | None, float | None]:
-    """(gain g = Σ a·c / Σ c², residual rms(a − g c) / rms(c)) of the sums [a·a, a·c, c·c]; None where c is 0."""
+    """Return gain g = Σ a·c / Σ c² and residual rms(a − g c) / rms(c) from [Σ a·a, Σ a·c, Σ c·c]; None if c is 0."""
     aa, ac, cc = products
     if not cc > 0:
         return None, None
@@ -234,11 +237,9 @@ class Subject:
     gaussians: Gaussians
     estimated: ModalMotion | None
     exact: ModalMotion | None
-    uncertainty: (
-        np.ndarray | None
-    )  # [N] standard deviation of the displacement, scene units, if the run says it
-    magnified: Magnification  # by each α that is evaluated in place of its own
-    from_zero: bool  # a mode of 0 Hz is the way to the motion's own zero, from which the truth counts
+    uncertainty: np.ndarray | None  # [N] standard deviation of the displacement, scene units, if known
+    magnified: Magnification  # its α is replaced by each evaluated one
+    from_zero: bool  # a mode of 0 Hz is the offset to the motion's zero, from which the truth counts
     posing: Posing | None  # None: modal, by the estimated motion
 
     @property
@@ -275,8 +276,8 @@ def subject_of(
     check_bands(magnified.limits, capture.fps)
     posing = None if estimated is None else _posing(run, magnified, device)
     from_zero = run.preset == "modal"
-    said = run.load_uncertainty()
-    return Subject(gaussians.to(device), estimated, exact, said, magnified, from_zero, posing)
+    uncertainty = run.load_uncertainty()
+    return Subject(gaussians.to(device), estimated, exact, uncertainty, magnified, from_zero, posing)
 
 
 def _posing(run: Run, magnified: Magnification, device: str) -> Posing | None:
@@ -292,7 +293,7 @@ def _posing(run: Run, magnified: Magnification, device: str) -> Posing | None:
 
 
 def unresolved(exact: ModalMotion) -> dict[str, str]:
-    """Return what of the exact motion the record does not resolve, and why: less than one period of it."""
+    """Return the exact motion that the record does not resolve, with less than one period, and the reason."""
     duration = exact.n_timesteps / exact.fps
     return {
         f"the motion at {hz:g} Hz": (
@@ -305,9 +306,9 @@ def unresolved(exact: ModalMotion) -> dict[str, str]:
 
 
 def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) -> dict[str, Any] | None:
-    """`displacement_figures` of the run's motion, also of the part in the band, if both motions are there.
+    """Return `displacement_figures` of the run's motion, and of its part in the band; None without both motions.
 
-    `uncertainty` holds `uncertainty_figures` where the run says how sure it is.
+    `uncertainty` holds `uncertainty_figures` if the run has its uncertainty.
     """
     estimated, exact = subject.estimated, subject.exact
     if estimated is None or exact is None:
@@ -329,7 +330,7 @@ def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) 
 
 
 def notes_of(subject: Subject) -> list[str]:
-    """What "ours" magnifies and the ground truth does not, or the other way round."""
+    """Return notes on motion that only "ours" or only the ground truth magnifies."""
     exact, bands = subject.exact, subject.magnified.limits
     if exact is None:
         return []
@@ -351,25 +352,25 @@ def _hertz(frequencies: np.ndarray) -> str:
     return ", ".join(f"{f:g}" for f in frequencies) + " Hz"
 
 
-_TIMES = 2.0  # of the standard deviation that is said: beyond it an error was not foreseen
-_ONE_PERIOD = 0.99  # of a period in the record: with less a frequency is not resolved
+_TIMES = 2.0  # error over its stated deviation that counts as within it
+_ONE_PERIOD = 0.99  # periods in the record that resolve a frequency
 
 
 def uncertainty_figures(
-    estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, said: np.ndarray
+    estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, stated: np.ndarray
 ) -> dict[str, float]:
-    """Figures of `said` [N], the standard deviation of each Gaussian's displacement (rms over time, scene units).
+    """Compare the stated deviation [N] of each Gaussian's displacement (rms over time, scene units) with its error.
 
-    `said`, `error`: rms over Gaussians, weighted by `weights` [N], scene units. `within_two`: the part of the weight
-    whose true error, rms over time, is at most twice what is said. Raises ValueError where `said` is for another
-    number of Gaussians.
+    `said` (the stated one), `error`: rms over Gaussians, weighted by `weights` [N], scene units. `within_two`: share of
+    the weight with a true error, rms over time, of at most twice the stated one. Raises ValueError for another number
+    of Gaussians.
     """
-    if said.shape != weights.shape:
-        raise ValueError(f"the uncertainty is of {len(said)} Gaussians, the weights of {len(weights)}")
-    error2, said2 = mean_squares(estimated, true)[0], said.astype(np.float64) ** 2
+    if stated.shape != weights.shape:
+        raise ValueError(f"the uncertainty is of {len(stated)} Gaussians, the weights of {len(weights)}")
+    error2, stated2 = mean_squares(estimated, true)[0], stated.astype(np.float64) ** 2
     total = weights.sum()
     return {
-        "said": float(np.sqrt((said2 * weights).sum() / total)),
+        "said": float(np.sqrt((stated2 * weights).sum() / total)),
         "error": float(np.sqrt((error2 * weights).sum() / total)),
-        "within_two": float(weights[error2 <= _TIMES**2 * said2].sum() / total),
+        "within_two": float(weights[error2 <= _TIMES**2 * stated2].sum() / total),
     }

@@ -90,7 +90,7 @@ class Trained:
             "row": row,
             "method": None if way is None else way.method,
             "filter": None if way is None else way.filter,
-            "band_hz": list(data.band_hz) if plan.banded else None,
+            "band_hz": plan.band(data),
         }
 
     def render(

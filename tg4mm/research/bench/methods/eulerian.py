@@ -92,8 +92,7 @@ class Eulerian:
         return {}
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        band = list(data.band_hz) if plan.banded else None
-        return {"row": row, "version": _VERSION, **asdict(self), "band_hz": band}
+        return {"row": row, "version": _VERSION, **asdict(self), "band_hz": plan.band(data)}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan

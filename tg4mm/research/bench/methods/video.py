@@ -37,9 +37,8 @@ class VideoMethod:
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         own: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
-        band = list(data.band_hz) if plan.banded else None
         seen = files_state(truth_at(data, 0).paths, data.root)
-        return {"method": self.name, "version": _VERSION, **own, "band_hz": band, "seen": seen}
+        return {"method": self.name, "version": _VERSION, **own, "band_hz": plan.band(data), "seen": seen}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan

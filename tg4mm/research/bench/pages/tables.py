@@ -1,4 +1,4 @@
-"""The benchmark's tables as data, from results.json; written as Markdown, LaTeX or HTML elsewhere."""
+"""The benchmark's tables as data, from results.json, for Markdown, LaTeX and HTML."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -9,25 +9,25 @@ from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.research.text import NOTHING, Table, shown
 
 Results = Mapping[str, Any]
-# Picture metrics that have a table of their own, methods down and α across.
+Columns = Sequence[tuple[str, str, str]]  # key, title, format
+# Picture metrics with a table each, methods down and α across.
 PIVOTS = (
     "ssim", "closure", "gain", "residual", "ssim_moving", "ssim_gap", "psnr_moving_db", "flip", "lpips", "md_vqa",
     "fast_vqa",
 )  # fmt: skip
 _SAYS = {
-    "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, so that a "
-    "still picture scores high.",
-    "ssim_gap": "How far SSIM lies below that of the exact motion of the same Gaussians: what the motion alone costs.",
-    "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1). Outside of "
-    "0 to 1: worse than a still picture, or sharper than the Gaussians. Where the two ends are near each other it says "
-    "little.",
-    "gain": "The pictures' change over time, regressed on the ground truth's: 1 is the whole motion, 0 none.",
-    "residual": "What of the pictures' change over time is not the ground truth's, relative to that; lower is better. "
-    "A still picture has 0 too, so read it beside the gain.",
-    "ssim_moving": "SSIM over the pixels that move: whose ground truth leaves its mean over time by more than 8/255.",
+    "ssim": "SSIM of complete pictures over white, as [TG4MM] Table I. Most of a picture is static, so that a still "
+    "picture scores high.",
+    "ssim_gap": "SSIM of the exact motion of the same Gaussians less that of the method: the loss by motion alone.",
+    "closure": "SSIM on a scale from “nothing moves” (0) to the exact motion of the same Gaussians (1). Outside of 0 "
+    "to 1: worse than a still picture, or sharper than the Gaussians. It means little if the two ends are close.",
+    "gain": "The pictures' change over time, regressed on the ground truth's: 1 is the complete motion, 0 none.",
+    "residual": "The part of the pictures' change over time that is not the ground truth's, relative to that; lower is "
+    "better. A still picture also has 0, so read it with the gain.",
+    "ssim_moving": "SSIM over moving pixels, whose ground truth differs from its mean over time by more than 8/255.",
     "psnr_moving_db": "PSNR over the same pixels, of the mean over all pictures of their mean squared error there.",
-    "flip": "Mean FLIP error of whole pictures, lower is better.",
-    "lpips": "LPIPS (AlexNet) of whole pictures, lower is better.",
+    "flip": "Mean FLIP error of complete pictures, lower is better.",
+    "lpips": "LPIPS (AlexNet) of complete pictures, lower is better.",
     "md_vqa": "MD-VQA of the magnified videos, without a reference, higher is better.",
     "fast_vqa": "FAST-VQA of the magnified videos, without a reference, higher is better.",
 }
@@ -61,28 +61,48 @@ _MODES = (
     ("static_leak", "leak", "{:.1%}"),
     ("mac", "MAC", "{:.3f}"),
 )
-_SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"))
+_SEEN = tuple((key, title, "{:.2f}") for key, title in (
+    ("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"),
+))  # fmt: skip
+
+
+def _titles(columns: Columns) -> list[str]:
+    return [title for _, title, _ in columns]
+
+
+def _cells(values: Mapping[str, Any], columns: Columns) -> list[str]:
+    return [shown(values.get(key), form) for key, _, form in columns]
+
+
+def _scores(keys: Iterable[str]) -> Columns:
+    return [(key, *METRICS[key]) for key in keys]
+
+
+def labels_in(results: Results, group: str) -> list[str]:
+    """Return the labels of a group's sets."""
+    return [s["label"] for s in results["sets"] if s["group"] == group]
 
 
 def groups_of(results: Results) -> list[str]:
-    """Sets of one size, kind of capture and amplitude, whose figures are averaged together."""
+    """Return the groups of sets with the same size, kind of capture and amplitude, which are averaged."""
     return list(dict.fromkeys(m["group"] for m in (*results["line_means"], *results["means"])))
 
 
 def tables_of(results: Results, group: str) -> list[Table]:
-    """What is printed for one group: the means by α, the motion, its modes, what it costs. No table is empty."""
+    """Return the tables of a group that are not empty: means by α, motion, modes, cost."""
     found = [
         *pivots(results["line_means"], group),
         *differences_tables(results, group),
         motion_table(results, group),
         own_ceiling_table(results, group),
+        modes_table(results, group),
+        cost_table(results, group),
     ]
-    found += [modes_table(results, group), cost_table(results, group)]
     return [t for t in found if t.rows]
 
 
 def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
-    """A table for each metric that was measured: a row for each method, a column for each α; means over the sets."""
+    """Yield a table of means for each measured metric: a row for each method, a column for each α."""
     mine = _framed([m for m in means if m["group"] == group])
     alphas = sorted({a for m in mine for a in m["alphas"]}, key=float)
     every = sets_in(mine)
@@ -104,11 +124,12 @@ def _cell(means: Mapping[str, Any], alpha: str, key: str, form: str) -> str:
 
 
 def with_half(value: float | None, half: float | None, form: str) -> str:
-    """`0.9671 ± 0.0123`; a mean without an interval alone."""
+    """Return `0.9671 ± 0.0123`, or the mean without its interval."""
+    mean_shown = shown(value, form)
     return (
-        shown(value, form)
+        mean_shown
         if value is None or half is None
-        else f"{form.format(value)} ± {form.replace('+', '').format(half)}"
+        else f"{mean_shown} ± {form.replace('+', '').format(half)}"
     )
 
 
@@ -116,7 +137,7 @@ _COMPARED = ("ssim", "ssim_moving")
 
 
 def differences_tables(results: Results, group: str) -> Iterator[Table]:
-    """How far each method is from one of them on the same sets, whose scatter from scene to scene so drops out."""
+    """Yield each method's difference from one of them on the same sets, which excludes the scatter of scenes."""
     mine = [m for m in results["differences"] if m["group"] == group and m["row"] not in {STATIC, CEILING}]
     alphas = sorted({a for m in mine for a in m["alphas"] if float(a) > 0}, key=float)
     every = sets_in(mine)
@@ -129,12 +150,12 @@ def differences_tables(results: Results, group: str) -> Iterator[Table]:
 
 
 def sets_in(means: Iterable[Mapping[str, Any]]) -> set[str]:
-    """All that any of the means is of."""
+    """Return all sets in any of the means."""
     return {label for m in means for label in m["sets"]}
 
 
 def row_name(means: Mapping[str, Any], every: set[str]) -> str:
-    """With a remark where not `every` set is in the means."""
+    """Return the row's name, with a remark if not `every` set is in the means."""
     fewer = set(means["sets"]) != every
     return f"{means['row']} ({means['n_sets']} of {len(every)} sets)" if fewer else str(means["row"])
 
@@ -144,75 +165,65 @@ def _framed(means: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def full_table(results: Results, group: str) -> Table:
-    """Every score of every picture row: a line per set, α and method."""
-    members = [s["label"] for s in results["sets"] if s["group"] == group]
+    """Return every score: a line per set, α and method."""
+    members = labels_in(results, group)
     lines = [line for line in results["lines"] if line["set"] in members]
     keys = [k for k in METRICS if any(s.get(k) is not None for x in lines for s in x["alphas"].values())]
+    columns = _scores(keys)
     rows = [
-        [line["set"], line["row"], a, *(shown(scores.get(k), METRICS[k][1]) for k in keys)]
+        [line["set"], line["row"], a, *_cells(scores, columns)]
         for line in lines
         for a, scores in line["alphas"].items()
     ]
-    header = ["set", "method", "α", *(METRICS[k][0] for k in keys)]
+    header = ["set", "method", "α", *_titles(columns)]
     return Table("all", "Every set", "Every score, by set, method and α.", header, rows, 2)
 
 
 def motion_table(results: Results, group: str) -> Table:
-    """The motion of the Gaussians against the truth, for methods that have any."""
+    """Compare the Gaussians' motion with the truth, for methods with a motion."""
     note = (
-        "Motion of the Gaussians against the exact one, each by what is seen of it. Error: rms of the difference by "
-        "the rms of the truth; “observed”: over Gaussians whose true motion shows in the pictures, and their share. "
-        "Leak: motion given to what stands still. Amplitude, direction, phase and MAC: of the strongest mode."
+        "Motion of the Gaussians against the exact one, weighted by visibility. Error: rms of the difference by the "
+        "rms of the truth; “observed”: over Gaussians with their true motion visible in the pictures, and their share. "
+        "Leak: estimated motion of static parts. Amplitude, direction, phase and MAC: of the strongest mode."
     )
-    header = ["set", "method", *(title for _, title, _ in _MOTION)]
+    header = ["set", "method", *_titles(_MOTION)]
     return Table("motion", "Motion", note, header, _scalar_rows(results, group, _MOTION), 2)
 
 
 def own_ceiling_table(results: Results, group: str) -> Table:
-    """Closure, gain and residual on the ceiling of the method's own Gaussians."""
+    """Return closure, gain and residual by the ceiling of each method's Gaussians."""
     rows = []
     for run in _runs(results, group):
         for way in run["ways"]:
             for alpha in sorted((a for a in run["rows"] if float(a) > 0), key=float):
                 values = run["rows"][alpha].get(way, {})
                 title = run["row"] if way == run["row"] else f"{run['row']}: {way}"
-                rows.append([run["set"], title, alpha, *(shown(values.get(k), "{:.2f}") for k, _ in _SEEN)])
+                rows.append([run["set"], title, alpha, *_cells(values, _SEEN)])
     note = (
-        "Against the exact motion of the method's own Gaussians, so that what they get wrong at rest does not count: "
-        "closure of SSIM; gain and residual of the pictures' change from rest on the ceiling's."
+        "Against the exact motion of the same Gaussians, so that their errors at rest do not count: closure"
+        " of SSIM; gain and residual of the pictures' change from rest on the ceiling's."
     )
-    return Table(
-        "own_ceiling",
-        "Against its own ceiling",
-        note,
-        ["set", "method", "α", *(t for _, t in _SEEN)],
-        rows,
-        2,
-    )
+    header = ["set", "method", "α", *_titles(_SEEN)]
+    return Table("own_ceiling", "Against its own ceiling", note, header, rows, 2)
 
 
 def modes_table(results: Results, group: str) -> Table:
-    """Each mode of the truth as each method has it."""
+    """Compare each method with each mode of the truth."""
     rows = [
-        [
-            run["set"],
-            run["row"],
-            f"{mode['frequency_hz']:g}",
-            *(shown(mode.get(k), form) for k, _, form in _MODES),
-        ]
+        [run["set"], run["row"], f"{mode['frequency_hz']:g}", *_cells(mode, _MODES)]
         for run in _runs(results, group)
         for mode in (run["displacement"] or {}).get("per_frequency") or []
     ]
-    header = ["set", "method", "Hz", *(title for _, title, _ in _MODES)]
+    header = ["set", "method", "Hz", *_titles(_MODES)]
     note = (
-        "Each frequency of the exact motion. Leak: motion given to what stands still at it. MAC: modal assurance "
-        "criterion, 1 where the shapes agree."
+        "Each frequency of the exact motion. Leak: estimated motion of parts that are static at it. MAC: modal "
+        "assurance criterion, 1 if the shapes agree."
     )
     return Table("modes", "Modes", note, header, rows, 2)
 
 
 def cost_table(results: Results, group: str) -> Table:
-    """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
+    """Return seconds of each stage, memory, size and rendering speed ([TG4MM] Table II and Fig. 6)."""
     note = (
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
         "pictures a second: posing and rendering of the test pictures, without opening the model and writing them, the "
@@ -222,22 +233,22 @@ def cost_table(results: Results, group: str) -> Table:
     )
     speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
     rows = [row for row in _scalar_rows(results, group, _COSTS) if {*row[2:]} != {NOTHING}]
-    members = {s["label"] for s in results["sets"] if s["group"] == group}
+    members = labels_in(results, group)
     for row in rows:
-        of = {row[0]} if row[0] in members else members  # a row of means
-        own = [v for (label, name), v in speeds.items() if label in of and name.split(":")[0] == row[1]]
-        row.append(shown(mean(own), "{:.0f}"))
+        of = [row[0]] if row[0] in members else members  # a row of means
+        mine = [v for (label, name), v in speeds.items() if label in of and name.split(":")[0] == row[1]]
+        row.append(shown(mean(mine), "{:.0f}"))
     known = {(row[0], row[1]) for row in rows}
     for (label, name), speed in speeds.items():
         base = name.split(":")[0]
         if label in members and name not in {STATIC, CEILING} and (label, base) not in known and speed:
             rows.append([label, name, *[NOTHING] * len(_COSTS), f"{speed:.0f}"])
-    header = ["set", "method", *(title for _, title, _ in _COSTS), "pictures/s"]
+    header = ["set", "method", *_titles(_COSTS), "pictures/s"]
     return Table("cost", "Cost", note, header, rows, 2)
 
 
 def kinds_tables(results: Results) -> list[Table]:
-    """Means by the kind of capture, of the motion and of the pictures; none where there is one kind only."""
+    """Return means by the kind of capture, for motion and pictures; none for a single kind."""
     found = [_motion_by_kind(results), _pictures_by_kind(results)]
     several = len({m["group"] for m in results["kind_line_means"]}) > 1
     return [table for table in found if several and table.rows]
@@ -245,44 +256,36 @@ def kinds_tables(results: Results) -> list[Table]:
 
 def _motion_by_kind(results: Results) -> Table:
     rows = [
-        [m["group"], m["row"], str(m["n_sets"]), *(shown(m["scalars"][k], form) for k, _, form in _BY_KIND)]
+        [m["group"], m["row"], str(m["n_sets"]), *_cells(m["scalars"], _BY_KIND)]
         for m in results["kind_means"]
     ]
-    header = ["kind of capture", "method", "sets", *(title for _, title, _ in _BY_KIND)]
+    header = ["kind of capture", "method", "sets", *_titles(_BY_KIND)]
     note = (
-        "Means over the sets of one kind of capture. Columns as of the table Motion; frequency: how far that of the "
-        "strongest mode that was found lies from the true one."
+        "Means over the sets of one kind of capture. Columns as in the table Motion; frequency: error of the strongest "
+        "found mode's."
     )
     return Table("kinds_motion", "Motion by kind of capture", note, header, rows, 2)
 
 
 def _pictures_by_kind(results: Results) -> Table:
+    columns = _scores(PIVOTS[:5])
     rows = [
-        [
-            m["group"],
-            m["row"],
-            str(m["n_sets"]),
-            a,
-            *(shown(scores.get(k), METRICS[k][1]) for k in PIVOTS[:5]),
-        ]
+        [m["group"], m["row"], str(m["n_sets"]), a, *_cells(scores, columns)]
         for m in results["kind_line_means"]
         for a, scores in m["alphas"].items()
     ]
-    header = ["kind of capture", "method", "sets", "α", *(METRICS[k][0] for k in PIVOTS[:5])]
+    header = ["kind of capture", "method", "sets", "α", *_titles(columns)]
     note = "Means over the sets of one kind of capture."
     return Table("kinds", "Pictures by kind of capture", note, header, rows, 2)
 
 
 def _runs(results: Results, group: str) -> list[Mapping[str, Any]]:
-    members = {s["label"] for s in results["sets"] if s["group"] == group}
+    members = labels_in(results, group)
     return [run for run in results["runs"] if run["set"] in members]
 
 
-def _scalar_rows(results: Results, group: str, columns: Sequence[tuple[str, str, str]]) -> list[list[str]]:
-    rows = []
-    for run in _runs(results, group):
-        values = scalars(run)
-        rows.append([run["set"], run["row"], *(shown(values[k], form) for k, _, form in columns)])
+def _scalar_rows(results: Results, group: str, columns: Columns) -> list[list[str]]:
+    rows = [[run["set"], run["row"], *_cells(scalars(run), columns)] for run in _runs(results, group)]
     for means in results["means"]:
         if means["group"] == group and means["n_sets"] > 1:
             values, half = means["scalars"], means["half"]

@@ -1,4 +1,4 @@
-"""What a benchmark writes: results.json, results.md, plots, tables for LaTeX, and at the end one HTML page."""
+"""Writes a benchmark's results.json, results.md, plots, tables for LaTeX, and one HTML page."""
 
 import io
 import re
@@ -30,6 +30,7 @@ from tg4mm.research.bench.pages.tables import (
     full_table,
     groups_of,
     kinds_tables,
+    labels_in,
     row_name,
     sets_in,
     tables_of,
@@ -38,17 +39,20 @@ from tg4mm.research.bench.scored import METRICS
 from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.research.text import Table, latex_table
 
-# Okabe and Ito's colours, told apart by the colour-blind too.
+# Okabe and Ito's colours, distinct for colour-blind readers.
 COLOURS = ("#c2500f", "#0072b2", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9", "#5d3a9b", "#7a7f88")
 _MARKS = "osD^vP*"  # one fewer than colours, so that no two of many rows look alike
-_LEAST, _MOST = -0.5, 1.6  # of closure and gain: one method far off must not press the others together
+_LEAST, _MOST = (
+    -0.5,
+    1.6,
+)  # limits of closure and gain, so that one distant method does not compress the others
 _SHOWN = ("ssim", "ssim_moving", "closure", "gain")
 
 
 def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
-    """An SVG with four panels, SSIM, SSIM where it moves, closure and gain over α; None where there is no α above 0.
+    """Draw an SVG with four panels, SSIM, SSIM where it moves, closure and gain over α; None without an α above 0.
 
-    A curve for each method, means over the sets; what frames them is grey and dashed.
+    Each method has a curve of means over the sets; the rows for comparison are grey and dashed.
     """
     means = [m for m in results["line_means"] if m["group"] == group]
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
@@ -59,12 +63,12 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
     figure = Figure(figsize=(11, 7.4), layout="constrained")
     axes = figure.subplots(2, 2)
     every = sets_in(means)
-    own = [m["row"] for m in means if m["row"] not in {STATIC, CEILING}]
+    methods = [m["row"] for m in means if m["row"] not in {STATIC, CEILING}]
     for panel, key in zip(axes.flat, _SHOWN, strict=True):
         for m in means:
             points = [(float(a), v) for a in alphas if (v := m["alphas"].get(a, {}).get(key)) is not None]
             if points:
-                panel.plot(*zip(*points, strict=True), label=row_name(m, every), **_style(m["row"], own))
+                panel.plot(*zip(*points, strict=True), label=row_name(m, every), **_style(m["row"], methods))
         panel.set_xlabel("magnification factor α")
         panel.set_ylabel(METRICS[key][0])
         panel.set_xscale("log")
@@ -81,8 +85,8 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
 
 
 def size_and_speed(results: Mapping[str, Any], group: str) -> str | None:
-    """An SVG as [TG4MM] Fig. 6: size of the model on disk (MiB) against pictures a second; None without any."""
-    members = {s["label"] for s in results["sets"] if s["group"] == group}
+    """Draw an SVG like [TG4MM] Fig. 6: the model's size (MiB) against pictures a second; None without any."""
+    members = labels_in(results, group)
     points: dict[str, list[tuple[float, float]]] = {}
     for run in results["runs"]:
         for line in results["lines"]:
@@ -115,16 +119,12 @@ def _style(row: str, rows: list[str]) -> dict[str, Any]:
     if row.startswith((STATIC, CEILING)):
         return {"color": "#9aa0a8", "linestyle": ":" if row.startswith(STATIC) else "--", "marker": "."}
     i = rows.index(row)
-    return {
-        "color": COLOURS[i % len(COLOURS)],
-        "marker": _MARKS[i % len(_MARKS)],
-        "markersize": 4,
-        "linewidth": 1.8,
-    }
+    colour, mark = COLOURS[i % len(COLOURS)], _MARKS[i % len(_MARKS)]
+    return {"color": colour, "marker": mark, "markersize": 4, "linewidth": 1.8}
 
 
 def svg(figure: Any) -> str:
-    """The drawing, the same bytes each time."""
+    """Return the drawing, always with the same bytes."""
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": "tg4mm", "svg.fonttype": "none", "font.size": 10}):
@@ -136,7 +136,7 @@ def svg(figure: Any) -> str:
 def write_results(out: Path, results: Mapping[str, Any]) -> None:
     """Write OUT/results.json, results.md, results_<i>.svg, results_<i>_size.svg, and tables/<i>_<name>.tex, kinds.tex.
 
-    <i> counts groups of sets. The second drawing is as [TG4MM] Fig. 6.
+    <i> counts groups of sets.
     """
     write_json(out / "results.json", results)
     before = {*out.glob("results_*.svg"), *(out / "tables").glob("*.tex")}
@@ -159,7 +159,7 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
         write_text(out / "tables" / f"{made.key}.tex", latex_table(made))
         before.discard(out / "tables" / f"{made.key}.tex")
     for old in before:
-        old.unlink()  # of methods or groups that are in the results no more
+        old.unlink()  # of methods or groups that are no longer in the results
     write_text(out / "results.md", markdown.scenes_page(results, pictures))
 
 
@@ -167,10 +167,7 @@ _HERE = Path(__file__).parent
 
 
 def write_page(out: Path, results: Mapping[str, Any]) -> Path:
-    """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file.
-
-    `shown_sections` also writes figures.
-    """
+    """Write OUT/results.html, and figures, from results.json's content and the pictures in OUT/runs; returns it."""
     sections: list[Section] = []
     for group in groups_of(results):
         sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
@@ -211,7 +208,7 @@ def _summary(results: Mapping[str, Any]) -> str:
 
 
 def _stats(results: Mapping[str, Any]) -> list[Stat]:
-    """The best SSIM where it moves at each of three α, and whose it is, over the first group's means."""
+    """Return the best SSIM where it moves at each of three α, and its method, of the first group's means."""
     groups = groups_of(results)
     means = [m for m in results["line_means"] if m["group"] == groups[0]]
     every = sets_in(means)
@@ -226,14 +223,8 @@ def _stats(results: Mapping[str, Any]) -> list[Stat]:
         if scored:
             best = max(scored)
             beside = "" if still is None else f"; nothing moves {still:.4f}"
-            found.append(
-                Stat(
-                    f"Best SSIM where it moves, α = {alpha}",
-                    f"{best[0]:.4f}",
-                    "",
-                    f"{best[1]}{beside}{where}",
-                )
-            )
+            title = f"Best SSIM where it moves, α = {alpha}"
+            found.append(Stat(title, f"{best[0]:.4f}", "", f"{best[1]}{beside}{where}"))
     return found
 
 
@@ -245,16 +236,13 @@ def _list(lines: Sequence[str]) -> Markup:
 
 def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
     yield Text(markdown.sets_line(results, group))
-    for svg, caption, width in (
-        (over_alpha(results, group), "Means over the sets. Grey: what frames the methods.", "wide"),
-        (
-            size_and_speed(results, group),
-            "Size of the trained model, and speed of posing and rendering.",
-            "narrow",
-        ),
+    speed = "Size of the trained model, and speed of posing and rendering."
+    for drawn, caption, width in (
+        (over_alpha(results, group), "Means over the sets. Grey: rows for comparison.", "wide"),
+        (size_and_speed(results, group), speed, "narrow"),
     ):
-        if svg is not None:
-            source = data_uri("image/svg+xml", svg.encode())
+        if drawn is not None:
+            source = data_uri("image/svg+xml", drawn.encode())
             yield Figure([Panel("img", source=source, alt=caption)], caption, width=width)
     for made in (*tables_of(results, group), full_table(results, group)):
         yield _block(made)
