@@ -32,7 +32,6 @@ from tg4mm.fit.space import train as space_stage
 from tg4mm.fit.space import train as stage
 from tg4mm.research.bench.methods.deformed import fit_motion
 from tg4mm.research.bench.methods.tracking import TrackingConfig, track, track_along
-from tg4mm.research.paper import motion as paper_motion
 from tg4mm.research.paper import space as paper_space
 from tg4mm.research.paper.model import PaperConfig
 from tg4mm.research.paper.motion import train_timesteps
@@ -313,7 +312,7 @@ register()  # while tests are collected: before any backward pass
 
 @pytest.fixture
 def gpu(monkeypatch):
-    for module in (stage, paper_space, paper_motion):
+    for module in (stage, paper_space):
         for name in ("SHOW_EVERY_S", "CHECKPOINT_EVERY_S"):  # what is shown or saved is fetched
             monkeypatch.setattr(module, name, 1e9)
     with pretended_gpu(monkeypatch, spherical_harmonics) as there:

@@ -186,7 +186,7 @@ class Trial:
 
     def give(self, folder, rename=0):
         """The command; killed right after its `rename`-th rename, unless that is 0."""
-        for module in (tg4mm.fit.space.train, tg4mm.research.paper.space, tg4mm.research.paper.motion):
+        for module in (tg4mm.fit.space.train, tg4mm.research.paper.space):
             module.CHECKPOINT_EVERY_S = OFTEN_S
         left = rename
 

@@ -93,8 +93,8 @@ class TestResume:
         run = tmp_path / "run"
         code = (
             "import sys; from tg4mm.run.train import train; import tg4mm.research.paper.space as a, "
-            "tg4mm.research.paper.motion as b, tg4mm.fit.space.train as c\n"
-            "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = c.CHECKPOINT_EVERY_S = 0.0\n"
+            "tg4mm.fit.space.train as b\n"
+            "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = 0.0\n"
             f"train({str(data)!r}, {str(run)!r}, 'paper-tuned', settings={SETTINGS!r})"
         )
         job = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)

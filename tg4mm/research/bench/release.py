@@ -1,4 +1,4 @@
-"""A folder of datasets as others get it: a card that says what it holds, and a checksum of every file."""
+"""Releases a folder of datasets: a card with its contents, and a checksum of every file."""
 
 import hashlib
 import re
@@ -35,9 +35,9 @@ that is called a test.
 
 
 def release(root: Path, version: str) -> list[Path]:
-    """Write the card and then the checksums of all files under `root`, its datasets' at any depth; the two files.
+    """Write the card and the checksums of all files in `root`, with datasets at any depth; returns both files.
 
-    Raises BenchError where there is no dataset, or a version that no line can hold.
+    Raises BenchError without a dataset, and for an invalid version.
     """
     if not re.fullmatch(r"[\w.+-]+", version):
         raise BenchError(f"--version {version!r}: letters, digits, and . + - alone")
@@ -76,7 +76,7 @@ def _row(root: Path, dataset: Path) -> list[str]:
 
 
 def verify(root: Path) -> list[str]:
-    """A line for each file that is missing, changed or not in the list. Raises BenchError without a sound list."""
+    """Return a line for each file that is missing, changed or unlisted. Raises BenchError without a valid list."""
     wanted = dict(_listed(root / SUMS))
     present = {file.relative_to(root).as_posix() for file in _files(root)}
     found = [f"{name}: missing" for name in wanted if name not in present]
@@ -105,7 +105,7 @@ def _files(root: Path) -> list[Path]:
 
 
 def _digests(root: Path, files: list[Path]) -> Iterator[tuple[str, str]]:
-    """(name below the root, SHA-256) of each; of files that are one by hard links it is taken once."""
+    """Yield each file's name below the root and its SHA-256, which is computed once for hard links."""
     known: dict[tuple[int, int], str] = {}
     with progress("checksums", len(files), unit="files", brief=True) as update:
         for done, file in enumerate(files, 1):

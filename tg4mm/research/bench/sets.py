@@ -1,4 +1,4 @@
-"""A dataset as the benchmark sees it: its name, its size, its motion in pixels, and the band that holds it."""
+"""Datasets of the benchmark: name, size, motion in pixels, and the band of the motion."""
 
 import hashlib
 import math
@@ -16,14 +16,15 @@ from tg4mm.capture.dataset_tree import magnified_alphas
 from tg4mm.capture.truth_file import TRUTH_FILE, Truth, load_truth
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.core.files import to_json
+from tg4mm.core.phasors import peak_displacement
 from tg4mm.core.work_folder import read_object
 from tg4mm.research.bench import BenchError
 from tg4mm.research.bench.folder import files_state
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
-GOAL_AMPLITUDES_PX = (0.02, 0.2)  # for which the goals name a displacement error
+GOAL_AMPLITUDES_PX = (0.02, 0.2)  # amplitudes with a goal of displacement error
 _SHOWN_ALPHA = 20
-_SAME_AMPLITUDE = 3.0  # a set counts as one of those within this factor
+_SAME_AMPLITUDE = 3.0  # factor within which a set has one of those amplitudes
 
 
 @dataclass(frozen=True)
@@ -41,25 +42,25 @@ class BenchSet:
     amplitude_px: float  # its largest displacement in the first training camera, pixels
     band_hz: tuple[float, float]
     alphas: tuple[int, ...]  # with ground truth, above 0
-    cameras: str  # how it was filmed, as the generator calls it, else one of tg4mm.capture's KINDS
-    digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
-    torn: Mapping[int, str] = field(default_factory=dict)  # α whose ground truth is not whole: why
-    scene: str = ""  # sets of one scene, of other seeds or motions say, are alike
+    cameras: str  # the generator's kind of cameras, otherwise one of tg4mm.capture's KINDS
+    digest: str  # of the set's description, so that figures of another set with that name are not used
+    torn: Mapping[int, str] = field(default_factory=dict)  # α with incomplete ground truth: the reason
+    scene: str = ""  # sets of one scene, with other seeds or motions, are similar
 
     @property
     def group(self) -> str:
-        """Sets whose figures are averaged together: of one size, one kind of capture and one amplitude, about."""
+        """Name of the group whose figures are averaged: one size, kind of capture and approximate amplitude."""
         return f"{self.width}×{self.height}, {self.cameras}, {amplitude_name(self.amplitude_px)}"
 
     def plain(self) -> dict[str, Any]:
-        """In JSON's types, as results.json has it."""
+        """Return the set in JSON's types, for results.json."""
         torn = {str(alpha): why for alpha, why in self.torn.items()}
         fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root), "torn": torn}, "set")
         return fields
 
 
 def goal_amplitude(pixels: float) -> float | None:
-    """The amplitude of `GOAL_AMPLITUDES_PX` that a motion of so many pixels stands for, None if it is far from all."""
+    """Return the amplitude of `GOAL_AMPLITUDES_PX` near a motion of so many pixels, or None."""
     near = [
         a for a in GOAL_AMPLITUDES_PX if pixels > 0 and abs(math.log(pixels / a)) < math.log(_SAME_AMPLITUDE)
     ]
@@ -67,13 +68,13 @@ def goal_amplitude(pixels: float) -> float | None:
 
 
 def amplitude_name(pixels: float) -> str:
-    """`0.2 px`: the goal's amplitude where it stands for one, else its own to one digit."""
+    """Return the near goal's amplitude, such as `0.2 px`, otherwise the amplitude with one digit."""
     goal = goal_amplitude(pixels)
     return f"{goal:g} px" if goal is not None else f"{pixels:.1g} px"
 
 
 def group_titles(sets: Sequence[BenchSet]) -> dict[str, str]:
-    """{set's label: its group with the amplitudes that are in it}: `128×128, orbit, 0.15 to 0.27 px`."""
+    """Return {set's label: its group with its amplitudes}, such as `128×128, orbit, 0.15 to 0.27 px`."""
     titles = {}
     for data in sets:
         pixels = sorted(s.amplitude_px for s in sets if s.group == data.group)
@@ -83,9 +84,9 @@ def group_titles(sets: Sequence[BenchSet]) -> dict[str, str]:
 
 
 def open_sets(given: Sequence[Path]) -> list[BenchSet]:
-    """Read what describes the datasets, each DIR or NAME=DIR.
+    """Read the descriptions of datasets, each DIR or NAME=DIR.
 
-    Raises BenchError or CaptureError naming the first that will not do.
+    Raises BenchError or CaptureError for the first unusable one.
     """
     return [open_set(root, label) for label, root in labelled(given).items()]
 
@@ -93,9 +94,9 @@ def open_sets(given: Sequence[Path]) -> list[BenchSet]:
 def open_those_that_open(
     given: Sequence[Path], alphas: Sequence[float] | None = None
 ) -> tuple[list[BenchSet], list[dict[str, str]]]:
-    """(the datasets, why the others cannot be read or have none of the `alphas`, as [{set, method, why}]).
+    """Return the usable datasets, and reasons against the others as [{set, method, why}].
 
-    Raises BenchError for none, the same twice or two of one name, and the first one's error where none will do.
+    Raises BenchError for no dataset, the same twice or two of one name, and the first error if none is usable.
     """
     found, failed, first = [], [], None
     for label, root in labelled(given).items():
@@ -112,10 +113,10 @@ def open_those_that_open(
 
 
 def labelled(given: Sequence[Path]) -> dict[str, Path]:
-    """{name in the tables, and of the folders of results: dataset}: of `NAME=DIR` the name, of `DIR` the folder's own.
+    """Return {name: dataset}, with the name of `NAME=DIR` or the folder's name of `DIR`, for tables and folders.
 
-    A name depends on nothing else, so that a job of one dataset finds the folders that a call with many makes. Raises
-    BenchError for no dataset, the same twice, two of one name, and a name that no folder can have.
+    A name depends on nothing else, so that a job of one dataset finds the folders of a call with many. Raises
+    BenchError for no dataset, the same twice, two of one name, and an invalid folder name.
     """
     if not given:
         raise BenchError("no dataset is named: give at least one folder")
@@ -145,7 +146,7 @@ def check_name(name: str, where: str) -> None:
 
 
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
-    """Raise BenchError for a set that has ground truth for none of the α asked for."""
+    """Raise BenchError for a set without ground truth for any requested α."""
     for data in sets:
         if alphas is not None and not set(alphas) & set(data.alphas):
             asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
@@ -156,7 +157,7 @@ def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> No
 
 
 def open_set(root: Path, label: str) -> BenchSet:
-    """Read what describes one dataset. Raises CaptureError, and BenchError where ground truth is missing."""
+    """Read the description of a dataset. Raises CaptureError, and BenchError without ground truth."""
     root = Path(root)
     capture = load_capture(root)
     if capture.n_timesteps < 2:
@@ -195,7 +196,7 @@ def open_set(root: Path, label: str) -> BenchSet:
 
 
 def _torn(root: Path, digest: str, alphas: Sequence[int]) -> dict[int, str]:
-    """Why ground truth cannot be read, by α; known before hours of training. Raises CaptureError for that at α = 0."""
+    """Return reasons why ground truth cannot be read, by α. Raises CaptureError for α = 0."""
     _captured(root, digest, 0)
     found = {}
     for alpha in alphas:
@@ -209,7 +210,7 @@ def _torn(root: Path, digest: str, alphas: Sequence[int]) -> dict[int, str]:
 
 
 def torn_truth(sets: Iterable[BenchSet], alphas: Sequence[float] | None) -> list[dict[str, str]]:
-    """[{set, method, why}] of the α asked for whose ground truth is not whole."""
+    """Return [{set, method, why}] for the requested α with incomplete ground truth."""
     return [
         {"set": data.label, "method": "", "why": f"α = {alpha}: {why}"}
         for data in sets
@@ -219,13 +220,13 @@ def torn_truth(sets: Iterable[BenchSet], alphas: Sequence[float] | None) -> list
 
 
 def band_around(freqs_hz: np.ndarray, fps: float) -> tuple[float, float]:
-    """The frequencies with `HALF_BAND_HZ` on either side, inside 0 … fps/2; Hz."""
+    """Return the band of the frequencies and `HALF_BAND_HZ` on either side, inside 0 … fps/2, Hz."""
     low = max(float(freqs_hz.min()) - HALF_BAND_HZ, 0.0)
     return low, min(float(freqs_hz.max()) + HALF_BAND_HZ, fps / 2 - fps / 1000)
 
 
 def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
-    """[K] largest displacement of each mode over its cycle, in pixels of the first training camera, to first order."""
+    """Return each mode's largest displacement [K], first-order pixels of the first training camera."""
     viewmat, k = capture.viewmats[0], capture.Ks[0]
     largest = np.zeros(len(truth.freqs_hz))
     for body in truth.objects:
@@ -237,23 +238,20 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
             continue
         x, d = x[seen], body.modes[:, seen] @ viewmat[:3, :3].T  # [V, 3], [K, V, 3]
         across = (d[..., :2] - d[..., 2:] * (x[:, :2] / x[:, 2:])) / x[:, 2:]
-        pixels = across * np.array([k[0, 0], k[1, 1]])
-        # The longest half-axis of the ellipse Re(p exp(iφ)).
-        power = (np.abs(pixels) ** 2).sum(-1)
-        largest = np.maximum(largest, np.sqrt((power + np.abs((pixels**2).sum(-1))) / 2).max(1))
+        largest = np.maximum(largest, peak_displacement(across * np.array([k[0, 0], k[1, 1]])).max(1))
     return largest
 
 
 def alpha_to_show(alphas: Iterable[int]) -> int:
-    """Return which of the α pictures are shown at: the nearest to 20, as a factor; 0 of none."""
+    """Return the α of shown pictures, by its ratio the nearest to 20; 0 without any."""
     return min(alphas, key=lambda a: abs(math.log(a / _SHOWN_ALPHA)), default=0)
 
 
 def _described(root: Path, key: str) -> Any:
-    """An entry of scene.json, None where there is none."""
+    """Return an entry of scene.json, or None."""
     try:
         return read_object(root / "scene.json").get(key)
-    except RunError:  # it is none of the generator's
+    except RunError:  # not from the generator
         return None
 
 
@@ -263,7 +261,7 @@ def _scene(root: Path) -> str:
 
 
 def _filmed(root: Path, kind: str) -> str:
-    """The generator tells an orbit from a rig; to a reader both are a rig."""
+    """Return the kind of cameras; only the generator distinguishes an orbit from a rig."""
     from dataset_gen.cameras import KINDS
 
     cameras = _described(root, "cameras")
@@ -272,17 +270,17 @@ def _filmed(root: Path, kind: str) -> str:
 
 
 def truth_at(data: BenchSet, alpha: float) -> Capture:
-    """The test split with the motion times 1 + α."""
+    """Return the test split with the motion times 1 + α."""
     return _captured(data.root, data.digest, int(alpha))
 
 
-@lru_cache(maxsize=8)  # every method and row of a set asks for the same few
+@lru_cache(maxsize=8)  # every method and row of a set needs the same few
 def _captured(root: Path, digest: str, alpha: int) -> Capture:
     return load_capture(root, split="test", magnification=alpha)
 
 
 def truth_state(data: BenchSet, alpha: float) -> str:
-    """The digest of the names, sizes and times of change of the test pictures at α."""
+    """Return a digest of names, sizes and modification times of the test pictures at α."""
     truth = truth_at(data, alpha)
     state = repr(files_state(truth.paths, truth.root))
     return hashlib.sha256(state.encode()).hexdigest()[:16]

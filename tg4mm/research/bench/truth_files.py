@@ -1,7 +1,7 @@
-"""Truth of the test views as files: optical flow, parts, occlusion, and tracks of points.
+"""Writes truth of the test views as files: optical flow, parts, occlusion, and tracks of points.
 
-The point that a pixel's centre sees is known from the dataset's per-pixel truth, at rest its position less its
-displacement; the nearest triangle of truth/motion.npz says of which part it is and how it moves at every other time.
+A pixel centre's scene point is known from the dataset's per-pixel truth, at rest its position less its displacement;
+the nearest triangle of truth/motion.npz gives its part and its motion at every other time.
 """
 
 from collections.abc import Iterator
@@ -17,26 +17,26 @@ from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.pictures import exr
 from tg4mm.core.progress import progress
 from tg4mm.research.bench import BenchError
-from tg4mm.research.evaluate.displacement import closest_on_triangles, interpolate, sample_surface
+from tg4mm.research.evaluate.displacement import interpolate, nearest_on, sample_surface
 
 VISIBLE, LEAVES, HIDDEN = 0, 128, 255  # in the pictures of occlusion
-_NOTHING = 1e9  # depth from which a pixel sees nothing
+_NOTHING = 1e9  # depth from which a pixel is empty
 _SAMPLES, _CANDIDATES, _AT_ONCE = 400_000, 16, 20_000
-_BEHIND = 2e-3  # of its depth: a point that lies farther behind what is seen there is hidden
+_BEHIND = 2e-3  # of its depth; a point farther behind the visible surface is hidden
 _TRACKS = 1024  # points at most
 _CHANNELS = ["Depth.V", *(f"{name}.{axis}" for name in ("Position", "Displacement") for axis in "XYZ")]
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Points on the surfaces at rest, and how they move."""
+    """Points on the surfaces at rest, and their motion."""
 
     part: np.ndarray  # [N] int, of `Truth.objects`
     phasors: np.ndarray  # [K, N, 3] complex128, scene units
     distance: np.ndarray  # [N] from the nearest triangle, scene units
 
     def displacement(self, gains: np.ndarray) -> np.ndarray:
-        """[N, 3] for gains [K] of the modes."""
+        """Return the displacement [N, 3] for gains [K] of the modes."""
         return np.asarray(np.tensordot(gains, self.phasors, 1).real)
 
     def selected(self, rows: np.ndarray) -> "Followed":
@@ -44,7 +44,7 @@ class Followed:
 
 
 def follow(truth: Truth, points: np.ndarray) -> Followed:
-    """The points [N, 3], scene units at rest, each as the nearest point of all parts' triangles."""
+    """Return the nearest surface points of all parts for points [N, 3], scene units, at rest."""
     objects = truth.objects
     starts = np.cumsum([0, *(len(o.rest) for o in objects)])
     rest = np.concatenate([o.rest for o in objects])
@@ -53,27 +53,19 @@ def follow(truth: Truth, points: np.ndarray) -> Followed:
     surface = sample_surface(rest, faces, _SAMPLES)
     part, distance = np.zeros(len(points), int), np.zeros(len(points))
     phasors = np.zeros((len(modes), len(points), 3), complex)
-    k = min(_CANDIDATES, len(surface.points))
     for first in range(0, len(points), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        mine = points[some]
-        near = surface.tree.query(mine, k=k)[1].reshape(len(mine), k)
-        triangles = surface.triangles[near]
-        weights, apart = closest_on_triangles(np.repeat(mine, k, 0), rest[triangles].reshape(-1, 3, 3))
-        apart, rows = apart.reshape(len(mine), k), np.arange(len(mine))
-        best = apart.argmin(1)
-        corners = triangles[rows, best]
-        phasors[:, some] = interpolate(modes, corners, weights.reshape(len(mine), k, 3)[rows, best])
+        corners, weights, distance[some] = nearest_on(surface, rest, points[some], _CANDIDATES)
+        phasors[:, some] = interpolate(modes, corners, weights)
         part[some] = np.searchsorted(starts, corners[:, 0], side="right") - 1
-        distance[some] = apart[rows, best]
     return Followed(part, phasors, distance)
 
 
 def write_truth(root: Path) -> list[Path]:
     """Write under `root`/truth flow/, parts/, occlusion/, parts.json and tracks.npz; see docs/conventions.md.
 
-    Of the test views at α = 0. Returns the folders and files. Raises BenchError where per-pixel truth is missing,
-    CaptureError for a file that is damaged.
+    They are of the test views at α = 0. Returns the folders and files. Raises BenchError without per-pixel truth,
+    CaptureError for a damaged file.
     """
     capture = load_capture(root, split="test")
     truth = load_truth(root, capture.fps, capture.n_timesteps)
@@ -95,13 +87,13 @@ def write_truth(root: Path) -> list[Path]:
 @dataclass(frozen=True)
 class _View:
     depth: np.ndarray  # [H, W], planar z, scene units
-    mask: np.ndarray  # [H, W] bool, where there is something
+    mask: np.ndarray  # [H, W] bool, pixels that are not empty
     rest: np.ndarray  # [N, 3] of the pixels in the mask, scene units
     now: np.ndarray  # [N, 3]
 
 
 class _Views:
-    """Per-pixel truth of the test views; timesteps whose files are one file are read once."""
+    """Per-pixel truth of the test views; timesteps with the same file are read once."""
 
     def __init__(self, root: Path, capture: Capture, truth: Truth) -> None:
         self.capture = capture
@@ -126,12 +118,12 @@ class _Views:
         return self.seen[self.key[image]]
 
     def after(self, image: int) -> int | None:
-        """The same camera's picture one timestep later."""
+        """Return the same camera's picture one timestep later."""
         capture = self.capture
         return self.at.get((int(capture.camera_ids[image]), int(capture.timesteps[image]) + 1))
 
     def projected(self, image: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(pixels [N, 2], x to the right and y down, centres at + 0.5; depth [N])."""
+        """Return pixels [N, 2], x to the right and y down, centres at + 0.5, and depth [N]."""
         viewmat, k = (
             self.capture.viewmats[image].astype(np.float64),
             self.capture.Ks[image].astype(np.float64),
@@ -141,9 +133,9 @@ class _Views:
         return across[:, :2] / across[:, 2:], x[:, 2]
 
     def state(self, image: int, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """[N] uint8, whether a picture shows points that project to these pixels: VISIBLE, LEAVES or HIDDEN.
+        """Return whether a picture shows points at these pixels, [N] uint8: VISIBLE, LEAVES or HIDDEN.
 
-        Hidden is what lies behind the farthest of the four pixel centres around it.
+        Hidden points lie behind the farthest of the four pixel centres around them.
         """
         height, width = self.capture.height, self.capture.width
         inside = ((pixels >= 0) & (pixels <= (width, height))).all(1) & (depth > 0)
@@ -188,13 +180,13 @@ def _write_flow(path: Path, flow: np.ndarray) -> None:
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:
-    """Whole numbers of 8 or 16 bits as they are."""
+    """Write integers of 8 or 16 bits."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, lambda temporary: Image.fromarray(numbers).save(temporary, "PNG"))
 
 
 def _write_tracks(path: Path, views: _Views, of: dict[tuple[int, int], Followed]) -> None:
-    """Points that the first pictures of all cameras see, evenly thinned, in every camera and at every timestep."""
+    """Write points visible in the first pictures of all cameras, evenly thinned, for every camera and timestep."""
     capture = views.capture
     cameras = np.unique(capture.camera_ids)
     steps = np.unique(capture.timesteps)

@@ -13,18 +13,17 @@ _N_SAMPLES = 200_000  # surface samples of all objects together
 _N_CANDIDATES = 8  # triangles tried for the exact nearest point
 _N_PATCH = 24  # samples of the patch whose rotation is fitted
 _AT_ONCE = 20_000  # points, so that a large scene fits in memory
-_FLAT = 0.05  # of the largest variance: a direction with less has no extent, only the surface's curvature
+_FLAT = 0.05  # of the largest variance; a direction with less has only the surface's curvature
 
 
 def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
-    """The exact modal motion of `points` [N, 3] (scene units, at rest), e.g. the means of Gaussians.
+    """Return the exact modal motion of `points` [N, 3] (scene units, at rest), e.g. the means of Gaussians.
 
-    A point moves as the nearest point of any object's surface does (piecewise-linear between vertices): its
-    displacement is interpolated there. Its rotation is half the curl (the antisymmetric part) of the
-    displacement gradient that fits the surrounding samples best, in the sense of least squares. Along the
-    normal of a flat patch no sample shows a gradient: there the normal is taken to stay perpendicular to the
-    surface (Kirchhoff), so that a plate that tilts by ω turns by ω and not by half of it. Objects that stand
-    still give zeros. Raises ValueError for a wrong shape.
+    A point moves like the nearest point of any object's surface (piecewise-linear between vertices), where its
+    displacement is interpolated. Its rotation is half the curl (the antisymmetric part) of the displacement gradient
+    that fits the surrounding samples in least squares. No sample shows a gradient along the normal of a flat patch;
+    the normal is assumed to stay perpendicular to the surface (Kirchhoff), so that a plate that tilts by ω turns by ω
+    and not by half of it. Static objects give zeros. Raises ValueError for a wrong shape.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -52,15 +51,8 @@ def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
 
 
 def _follow(obj: TruthObject, surface: "SurfaceSamples", points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(displacement, rotation) phasors [K, n, 3] of the points of an object's surface nearest to `points`."""
-    k = min(_N_CANDIDATES, len(surface.points))
-    _, candidates = surface.tree.query(points, k=k, workers=-1)
-    triangles = surface.triangles[candidates.reshape(len(points), k)]  # [n, k, 3]
-    corners = obj.rest[triangles].reshape(-1, 3, 3)
-    barycentric, distance = closest_on_triangles(np.repeat(points, k, 0), corners)
-    best = distance.reshape(len(points), k).argmin(1)
-    rows = np.arange(len(points))
-    foot = triangles[rows, best], barycentric.reshape(len(points), k, 3)[rows, best]
+    """Return phasors of displacement and rotation, [K, n, 3] each, of the surface points nearest to `points`."""
+    *foot, _ = nearest_on(surface, obj.rest, points, _N_CANDIDATES)
     n_patch = min(_N_PATCH, len(surface.points))
     _, patch = surface.tree.query(interpolate(obj.rest, *foot), k=n_patch, workers=-1)
     patch = patch.reshape(len(points), n_patch)
@@ -68,15 +60,32 @@ def _follow(obj: TruthObject, surface: "SurfaceSamples", points: np.ndarray) -> 
     return interpolate(obj.modes, *foot), rotation
 
 
+def nearest_on(
+    surface: "SurfaceSamples", vertices: np.ndarray, points: np.ndarray, n_candidates: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the surface points nearest to points [n, 3] on the triangles of the `n_candidates` nearest samples.
+
+    Returns their triangles' vertex indices [n, 3], barycentric coordinates [n, 3] and distances [n].
+    """
+    k = min(n_candidates, len(surface.points))
+    candidates = surface.tree.query(points, k=k, workers=-1)[1].reshape(len(points), k)
+    triangles = surface.triangles[candidates]  # [n, k, 3]
+    corners = vertices[triangles].reshape(-1, 3, 3)
+    barycentric, distance = closest_on_triangles(np.repeat(points, k, 0), corners)
+    distance, rows = distance.reshape(len(points), k), np.arange(len(points))
+    best = distance.argmin(1)
+    return triangles[rows, best], barycentric.reshape(len(points), k, 3)[rows, best], distance[rows, best]
+
+
 def _rotation(x: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Rotation phasors [K, n, 3] of patches x [n, S, 3] displaced by d [K, n, S, 3]: see `exact_motion`."""
+    """Return rotation phasors [K, n, 3] of patches x [n, S, 3] displaced by d [K, n, S, 3], as in `exact_motion`."""
     r, e = x - x.mean(1, keepdims=True), d - d.mean(2, keepdims=True)
     extent, axes = np.linalg.eigh(np.einsum("nsi,nsj->nij", r, r))
     seen = extent > _FLAT * extent[:, -1:]  # [n, 3], directions along which the patch has extent
     inverse = np.einsum("nia,na,nja->nij", axes, np.where(seen, 1.0 / np.where(seen, extent, 1.0), 0.0), axes)
     gradient = np.einsum("knsi,nsl,nlj->knij", e, r, inverse)  # d ≈ d̄ + gradient · r
     along = np.einsum("nia,na,nja->nij", axes, seen.astype(float), axes)
-    # What the patch does not show: its normal stays perpendicular, ∂u/∂n = −∇(u · n) along the surface.
+    # The normal stays perpendicular to the surface: ∂u/∂n = −∇(u · n) along it.
     gradient -= np.einsum("nil,knml,nmj->knij", along, gradient, np.eye(3) - along)
     curl = [gradient[..., j, i] - gradient[..., i, j] for i, j in ((1, 2), (2, 0), (0, 1))]
     return 0.5 * np.stack(curl, -1)
@@ -92,20 +101,20 @@ class SurfaceSamples:
     tree: cKDTree
 
     def interpolate(self, values: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Vertex values [..., V, D] at the samples `which` [...samples], barycentric: [..., *samples, D]."""
+        """Interpolate vertex values [..., V, D] at the samples `which` [...samples] to [..., *samples, D]."""
         return interpolate(values, self.triangles[which], self.barycentric[which])
 
 
 def interpolate(values: np.ndarray, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """Vertex values [..., V, D] at points given by triangles and barycentric coordinates, both [*, 3]."""
+    """Interpolate vertex values [..., V, D] at points of triangles by barycentric coordinates, both [*, 3]."""
     return (values[..., triangles, :] * barycentric[..., None]).sum(axis=-2)
 
 
 def sample_surface(vertices: np.ndarray, faces: np.ndarray, n_samples: int) -> SurfaceSamples:
-    """Every vertex, every triangle's centre, and about `n_samples` more points in proportion to area.
+    """Return every vertex, every triangle's centre, and about `n_samples` more points in proportion to area.
 
-    Deterministic: within a triangle the points follow the R2 low-discrepancy sequence (Roberts 2018), folded
-    from the square to the triangle. A vertex of no triangle is a degenerate triangle of its own.
+    Points within a triangle follow the R2 low-discrepancy sequence (Roberts 2018), folded from the square to the
+    triangle, and are always the same. A vertex of no triangle becomes a degenerate triangle.
     """
     loose = np.setdiff1d(np.arange(len(vertices)), faces)
     faces = np.concatenate([faces.reshape(-1, 3), np.repeat(loose[:, None], 3, axis=1)]).astype(np.int64)
@@ -117,7 +126,7 @@ def sample_surface(vertices: np.ndarray, faces: np.ndarray, n_samples: int) -> S
     counts = 1 + np.floor(share * n_samples).astype(np.int64)
     face_of = np.repeat(np.arange(len(faces)), counts)
     nth = np.arange(len(face_of)) - np.repeat(np.cumsum(counts) - counts, counts)
-    # One representative corner per vertex: the first place where it is used.
+    # One corner represents each vertex: its first use.
     _, first = np.unique(faces.ravel(), return_index=True)
     face_of = np.concatenate([face_of, first // 3])
     barycentric = np.concatenate([_folded_r2(nth), np.eye(3)[first % 3]])
@@ -127,7 +136,7 @@ def sample_surface(vertices: np.ndarray, faces: np.ndarray, n_samples: int) -> S
 
 
 def _folded_r2(nth: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates [n, 3] of the nth point in a triangle; point 0 is the centre."""
+    """Return barycentric coordinates [n, 3] of the nth point in a triangle; point 0 is the centre."""
     plastic = 1.32471795724474602596  # the root of x³ = x + 1
     u, v = (1 / 3 + nth / plastic) % 1.0, (1 / 3 + nth / plastic**2) % 1.0
     over = u + v > 1.0
@@ -136,10 +145,10 @@ def _folded_r2(nth: np.ndarray) -> np.ndarray:
 
 
 def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(barycentric [n, 3], distance [n]) of the point of triangle i [n, 3, 3] closest to point i [n, 3].
+    """Return barycentric coordinates [n, 3] and distance [n] of triangle i's [n, 3, 3] closest point to point i [n, 3].
 
-    The foot of the perpendicular if it lies inside, else the closest point of the three edges. Degenerate
-    triangles are handled by their edges.
+    It is the foot of the perpendicular if that lies inside, otherwise the closest point of the three edges, as for
+    degenerate triangles.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     candidates = [_foot(points, a, b, c)]
@@ -160,7 +169,7 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.nd
 
 
 def _foot(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of the perpendicular's foot; all -1 where the triangle has no area."""
+    """Return barycentric coordinates of the perpendicular's foot; all -1 for a triangle without area."""
     normal = np.cross(b - a, c - a)
     area2 = (normal * normal).sum(1)
     flat = area2 <= 0
@@ -170,20 +179,20 @@ def _foot(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np
     return np.where(flat[:, None], -1.0, np.stack([1.0 - v - w, v, w], axis=1))
 
 
-STATIC_BELOW = 0.01  # of the largest true motion: below it a Gaussian counts as standing still
+STATIC_BELOW = 0.01  # of the largest true motion; a Gaussian with less counts as static
 
 
 def displacement_figures(
     estimated: ModalMotion, true: ModalMotion, weights: np.ndarray, unit_scale_m: float | None = None
 ) -> dict[str, Any]:
-    """Figures of an estimated motion against the true one of the same Gaussians, weighted by `weights` [N].
+    """Compare an estimated motion with the true one of the same Gaussians, weighted by `weights` [N].
 
     `relative_error`: rms over timesteps and Gaussians of (estimated − true), divided by the rms of the true.
     `rms_true`, `rms_estimated`, `rms_error`: those rms, scene units (and `…_mm` if `unit_scale_m` is known).
-    `static_leak`: rms of the estimated motion of Gaussians that stand still (true rms below 1 % of the
-    largest), relative to the rms of the true motion of the others; None if none of either is seen.
-    `static_share`: their part of the weight. `per_frequency`: `frequency_figures`.
-    Figures that divide by no motion are None. Raises ValueError if the three do not fit together.
+    `static_leak`: rms of the estimated motion of static Gaussians (true rms below 1 % of the largest), relative to the
+    rms of the true motion of the others; None if either are invisible. `static_share`: their part of the weight.
+    `per_frequency`: `frequency_figures`. Figures that divide by no motion are None. Raises ValueError if the three do
+    not fit together.
     """
     weights = _check(estimated, true, weights)
     error2, true2, estimated2 = mean_squares(estimated, true)  # [N] each
@@ -203,16 +212,16 @@ def frequency_figures(
 ) -> list[dict[str, Any]]:
     """Compare both motions at each true frequency over the capture's timesteps.
 
-    Both are projected on that frequency (their discrete-time Fourier sum over t = 0 … T−1), so an estimate
-    whose bins do not hold the frequency is still compared fairly. Per frequency, over Gaussians:
+    Both are projected on that frequency (their discrete-time Fourier sum over t = 0 … T−1), so that an estimate without
+    a bin at the frequency is compared fairly. Per frequency, over Gaussians:
     `amplitude_true`, `amplitude_estimated`: weighted rms of the phasor's length (peak displacement of a
     motion along a line), scene units and mm; `amplitude_ratio`: their ratio; `relative_error`: rms of the
     phasors' difference over the rms of the true ones; `phase_error_deg`: of the weighted correlation,
-    positive where the estimate is ahead; `direction_error_deg`: angle between the phasor vectors, arccos
+    positive if the estimate is ahead; `direction_error_deg`: angle between the phasor vectors, arccos
     |⟨true, estimated⟩| / (|true| |estimated|), as between lines (0 to 90°, blind to phase), mean with weights
-    × |true|² over the Gaussians that the estimate moves; `static_leak`: as of `displacement_figures`, of what stands
-    still at that frequency and of the phasors there; `mac`: modal assurance criterion, |Σ w a*·b|² /
-    (Σ w |a|² Σ w |b|²), 1 where the shapes are alike but for one complex factor.
+    × |true|² over the Gaussians that the estimate moves; `static_leak`: as in `displacement_figures`, by phasors and
+    static Gaussians of that frequency; `mac`: modal assurance criterion, |Σ w a*·b|² / (Σ w |a|² Σ w |b|²), 1 for
+    shapes that only differ by a complex factor.
     """
     weights = _check(estimated, true, weights)
     rows = []
@@ -254,10 +263,10 @@ def _check(estimated: ModalMotion, true: ModalMotion, weights: np.ndarray) -> np
 
 
 def mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per Gaussian the mean over timesteps of |estimated − true|², |true|², |estimated|²: [N] each."""
+    """Return each Gaussian's mean over timesteps of |estimated − true|², |true|² and |estimated|², [N] each."""
     sums = np.zeros((3, true.displacement.shape[1]))
     for t in range(true.n_timesteps):
-        # Not rounded to float32, as what is rendered is: errors far below the motion are measured too.
+        # Not rounded to float32 as for rendering, so that errors far below the motion are measured.
         b, a = (_displacement(m, t) for m in (estimated, true))
         sums += [((b - a) ** 2).sum(1), (a**2).sum(1), (b**2).sum(1)]
     error, truth, estimate = sums / true.n_timesteps
@@ -269,7 +278,7 @@ def _displacement(motion: ModalMotion, t: int) -> np.ndarray:
 
 
 def _phasor_at(motion: ModalMotion, frequency: float) -> np.ndarray:
-    """(2/T) Σ_t d(t) exp(−i 2π f t / fps), [N, 3]; 1/T at 0 Hz and half the frame rate, its own images."""
+    """Return (2/T) Σ_t d(t) exp(−i 2π f t / fps), [N, 3]; with 1/T at 0 Hz and half the frame rate."""
     t = np.arange(motion.n_timesteps)
     gains = np.stack([motion.gains_at(int(i)) for i in t], 1)  # [K, T]
     against = np.exp(-2j * np.pi * frequency / motion.fps * t)
@@ -306,8 +315,8 @@ def _leak(true2: np.ndarray, estimated2: np.ndarray, weights: np.ndarray) -> flo
 
 def _mac(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float | None:
     across = abs((weights * (a.conj() * b).sum(1)).sum()) ** 2
-    own = (weights * (np.abs(a) ** 2).sum(1)).sum() * (weights * (np.abs(b) ** 2).sum(1)).sum()
-    return float(across / own) if own > 0 else None
+    both = (weights * (np.abs(a) ** 2).sum(1)).sum() * (weights * (np.abs(b) ** 2).sum(1)).sum()
+    return float(across / both) if both > 0 else None
 
 
 def _rms(squares: np.ndarray, weights: np.ndarray) -> float | None:

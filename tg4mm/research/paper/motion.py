@@ -1,7 +1,5 @@
 """Phase 2 of [TG4MM]: for each timestep a motion triplane added to the frozen space planes."""
 
-import math
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -16,6 +14,7 @@ from tg4mm.core.phasors import series_modes
 from tg4mm.core.progress import Update, progress
 from tg4mm.core.work_folder import Checkpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
+from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.fit.space import RestViews
 from tg4mm.fit.space.view import render_view
@@ -27,12 +26,10 @@ from tg4mm.research.paper.model import (
     planes_name,
     save_planes,
 )
-from tg4mm.research.paper.space import Fit, cameras_on, view_loss, views_at
+from tg4mm.research.paper.space import Fit, cameras_on, views_at
 from tg4mm.research.paper.triplane import Decoder, sample
 from tg4mm.run import Run
 
-CHECKPOINT_EVERY_S = 20.0
-SHOW_EVERY_S = 0.25
 _STAGE = "motion"
 
 
@@ -52,23 +49,23 @@ class _Stage:
         self.rest = model.rest_embedding.to(device)
         self.base = {k: v.to(device) for k, v in model.base.items()}
         self.decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
-        self.kept, self.shown, self.figure = kept, -math.inf, 0.0
+        self.kept = kept
 
     def fit(self, t: int, views, iterations: int, update: Update) -> Tensor:
-        """[A, C] the motion planes of timestep t."""
+        """Fit the motion planes [A, C] of timestep t."""
         zero = {"values": torch.zeros(len(self.cells), self.model.channels)}
         c = self.config
         fit = Fit(zero, c.motion_learning_rate, iterations, c.seed + t, self.device, c.motion_rate_falls_to)
         checkpoint = self.kept.load()
         if checkpoint is not None and checkpoint[1]["timestep"] == t:
             fit.restore(*checkpoint)
+
+        def decoded(p: dict[str, Tensor]) -> Gaussians:
+            embedding = sample(p["values"], self.cells)
+            return self.decoder.decode(self.base, self.rest + embedding if self.model.residual else embedding)
+
         cameras = cameras_on(self._compared(views), self.device)
-        while fit.iteration < iterations:
-            own = sample(fit.parameters["values"], self.cells)
-            embedding = self.rest + own if self.model.residual else own
-            gaussians = self.decoder.decode(self.base, embedding)
-            fit.step(view_loss(gaussians, cameras, fit.next_view(len(views.rgb))))
-            self._show(fit, t, iterations, update)
+        fit.run(cameras, decoded, self.kept, update, (t - 1) * iterations, timestep=t)
         self.loss = float(fit.loss)
         return fit.parameters["values"].detach().cpu()
 
@@ -83,14 +80,6 @@ class _Stage:
         same = [self.first.row_of(views, v) for v in range(len(views.rgb))]
         return replace(views, rgb=views.rgb + self.first.missing[same])
 
-    def _show(self, fit: Fit, t: int, iterations: int, update: Update) -> None:
-        now = time.monotonic()
-        if now - self.shown > SHOW_EVERY_S:
-            self.shown, self.figure = now, round(float(fit.loss), 5)
-        update((t - 1) * iterations + fit.iteration, timestep=t, l1=self.figure)
-        if self.kept.is_due(CHECKPOINT_EVERY_S):
-            self.kept.save(fit.tensors(), fit.state() | {"timestep": t})
-
 
 def train_timesteps(
     run: Run,
@@ -102,7 +91,7 @@ def train_timesteps(
 ) -> ModalMotion:
     """Fit the motion planes of timesteps 1 … T − 1, one file each, and save the decoded motion in the run.
 
-    Finished timesteps are kept, an unfinished one goes on from its checkpoint. The log's stage `motion` gets seconds,
+    Finished timesteps are kept, an unfinished one continues from its checkpoint. The log's stage `motion` gets seconds,
     peak_memory_mib, iterations (in all), iterations_per_timestep, l1_train (of the last), n_frequencies, mib_on_disk.
     """
     kept = Checkpoint(run, _STAGE)
@@ -138,14 +127,14 @@ def train_timesteps(
 
 @dataclass(frozen=True)
 class AtRest:
-    """The cameras of timestep 0 and, of each, rendered less picture."""
+    """The cameras of timestep 0, with the difference of rendering and picture."""
 
     viewmats: np.ndarray  # [V, 4, 4] float32
     Ks: np.ndarray  # [V, 3, 3] float32
     missing: np.ndarray  # [V, H, W, 3] float32: rendered at rest − picture of timestep 0
 
     def row_of(self, views: RestViews, v: int) -> int:
-        """Return the index of the camera that took picture v of `views`. Raises CaptureError if it has moved."""
+        """Return the index of the camera of picture v of `views`. Raises CaptureError if it has moved."""
         same = (self.viewmats == views.viewmats[v]).all((1, 2)) & (self.Ks == views.Ks[v]).all((1, 2))
         if not same.any():
             raise CaptureError(
@@ -169,9 +158,9 @@ def at_rest(model: PaperModel, views: RestViews) -> AtRest:
 
 
 def rotation_between(start: Tensor, end: Tensor) -> Tensor:
-    """[N, 3] rotation vectors, radians, world axes, of the turn that takes quaternions [N, 4] `start` to `end`."""
+    """Return rotation vectors [N, 3], radians, world axes, from quaternions [N, 4] `start` to `end`."""
     a, b = (torch.nn.functional.normalize(q.double(), dim=1) for q in (start, end))
-    # b ā, of the two signs of a quaternion that with the smaller turn
+    # b ā, with the sign of the smaller turn
     w = (a * b).sum(1)
     v = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - torch.linalg.cross(b[:, 1:], a[:, 1:])
     v = torch.where((w < 0)[:, None], -v, v)
@@ -182,7 +171,7 @@ def rotation_between(start: Tensor, end: Tensor) -> Tensor:
 
 @torch.no_grad()
 def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> ModalMotion:
-    """The motion from timestep 0 of what the motion planes (values [A, C] of timesteps 1, 2, …) decode to."""
+    """Return the motion since timestep 0 of the Gaussians decoded from motion planes [A, C] of timesteps from 1 on."""
     rest = model.rest()
     changes = [torch.zeros(len(rest), 6, dtype=torch.float64)]
     for values in planes:

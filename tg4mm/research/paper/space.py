@@ -1,10 +1,10 @@
-"""Phase 1 of [TG4MM]: space planes, decoder and base attributes trained together on the images of timestep 0."""
+"""Phase 1 of [TG4MM]: trains space planes, decoder and base attributes on the images of timestep 0."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
-from tg4mm.core.progress import progress
+from tg4mm.core.progress import Update, progress
 from tg4mm.core.work_folder import Checkpoint
 from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.fit.gaussians import Gaussians
@@ -29,7 +29,7 @@ _STAGE = "triplane"
 
 
 def views_at(capture: Capture, images: ImageStack, t: int) -> RestViews:
-    """The cameras and pictures of timestep t, over white."""
+    """Return cameras and pictures of timestep t, over white."""
     rows = np.flatnonzero(capture.timesteps == t)
     return RestViews(
         viewmats=capture.viewmats[rows].astype(np.float32),
@@ -51,7 +51,7 @@ def cameras_on(views: RestViews, device: str) -> Cameras:
 
 
 def started(base: Gaussians, config: PaperConfig) -> PaperModel:
-    """The model before phase 1: random planes and heads, on a base from which they decode to the Gaussians `base`."""
+    """Return the model before phase 1, random planes and heads, with a base that decodes to the Gaussians `base`."""
     generator = torch.Generator().manual_seed(config.seed)
     shape = (3, config.channels, config.resolution, config.resolution)
     planes = torch.randn(shape, generator=generator) * config.deviation
@@ -65,8 +65,8 @@ def started(base: Gaussians, config: PaperConfig) -> PaperModel:
 
 
 def _parameters(model: PaperModel) -> dict[str, torch.Tensor]:
-    own = {"values": model.values()} | {f"base.{k}": v for k, v in model.base.items()}
-    return own | {f"decoder.{k}": v for k, v in model.decoder.parameters.items()}
+    parameters = {"values": model.values()} | {f"base.{k}": v for k, v in model.base.items()}
+    return parameters | {f"decoder.{k}": v for k, v in model.decoder.parameters.items()}
 
 
 def _group(parameters: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -84,7 +84,7 @@ def _finished(model: PaperModel, fit: Fit) -> PaperModel:
 def train_triplane(
     run: Run, base: Gaussians, views: RestViews, config: PaperConfig, device: str = "cpu"
 ) -> PaperModel:
-    """Train on `views` from the base Gaussians, save triplane.safetensors, go on from a checkpoint if there is one.
+    """Train on `views` from the base Gaussians or a checkpoint, and save triplane.safetensors.
 
     The log's stage `triplane` gets seconds, peak_memory_mib, iterations, l1_train, n_gaussians and sizes.
     """
@@ -97,19 +97,12 @@ def train_triplane(
     fit = Fit(_parameters(model), config.learning_rate, total, config.seed, device)
     if (checkpoint := kept.load()) is not None:
         fit.restore(*checkpoint)
-    cameras = cameras_on(views, device)
-    shown, figure = -math.inf, 0.0
+
+    def decoded(p: dict[str, Tensor]) -> Gaussians:
+        return Decoder(_group(p, "decoder.")).decode(_group(p, "base."), sample(p["values"], cells))
+
     with progress("space triplane", total, start=fit.iteration) as update, full_precision(device):
-        while fit.iteration < total:
-            p = fit.parameters
-            embedding = sample(p["values"], cells)
-            gaussians = Decoder(_group(p, "decoder.")).decode(_group(p, "base."), embedding)
-            fit.step(view_loss(gaussians, cameras, fit.next_view(len(views.rgb))))
-            if time.monotonic() - shown > SHOW_EVERY_S:
-                shown, figure = time.monotonic(), round(float(fit.loss), 5)
-            update(fit.iteration, l1=figure)
-            if kept.is_due(CHECKPOINT_EVERY_S):
-                kept.save(fit.tensors(), fit.state())
+        fit.run(cameras_on(views, device), decoded, kept, update)
     model = _finished(model, fit)
     figures = {
         "peak_memory_mib": peak_memory_mib(),
@@ -134,7 +127,7 @@ Cameras = tuple[Tensor, Tensor, Tensor]  # viewmats [V, 4, 4], Ks [V, 3, 3], pic
 class Fit:
     """Named parameters, torch's fused Adam, and a random order of views.
 
-    The rate falls exponentially to `final` times what it is at the start; 1: it is fixed.
+    The rate falls exponentially to `final` times its start; 1: it is fixed.
     """
 
     def __init__(
@@ -155,7 +148,7 @@ class Fit:
         self.loss = torch.zeros((), device=device)  # running mean
 
     def next_view(self, n_views: int) -> int:
-        """Every view once, in random order, then again."""
+        """Return the next view; all are used once, in random order, before any is repeated."""
         if not self.order:
             self.order = torch.randperm(n_views, generator=self.generator).tolist()
         return self.order.pop()
@@ -168,6 +161,28 @@ class Fit:
         now = loss.detach()
         self.loss = now if self.iteration == 0 else 0.95 * self.loss + 0.05 * now
         self.iteration += 1
+
+    def run(
+        self,
+        cameras: Cameras,
+        decoded: Callable[[dict[str, Tensor]], Gaussians],
+        kept: Checkpoint,
+        update: Update,
+        before: int = 0,
+        **state: int,
+    ) -> None:
+        """Fit the Gaussians decoded from the parameters to random views, up to the last iteration.
+
+        before: iterations in the progress before this fit. state: entries of progress and checkpoint.
+        """
+        shown, figure = -math.inf, 0.0
+        while self.iteration < self.iterations:
+            self.step(view_loss(decoded(self.parameters), cameras, self.next_view(len(cameras[0]))))
+            if time.monotonic() - shown > SHOW_EVERY_S:
+                shown, figure = time.monotonic(), round(float(self.loss), 5)
+            update(before + self.iteration, **state, l1=figure)
+            if kept.is_due(CHECKPOINT_EVERY_S):
+                kept.save(self.tensors(), self.state() | state)
 
     def tensors(self) -> dict[str, Tensor]:
         out = {f"p.{k}": v.detach() for k, v in self.parameters.items()}
@@ -185,7 +200,7 @@ class Fit:
         return {"iteration": self.iteration, "order": self.order}
 
     def restore(self, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
-        """Go on from what `tensors` and `state` gave."""
+        """Continue from the results of `tensors` and `state`."""
         with torch.no_grad():
             for name, p in self.parameters.items():
                 p.copy_(tensors[f"p.{name}"])
@@ -202,7 +217,7 @@ class Fit:
 
 
 def view_loss(gaussians: Gaussians, cameras: Cameras, v: int) -> Tensor:
-    """[TG4MM] Eq. (16) of view v over white: the mean over pixels of |rendered − picture|."""
+    """Return the mean of |rendered − picture| over the pixels of view v over white, [TG4MM] Eq. (16)."""
     viewmats, Ks, pictures = cameras
     height, width = pictures.shape[1:3]
     view = render_view(gaussians, viewmats[v], Ks[v], (width, height), gaussians.sh_degree)
