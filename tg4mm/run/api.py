@@ -1,4 +1,4 @@
-"""The stages as functions on objects in memory, without a run folder: they write nothing (docs/python.md)."""
+"""The stages as functions on objects in memory, which write no files (docs/python.md)."""
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, pictures_for
@@ -89,7 +89,7 @@ def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0
     Args:
         fit: of `fit_motion`, or `Run.load_fit` of a run folder.
         t: timestep; 0 is the reference. Fractions, and times before and after the record, are allowed.
-        magnification: α of all frequencies, or a `Magnification` with bands in Hz, each with an α of its own.
+        magnification: α of all frequencies, or a `Magnification` with bands in Hz, each with its α.
 
     Returns:
         N Gaussians, scene units.

@@ -35,7 +35,7 @@ _MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 
 
 def check_finite(file: Path, tensors: Mapping[str, Tensor], also: Collection[torch.dtype] = ()) -> None:
-    """Floating-point numbers, or of the types in `also`, none of them NaN or infinite."""
+    """Raise RunError unless all are finite floating-point numbers, or of the types in `also`."""
     for name, tensor in tensors.items():
         if tensor.dtype not in _NUMBERS and tensor.dtype not in also:
             raise RunError(f"{file}: {name} is {tensor.dtype}, expected floating-point numbers")
@@ -49,7 +49,7 @@ def check_tensors(
     types: Mapping[str, torch.dtype],
     optional: Mapping[str, torch.dtype] | None = None,
 ) -> None:
-    """The tensors named in `types`, of those types and finite; of `optional` all or none."""
+    """Raise RunError unless the tensors of `types` have those types and are finite; of `optional` all or none."""
     every = {**types, **(optional or {})}
     if set(tensors) not in (set(types), set(every)):
         raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(types)}")
@@ -60,7 +60,7 @@ def check_tensors(
 
 
 def check_times(path: Path, dataset: Path, of_run: tuple[float, int], of_dataset: tuple[float, int]) -> None:
-    """Raises RunError where the dataset has other frames per second or timesteps (fps, T) than the run."""
+    """Raise RunError if the dataset has other frames per second or timesteps (fps, T) than the run."""
     if of_run != of_dataset:
         raise RunError(
             f"{path} was trained on {of_run[1]} timesteps at {of_run[0]:g} Hz, but {dataset} holds {of_dataset[1]} at "
@@ -69,7 +69,7 @@ def check_times(path: Path, dataset: Path, of_run: tuple[float, int], of_dataset
 
 
 def check_readout(path: Path, dataset: Path, figures: Mapping[str, Any], readout_s: float) -> None:
-    """Raises RunError where the dataset's rows are read over another time than those of the run's motion stage."""
+    """Raise RunError if the dataset's rows have another readout time than in the run's motion stage."""
     of_run = figures.get("readout_s", 0.0)
     if of_run != readout_s:
         raise RunError(
@@ -95,7 +95,7 @@ def gaussians_of(file: Path, tensors: Mapping[str, Tensor]) -> Gaussians:
 
 
 def clock_of(file: Path, header: Mapping[str, Any]) -> tuple[float, int]:
-    """fps and n_timesteps of a motion's header."""
+    """Return fps and n_timesteps of a motion's header."""
     for name, most in (("fps", _FASTEST), ("n_timesteps", _LONGEST)):
         require(f"{file}: {name}", header.get(name), Number(0, most, above=True), RunError)
     if header["n_timesteps"] != int(header["n_timesteps"]):
@@ -138,7 +138,7 @@ def tensors_of(motion: ModalMotion) -> dict[str, Tensor]:
 
 
 def motion_of(file: Path, tensors: Mapping[str, Tensor], clock: tuple[float, int]) -> ModalMotion:
-    """The motion in a file's tensors; `clock`: fps and timesteps. Raises RunError for types, shapes and values."""
+    """Return the motion in a file's tensors; `clock`: fps and timesteps. Raises RunError for invalid tensors."""
     kind = FIELDS if "fields" in tensors else PHASORS
     check_tensors(file, tensors, {"freqs_hz": torch.float64, **kind}, LIGHT)
     check_frequencies(file, tensors["freqs_hz"])

@@ -1,4 +1,4 @@
-"""A run's config.json: what training was asked for, and whether a second request is the same one."""
+"""A run's config.json: the request of its training, and its comparison with another."""
 
 import os
 import platform
@@ -19,12 +19,12 @@ _STAGES = ("space", "motion", "paper")
 
 
 def work_folder(path: Path | str) -> WorkFolder:
-    """The run folder `path` as one that belongs to a request."""
+    """Return the run folder `path` as the folder of a request."""
     return WorkFolder(Path(path), "config.json")
 
 
 def new_config(path: Path, dataset: Path, preset: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of config.json for the run folder `path`; `dataset` absolute, `settings` JSON values."""
+    """Return the content of config.json for the run folder `path`; `dataset` absolute, `settings` JSON values."""
     return {
         "format": FORMAT,
         "kind": "run",
@@ -38,7 +38,7 @@ def new_config(path: Path, dataset: Path, preset: str, settings: Mapping[str, An
 
 
 def _from_run(dataset: PurePath, path: PurePath) -> str:
-    """The way from a run to its dataset, with / on every system; the dataset itself where there is none."""
+    """Return the path from a run to its dataset, with / on every system; the dataset itself if there is none."""
     try:
         return os.path.relpath(dataset, path).replace(os.sep, "/")
     except ValueError:  # on Windows, for folders on different drives
@@ -46,7 +46,7 @@ def _from_run(dataset: PurePath, path: PurePath) -> str:
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """config.json of the run folder `path`. Raises RunError if it is missing, torn or foreign."""
+    """Read config.json of the run folder `path`. Raises RunError if it is missing, truncated or foreign."""
     folder = work_folder(path)
     if (config := folder.read()) is None:
         raise RunError(f"{path} is not a run folder: it has no config.json")
@@ -64,7 +64,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
-    """The dataset of a run: where it was, or at the same place relative to the run if both were moved."""
+    """Return the dataset of a run: the recorded folder, or the same relative to the run if both were moved."""
     absolute = Path(config["dataset"])
     try:
         beside = (path / config["dataset_from_run"]).resolve()

@@ -81,7 +81,7 @@ class Run:
 
     @classmethod
     def open(cls, path: Path | str) -> "Run":
-        """Open an existing run folder. Raises RunError if it is none, or its config.json is not readable."""
+        """Open an existing run folder. Raises RunError for another folder, or an unreadable config.json."""
         path = Path(path)
         if not path.is_dir():
             raise RunError(f"run folder {path} does not exist")
@@ -99,7 +99,7 @@ class Run:
 
     @property
     def dataset(self) -> Path:
-        """The dataset's folder: where it was, or at the same place relative to the run if both were moved."""
+        """The dataset's folder: the recorded one, or the same relative to the run if both were moved."""
         return dataset_folder(self.path, self.config)
 
     @property
@@ -118,7 +118,7 @@ class Run:
         self._write("space", {name: getattr(gaussians, name) for name in GAUSSIANS})
 
     def load_space(self) -> Gaussians:
-        """The Gaussians at rest, float32 on the CPU. Raises RunError if absent, torn or foreign."""
+        """Load the Gaussians at rest, float32 on the CPU. Raises RunError if absent, truncated or foreign."""
         if not self.has_space:
             raise RunError(f"{self.path} has no space.safetensors: its space stage is not finished")
         file = self._file("space")
@@ -127,7 +127,7 @@ class Run:
         return gaussians_of(file, tensors)
 
     def save_motion(self, motion: ModalMotion, info: Mapping[str, Any]) -> None:
-        """Write the motion, record `info` under the stage `motion`. Raises RunError if N does not fit."""
+        """Write the motion and record `info` under the stage `motion`. Raises RunError for another N."""
         if not self.has_space:
             raise RunError(f"{self.path} has no space.safetensors, which a motion belongs to")
         self._check_motion(motion, "motion to save")
@@ -136,7 +136,7 @@ class Run:
         self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
 
     def load_motion(self) -> ModalMotion | None:
-        """The motion, None if the run has none. Raises RunError if torn, foreign, or of other Gaussians."""
+        """Load the motion, or None. Raises RunError if truncated, foreign, or of other Gaussians."""
         if not self.has_motion:
             return None
         file = self._file("motion")
@@ -210,7 +210,7 @@ class Run:
         return self.load_uncertainties().get("displacement")
 
     def load_fit(self) -> MotionFit:
-        """The Gaussians, their motion and what is known of it. Raises RunError if absent, torn or foreign."""
+        """Load the Gaussians, their motion and its figures. Raises RunError if absent, truncated or foreign."""
         motion = self.load_motion()
         if motion is None:
             raise RunError(f"{self.path} has no motion.safetensors: its training is not finished")
@@ -223,21 +223,21 @@ class Run:
         )
 
     def load_noise(self) -> np.ndarray | None:
-        """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
+        """Load the noise in `load_uncertainty`, [N] float32, by which two halves of the data differ."""
         return self.load_uncertainties().get("noise")
 
     def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
-        """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""
+        """Read one row of a tensor of a part that `load_part` has accepted, without the rest."""
         try:
             with safe_open(self._file(name), framework="numpy") as file:
                 return file.get_slice(tensor)[row]
         except Exception as error:  # the package reports damage by many types
             raise RunError(f"{self._file(name)} is truncated or absent: {error}") from None
 
-    # Going on after a kill.
+    # Continuing after a kill.
 
     def save_checkpoint(self, stage: str, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
-        """Keep an unfinished stage: `tensors` as they are, `state` as JSON. Replaces the last one whole."""
+        """Keep an unfinished stage, `tensors` and `state` as JSON, in place of the last one."""
         self._write(f"checkpoint_{stage}", tensors, state=to_json(dict(state), "state"))
 
     def load_checkpoint(self, stage: str) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
@@ -262,18 +262,18 @@ class Run:
         return tensors, header["state"]
 
     def drop_checkpoint(self, stage: str) -> None:
-        """Forget the unfinished stage, if there is one."""
+        """Remove the checkpoint of the unfinished stage, if any."""
         self._file(f"checkpoint_{stage}").unlink(missing_ok=True)
 
     def _drop_finished(self) -> None:
-        """Forget the stages whose result is there: a kill may come between writing that and forgetting them."""
+        """Remove checkpoints of stages with results, which a kill between both steps leaves."""
         for file in self.path.glob("checkpoint_*.safetensors"):
             stage = file.stem.removeprefix("checkpoint_")
             if self._file(stage).is_file():
                 self.drop_checkpoint(stage)
 
     def discard(self) -> None:
-        """Take back a folder that was just made: its config.json and log.json, and the folder if empty then."""
+        """Remove config.json and log.json of a new folder, and the folder if it is then empty."""
         for name in ("config.json", "log.json"):
             (self.path / name).unlink(missing_ok=True)
         if not any(self.path.iterdir()):
@@ -284,7 +284,7 @@ class Run:
         write_json(self.path / "log.json", with_figures(self.log(), stage, info))
 
     def log(self) -> dict[str, Any]:
-        """{stage: figures}; {} before anything was recorded. Raises RunError if torn or of another form."""
+        """Read {stage: figures}, {} before any record. Raises RunError if truncated or of another form."""
         folder = WorkFolder(self.path, "log.json")
         return checked_log(folder.read() or {}, str(self.path / folder.record))
 

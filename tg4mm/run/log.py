@@ -1,4 +1,4 @@
-"""Figures of a run's stages, across resumes: what adds up, what keeps the most, what is replaced."""
+"""Figures of a run's stages, which over resumed calls are added, maximised or replaced."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -55,7 +55,7 @@ FORM = {
 
 
 def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """`log`. Raises RunError naming `where` unless it is {stage: figures} with numbers for what is added up."""
+    """Return `log`. Raises RunError naming `where` unless it is {stage: figures} with numbers for added figures."""
     try:
         check_form(log, _LOG)
     except ValueError as error:
@@ -64,7 +64,7 @@ def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def with_figures(log: Mapping[str, Any], stage: str, info: Mapping[str, Any]) -> dict[str, Any]:
-    """`log` ({stage: figures}) with `info` added to a stage. NaN and infinity become null.
+    """Return `log` ({stage: figures}) with `info` added to a stage. NaN and infinity become null.
 
     `seconds` add up (give those since the last record), `peak_memory_mib` keeps the most, anything else
     is replaced. Raises TypeError for what JSON cannot hold.
@@ -82,7 +82,7 @@ def with_figures(log: Mapping[str, Any], stage: str, info: Mapping[str, Any]) ->
 
 
 def _finite(value: Any) -> Any:
-    """`value` with NaN and infinity as None: the infinite PSNR of equal images must not stop a run."""
+    """Return `value` with NaN and infinity as None, since the infinite PSNR of equal images must not stop a run."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -32,7 +32,7 @@ from tg4mm.run.stages import look_at_capture, train_motion, train_plane, train_s
 
 GROUP = "tg4mm.methods"
 
-STILL_FPS = 30.0  # pictures a second of a scene that has no time of its own
+STILL_FPS = 30.0  # pictures a second of a still scene
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Preset:
 
 @cache
 def presets() -> dict[str, Preset]:
-    """Every preset by its name, `modal` first. Raises Tg4mmError for an entry point that cannot be loaded."""
+    """Return all presets by name, `modal` first. Raises Tg4mmError for an entry point that cannot be loaded."""
     found = {"modal": MODAL}
     for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
         try:
@@ -79,14 +79,14 @@ def presets() -> dict[str, Preset]:
 
 
 def preset_named(name: str) -> Preset:
-    """Raises Tg4mmError for a name that is none."""
+    """Return the preset of a name. Raises Tg4mmError for an unknown one."""
     if name not in presets():
         raise Tg4mmError(f"preset is {name!r}, expected {' or '.join(presets())}")
     return presets()[name]
 
 
 def preset_of(run: Run) -> Preset:
-    """The preset that a run was trained with. Raises RunError where it is not installed."""
+    """Return the preset of a run. Raises RunError if it is not installed."""
     if run.preset not in presets():
         raise RunError(
             f"{run.path} was trained with the preset {run.preset!r}, which is not installed: there are "
@@ -138,7 +138,7 @@ def asked_masks(capture: Capture, configs: Mapping[str, Any]) -> tuple[np.ndarra
 
 
 def _masked(views: RestViews, capture: Capture, counts: np.ndarray | None) -> RestViews:
-    """Without what does not count in the mean picture of the fixed camera."""
+    """Return the Gaussians without those excluded in the mean picture of the fixed camera."""
     if counts is not None:
         row = int(fixed_cameras(capture)[0].rows[0])
         v = next(v for v, rows in enumerate(views.images) if row in rows)
@@ -147,7 +147,7 @@ def _masked(views: RestViews, capture: Capture, counts: np.ndarray | None) -> Re
 
 
 def _poses(run: Run, method: str, plan: Magnification, device: str) -> Poses:
-    """`linear`: every Gaussian's displacement over time, filtered as the plan says."""
+    """Filter every Gaussian's displacement over time by the plan, for the method `linear`."""
     motion = run.load_motion()
     assert method == "linear", method
     assert motion is not None  # a run without motion is not magnified

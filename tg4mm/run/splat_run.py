@@ -1,4 +1,4 @@
-"""A splat file where a run is rendered: its Gaussians and modes, and nothing of a training."""
+"""A splat file rendered like a run: its Gaussians and modes, without data of a training."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -13,26 +13,26 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run.folder import Run
 
-LOW_PASS_PX2 = 0.3  # what training draws each Gaussian wider by, square pixels
+LOW_PASS_PX2 = 0.3  # widening of drawn Gaussians in training, square pixels
 
 
 class SplatRun(Run):
-    """A run that is one splat file. It has no dataset, so no cameras, and no log."""
+    """A run that is a splat file, without a dataset, cameras and log."""
 
-    _said: tuple[tuple[float, ...], float] = ((), 30.0)  # frequencies and fps, Hz
+    _stated: tuple[tuple[float, ...], float] = ((), 30.0)  # frequencies and fps, Hz
 
     @classmethod
     def open(cls, path: Path | str, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> "SplatRun":
-        """Read a splat file; `freqs_hz` and `fps` as in `read_splat`. Raises SplatFileError if it is none."""
+        """Read a splat file; `freqs_hz` and `fps` as in `read_splat`. Raises SplatFileError for another file."""
         run = cls(Path(path), {"preset": "modal", "settings": {}, "dataset": None})
-        run._said = (tuple(freqs_hz), fps)
+        run._stated = (tuple(freqs_hz), fps)
         _ = run.splat
         return run
 
     @cached_property
     def splat(self) -> SplatFile:
         """Return the splat file."""
-        return read_splat(self.path, *self._said)
+        return read_splat(self.path, *self._stated)
 
     @property
     def low_pass_px2(self) -> float:
@@ -41,7 +41,7 @@ class SplatRun(Run):
 
     @property
     def dataset(self) -> Path:
-        """No folder: a splat file does not say what it was made of."""
+        """No folder, since a splat file does not state its origin."""
         return self.path
 
     @property
@@ -55,13 +55,13 @@ class SplatRun(Run):
         return self.splat.n_modes > 0
 
     def load_space(self) -> Gaussians:
-        """The Gaussians at rest, float32 on the CPU."""
+        """Return the Gaussians at rest, float32 on the CPU."""
         splat = self.splat
         arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
         return Gaussians(*(torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in arrays))
 
     def load_motion(self) -> ModalMotion | None:
-        """The modes; None of a file without."""
+        """Return the modes, or None."""
         splat = self.splat
         if not splat.n_modes:
             return None
@@ -69,7 +69,7 @@ class SplatRun(Run):
 
 
 def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> Run:
-    """The run folder at `path`, or the splat file that it is. Raises RunError or SplatFileError."""
+    """Open a run folder or splat file. Raises RunError or SplatFileError."""
     if path.is_file():
         return SplatRun.open(path, freqs_hz, fps)
     if freqs_hz:
@@ -80,7 +80,7 @@ def open_run(path: Path, freqs_hz: Sequence[float] = (), fps: float = 30.0) -> R
 
 
 def cameras_asked(run: Run, given: str | None) -> None:
-    """Raise RunError where cameras of a dataset are asked of a splat file; `given`: the option that asked, if one."""
+    """Raise RunError if a splat file should have cameras of a dataset; `given`: the option for them, if any."""
     if isinstance(run, SplatRun):
         asked = "" if given is None else f"{given}: "
         raise RunError(f"{asked}{run.path} is a splat file, which has no cameras: give --cameras FILE")

@@ -1,4 +1,4 @@
-"""Named tensors with a JSON header in one safetensors file, whole or not at all; digests of a file and of a model."""
+"""Named tensors with a JSON header in one safetensors file, written atomically; digests of files and models."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ from tg4mm.core.files import WINDOWS, write_atomic
 from tg4mm.core.untrusted import parse_json
 
 FORMAT = "tg4mm"
-DIGEST = "digest"  # header entry: a flipped bit in a number would be a wrong result in silence
+DIGEST = "digest"  # header entry, since a flipped bit in a number would silently change results
 _FILES = ("space", "motion", "triplane")
 # The dataset's folder and the settings that led to it, and the digest, which those are in.
 _NOT_OF_THE_MODEL = ("config", "format", DIGEST)
@@ -36,14 +36,14 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
         else:
             stored[name] = tensor
     meta = {k: json.dumps(v, allow_nan=False) for k, v in header.items()} | {"format": FORMAT}
-    # Not save_file: killed, it leaves a temporary file under a name that does not tell whose it was.
+    # Not save_file, which leaves an anonymous temporary file if it is killed.
     stored = _apart(stored)
     data = save(stored, metadata=meta | {DIGEST: _digest(stored, meta)})
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
 def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors on the CPU, contiguous, no two in one storage (which safetensors refuses)."""
+    """Return the tensors on the CPU, contiguous, no two in one storage (which safetensors refuses)."""
     apart: dict[str, Tensor] = {}
     seen: set[int] = set()
     for name, tensor in tensors.items():
@@ -111,7 +111,7 @@ def _match(re: Tensor, im: Tensor) -> bool:
 
 
 def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
-    """SHA-256 of header and tensors (on the CPU, contiguous) with their names, types and shapes."""
+    """Return the SHA-256 of header and tensors (on the CPU, contiguous) with their names, types and shapes."""
     digest = hashlib.sha256(json.dumps(dict(meta), sort_keys=True).encode())
     for name, tensor in sorted(stored.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())

@@ -436,7 +436,7 @@ class ExportOptions(MagnifyOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessOptions(RecordingConfig):
-    """Options of the steps of `tg4mm process`, each with the meaning that it has in its own command."""
+    """Options of the steps of `tg4mm process`, with the same meaning as in their commands."""
 
     length_file: Path | None = length_file_option()
     sensors: "Sequence[Sensor]" = _sensor_option()

@@ -1,4 +1,4 @@
-"""Plots in files: matplotlib without a display, in the style of the pages' charts, each file whole or absent."""
+"""Writes plots atomically by matplotlib without a display, in the style of the pages' charts."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -25,7 +25,7 @@ def space_time_slice(video: np.ndarray, axis: Axis, index: int) -> np.ndarray:
 
 
 def most_moving_line(video: np.ndarray, axis: Axis | None = None) -> tuple[Axis, int]:
-    """(axis, index) of the row or column [T, H, W, 3] whose pixels vary most over time, by mean variance.
+    """Return axis and index of the row or column of [T, H, W, 3] with the largest mean variance over time.
 
     With `axis` given, the line of that axis. Where nothing varies it is the middle row (column).
     """

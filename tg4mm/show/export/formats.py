@@ -40,7 +40,7 @@ def export_gltf(run: Run, out: Path, plan: Magnification, low_pass: bool = True)
     if not splat.n_modes and not plan.is_identity:
         raise Tg4mmError(f"{run.path} has no motion: only --alpha 0 can be exported")
     alphas = plan.checked(splat.fps).ideal(splat.freqs_hz) if splat.n_modes else np.zeros(0)
-    alphas[splat.freqs_hz == 0] = 0  # of a paper run: where the mean lies, which nothing magnifies
+    alphas[splat.freqs_hz == 0] = 0  # offset of a paper run's mean, which is not magnified
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress("writing", 1, "file", brief=True):
         write_glb(out, splat, alphas)
@@ -72,13 +72,13 @@ def export_spz_sequence(
 
 
 def warn_of_scale(run: Run) -> None:
-    """Say that lengths are a guess in a format whose unit is fixed, where the run's scale is not known."""
+    """Warn that lengths are a guess in a format with a fixed unit, if the run's scale is unknown."""
     if unit_scale_of(run) is None:
         _LOG.warning("the scale is not known: one scene unit is written as one metre")
 
 
 def one_period(run: Run) -> range:
-    """The timesteps of one period of the run's strongest vibration, rounded up and no more than there are."""
+    """Return the timesteps of one period of the run's strongest vibration, rounded up, at most all."""
     motion = run.load_motion()
     if motion is None:
         return range(1)

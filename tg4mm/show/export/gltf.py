@@ -18,14 +18,14 @@ from ...core.errors import SplatFileError
 from ...core.splatfile.model import SplatFile
 
 EXTENSION = "KHR_gaussian_splatting"
-KEYS_PER_TIMESTEP = 4  # between keys weights go in straight lines: under 1 % off at a sixth of the frame rate
-_FLOAT, _POINTS, _VERTICES = 5126, 0, 34962  # glTF's own numbers
+KEYS_PER_TIMESTEP = 4  # linear interpolation between keys errs by under 1 % at a sixth of the frame rate
+_FLOAT, _POINTS, _VERTICES = 5126, 0, 34962  # constants of glTF
 _KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _C0 = 0.28209479177387814  # of the constant spherical harmonic
 
 
 class _Buffer:
-    """The binary chunk as it grows, with an accessor for every array."""
+    """The growing binary chunk, with an accessor for every array."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -33,7 +33,7 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: np.ndarray, vertices: bool = True, bounds: bool = False) -> int:
-        """Append [n] or [n, 3 | 4] as float32; the number of its accessor."""
+        """Append [n] or [n, 3 | 4] as float32; returns the number of its accessor."""
         with np.errstate(over="ignore"):
             array = np.ascontiguousarray(values, "<f4")
         if not np.isfinite(array).all():
@@ -102,7 +102,7 @@ def _attributes(splat: SplatFile, buffer: _Buffer) -> dict[str, int]:
     linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
     attributes = {
         "POSITION": buffer.add(splat.means, bounds=True),
-        "COLOR_0": buffer.add(np.column_stack([linear, splat.opacities])),  # of viewers that show points
+        "COLOR_0": buffer.add(np.column_stack([linear, splat.opacities])),  # for viewers that show points
         f"{EXTENSION}:ROTATION": buffer.add(quats[:, [1, 2, 3, 0]]),
         f"{EXTENSION}:SCALE": buffer.add(splat.scales),
         f"{EXTENSION}:OPACITY": buffer.add(splat.opacities),

@@ -17,7 +17,7 @@ from tg4mm.run import Run
 
 BAKED_PX2 = 0.3  # square pixels of a training picture
 _LOG = logging.getLogger("tg4mm")
-_MARGIN = 0.15  # of the picture's size: what is so far outside still reaches into it
+_MARGIN = 0.15  # of the picture's size; Gaussians so far outside may reach into it
 
 
 def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
@@ -78,7 +78,7 @@ def _sampled(
 
 
 def widened(scales: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Scales [N, 3] of the Gaussians convolved with round ones of variance [N]."""
+    """Return scales [N, 3] of the Gaussians convolved with round ones of variance [N]."""
     return np.sqrt(scales.astype(np.float64) ** 2 + variance[:, None])
 
 

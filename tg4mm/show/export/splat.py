@@ -1,4 +1,4 @@
-"""A run as files for other programs: one splat file with its motion, or numbered static ones."""
+"""Exports a run as one splat file with its motion, or numbered static ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_of, widened
 from tg4mm.show.render.sequence import RenderRequest, pose_of, record
 from tg4mm.show.result.model import mode_deviations
 
-RECORD = "export.json"  # in the folder of a sequence: what it was asked for
+RECORD = "export.json"  # request, in the folder of a sequence
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -35,7 +35,7 @@ def to_splat(
     deviation: np.ndarray | None = None,
     smoothing: np.ndarray | None = None,
 ) -> SplatFile:
-    """The Gaussians and their motion as a splat file holds them (docs/conventions.md, "Splat file").
+    """Return the Gaussians and their motion as a splat file (docs/conventions.md, "Splat file").
 
     Args:
         gaussians: at rest.
@@ -83,7 +83,7 @@ def to_splat(
 
 
 def unit_scale_of(run: Run) -> float | None:
-    """Metres per scene unit of the run's dataset; None if unknown or the dataset is gone."""
+    """Return metres per scene unit of the run's dataset; None if unknown or the dataset is gone."""
     if not run.dataset.is_dir():
         return None
     return load_capture(run.dataset).unit_scale_m
@@ -139,16 +139,16 @@ def splat_of(run: Run, low_pass: bool = True) -> SplatFile:
 
 
 def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians, ModalMotion]:
-    """The Gaussians at the motion's own zero and the motion from there, without a mode of 0 Hz: nothing to magnify."""
+    """Return the Gaussians at the motion's zero and the motion from there, without a mode of 0 Hz."""
     still = motion.freqs_hz == 0
     if not still.any():
         return gaussians, motion
-    motion = replace(motion, appearance=None)  # of which a splat file holds nothing
+    motion = replace(motion, appearance=None)  # not in a splat file
     return animate(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 
 def _told(motion: ModalMotion, run: Run) -> tuple[ModalMotion, np.ndarray | None]:
-    """The modes that hold more than noise, and the standard deviations [K, N] of their amplitudes if the run says."""
+    """Return the modes above noise, and the standard deviations [K, N] of their amplitudes if known."""
     in_all, noise = run.load_uncertainty(), run.load_noise()
     keep = worth_keeping(motion, noise)
     deviation = None if in_all is None or noise is None else mode_deviations(motion, in_all, noise)[keep]
@@ -173,7 +173,7 @@ def export_ply_sequence(
 
 
 def check_folder(out: Path, suffix: str) -> None:
-    """Raises Tg4mmError for an `out` that cannot be a folder of numbered files."""
+    """Raise Tg4mmError for an `out` that cannot be a folder of numbered files."""
     if out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
     if out.suffix.lower() == suffix:
@@ -184,19 +184,19 @@ def check_folder(out: Path, suffix: str) -> None:
 
 @dataclass(frozen=True)
 class Frames:
-    """The magnified scene at chosen timesteps, each made when it is asked for."""
+    """The magnified scene at chosen timesteps, made on demand."""
 
     timesteps: tuple[int, ...]
     fps: float  # Hz
     at: Callable[[int], SplatFile]  # timestep
-    request: Mapping[str, Any]  # what they depend on, in JSON's types
+    request: Mapping[str, Any]  # everything that determines them, in JSON's types
 
     def __iter__(self) -> Iterator[tuple[int, SplatFile]]:
-        """(timestep, Gaussians) in order, with a line of progress."""
+        """Yield (timestep, Gaussians) in order, with a line of progress."""
         return self._made(self.timesteps)
 
     def missing(self, out: Path, suffix: str) -> Iterator[tuple[int, SplatFile]]:
-        """Return the timesteps for which OUT has no file yet."""
+        """Return the timesteps without a file in OUT."""
         return self._made([t for t in self.timesteps if not (out / f"frame_{t:04d}{suffix}").exists()])
 
     def _made(self, timesteps: Sequence[int]) -> Iterator[tuple[int, SplatFile]]:
@@ -210,7 +210,7 @@ class Frames:
 def frames_of(
     run: Run, request: RenderRequest, timesteps: Sequence[int] | None = None, low_pass: bool = True
 ) -> Frames:
-    """The run at `timesteps` (default: all), magnified as requested; scales as those of `splat_of`.
+    """Return the run at `timesteps` (default: all), magnified as requested, with the scales of `splat_of`.
 
     Raises Tg4mmError for a timestep that does not exist, and what rendering this request would.
     """

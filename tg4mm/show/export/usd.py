@@ -15,11 +15,11 @@ from ...core.extras import install
 from ...core.splatfile.model import SplatFile
 
 SUFFIXES = (".usdc", ".usda", ".usd")
-_SIGMAS = 3.0  # how far a Gaussian is drawn
+_SIGMAS = 3.0  # drawn extent of a Gaussian
 
 
 def usd_modules() -> tuple[Any, Any, Any, Any]:
-    """(Usd, UsdGeom, UsdVol, Vt). Raises SplatFileError where usd-core is absent, or too old to have the schema."""
+    """Import Usd, UsdGeom, UsdVol, Vt. Raises SplatFileError if usd-core is absent or too old for the schema."""
     try:
         from pxr import Usd, UsdGeom, UsdVol, Vt
     except ImportError:
@@ -43,7 +43,7 @@ def write_usd(path: str | Path, frames: Iterable[tuple[int, SplatFile]], fps: fl
     from pxr import Tf
 
     with replacing(Path(path)) as temporary:
-        temporary.touch()  # OpenUSD's own message for a folder that is not there names its source files
+        temporary.touch()  # OpenUSD's message for a missing folder names its source files
         temporary.unlink()
         try:
             stage = Usd.Stage.CreateNew(str(temporary))
@@ -79,7 +79,7 @@ def _fill(
             prim.CreateRadianceSphericalHarmonicsDegreeAttr(splat.sh_degree)
             coefficients = UsdGeom.Primvar(prim.GetRadianceSphericalHarmonicsCoefficientsAttr())
             coefficients.SetInterpolation(UsdGeom.Tokens.vertex)
-            coefficients.SetElementSize(splat.sh.shape[1])  # as asset validators want it said
+            coefficients.SetElementSize(splat.sh.shape[1])  # asset validators require it
             UsdGeom.SetStageMetersPerUnit(stage, splat.unit_scale_m or 1.0)
         for name, one in series.items():
             one.add(t, np.ascontiguousarray(getattr(splat, name), np.float32))
@@ -96,7 +96,7 @@ def _fill(
 
 
 class _Series:
-    """An attribute over time: its first value, and time samples from where it begins to change."""
+    """An attribute over time: its first value, and time samples from its first change on."""
 
     def __init__(self, attribute: Any, convert: Any) -> None:
         self.attribute, self.convert = attribute, convert
@@ -112,13 +112,13 @@ class _Series:
             self.before.append(t)
             return
         if not self.changes:
-            for still in {self.before[0], self.before[-1]}:  # between samples values go in straight lines
+            for still in {self.before[0], self.before[-1]}:  # values are interpolated linearly
                 self.attribute.Set(self.convert(self.first), still)
             self.changes = True
         self.attribute.Set(self.convert(values), t)
 
 
 def _unit_xyzw(quats: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz [N, 4] in the order in which OpenUSD takes an array: x, y, z, w."""
+    """Return unit quaternions wxyz [N, 4] in the order of OpenUSD's arrays, x, y, z, w."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     return np.ascontiguousarray(unit[:, [1, 2, 3, 0]])

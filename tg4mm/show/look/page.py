@@ -27,7 +27,7 @@ _STYLE = ".left2 td:last-child { white-space: normal; }"
 
 
 def write_page(words: Words, path: Path) -> None:
-    """Write the page: vibrations, where they are, and what to do next."""
+    """Write the page with vibrations, their positions, and next commands."""
     found, summary = words.found, f"{words.verdict[0].upper()}{words.verdict[1:]}."
     seen = Figure(
         [picture(regions_on_first(found), alt=REGIONS_ALT, photo=True)],

@@ -1,4 +1,4 @@
-"""What a look at a recording found, in words: the table on the terminal and its parts for the page and the JSON."""
+"""The result of a look at a recording in words, for the terminal, the page and the JSON file."""
 
 import math
 import shlex
@@ -20,9 +20,9 @@ from tg4mm.core.files import argument, write_json
 from tg4mm.core.regions import Region, Regions
 
 HEADER = ("frequency, Hz", "amplitude, px", "direction", "around pixel", "change", "remark")
-_MOST_MOVERS = 5  # said one by one
-_MOVES_PX = 1.0  # of the whole picture: where the shift of a cell is no longer exact
-_TEXTURE = 0.25  # of the cells that must have texture
+_MOST_MOVERS = 5  # that are listed
+_MOVES_PX = 1.0  # motion of the complete picture from which the shift of a cell is not exact
+_TEXTURE = 0.25  # share of cells that must have texture
 _CHANGES = {
     "steady": "steady",
     "grows": "grows",
@@ -35,11 +35,11 @@ _CHANGES = {
 
 @dataclass(frozen=True)
 class Words:
-    """The parts of what is said of one recording."""
+    """The parts of the text about a recording."""
 
     found: Look
     source: Path
-    fps: float | None = None  # as asked for
+    fps: float | None = None  # as requested
     window: Window = WHOLE
     drawn: Regions | None = None
     drawn_file: Path | None = None
@@ -47,7 +47,7 @@ class Words:
 
     @property
     def head(self) -> str:
-        """The recording: how many pictures, their size and rate."""
+        """Number, size and rate of the recording's pictures."""
         f = self.found
         return (
             f"{self.source}: {len(f.times_s)} pictures of {f.size[0]}×{f.size[1]} at {f.rate:.4g} Hz, "
@@ -56,7 +56,7 @@ class Words:
 
     @property
     def verdict(self) -> str:
-        """The strongest vibration, or that there is none."""
+        """A sentence on the strongest vibration, or on its absence."""
         lines = self.found.vibrations
         if not lines:
             return "no vibration stands out of the noise"
@@ -66,11 +66,11 @@ class Words:
         return f"{many}: {hz} Hz, {_amplitude(first)} px at {_at(first)}"
 
     def rows(self) -> list[list[str]]:
-        """The table's rows, under HEADER."""
+        """Return the table's rows, under HEADER."""
         return [_row(line) for line in self.found.lines]
 
     def region_rows(self) -> list[list[str]]:
-        """The rows of drawn regions, under `region_header`: a line each, or that there is none."""
+        """Return the rows of drawn regions, under `region_header`, including regions without vibrations."""
         out = []
         for one in self.found.regions:
             for k, line in enumerate(one.lines):
@@ -86,7 +86,7 @@ class Words:
         return out
 
     def region_header(self) -> list[str]:
-        """The head of `region_rows`; lengths and velocity where there is a scale."""
+        """Return the head of `region_rows`, with lengths and velocity if there is a scale."""
         metric = ["amplitude, mm", "mm/s rms"] if self.drawn is not None and self.drawn.scale else []
         return ["region", *HEADER[:3], *metric, *HEADER[4:]]
 
@@ -99,7 +99,7 @@ class Words:
         return [mark + value_with_deviation(each * line.amplitude_px, each * sure) for each in (along, speed)]
 
     def besides(self) -> list[tuple[str, str]]:
-        """(what, words): everything but the lines and the next command."""
+        """Return (title, text) of everything but the lines and the next command."""
         f = self.found
         out = [("pictures", f.conversion)] if f.conversion else []
         out += [("moves by itself", _mover(m)) for m in f.movers[:_MOST_MOVERS]]
@@ -131,7 +131,7 @@ class Words:
         return [f"a steady vibration is found from about {', '.join(parts)}"] if parts else []
 
     def cannot(self) -> list[str]:
-        """What this recording does not tell."""
+        """Return the quantities that this recording cannot show."""
         f = self.found
         half = f.rate / 2
         out = [
@@ -163,7 +163,7 @@ class Words:
         return out + [note for note in [row_note(f)] if note]
 
     def commands(self) -> list[tuple[str, str]]:
-        """(command, what it does) to go on with."""
+        """Return next commands and their effects."""
         name = shlex.quote(self.source.stem)
         asked = f" --fps {self.fps:g}" if self.fps is not None else ""
         asked += f" --readout {1e3 * self.found.rows_s:g}" if self.found.rows_s else ""
@@ -186,7 +186,7 @@ class Words:
         ]
 
     def lines(self) -> list[str]:
-        """All of it as lines of text."""
+        """Return all parts as lines of text."""
         out = [self.head]
         for header, rows in ((list(HEADER), self.rows()), (self.region_header(), self.region_rows())):
             out += [f"  {line}" for line in aligned([header, *rows])] if rows else []
@@ -218,7 +218,7 @@ def _row(line: LookLine) -> list[str]:
 
 
 def _amplitude(line: LookLine) -> str:
-    """`0.12 ± 0.01`; `> 0.12 ± 0.01` where compression took more than the ± says."""
+    """Return `0.12 ± 0.01`, or `> 0.12 ± 0.01` if compression removed more than the ± states."""
     return ("> " if line.lost else "") + value_with_deviation(line.amplitude_px, line.amplitude_deviation_px)
 
 
@@ -236,7 +236,7 @@ def _mover(mover: MovingRegion) -> str:
 
 
 def write_json_file(words: Words, path: Path) -> None:
-    """Everything that was found: pixels, Hz, seconds; cells by number, row by row (docs/your-video.md)."""
+    """Return all results: pixels, Hz, seconds; cells by number, row by row (docs/your-video.md)."""
     found = words.found
     extra: dict[str, Any] = {
         "format": "tg4mm",

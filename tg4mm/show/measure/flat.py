@@ -37,11 +37,11 @@ from tg4mm.show.render.image import render_features
 
 _AT_ONCE = 32  # frames
 _SMALLEST_PX = 0.75  # radius: a smaller disc could lie between the centres of pixels
-_FEWEST_PIXELS = 50  # a smaller region is grown to so many: fewer do not tell motion from light
+_FEWEST_PIXELS = 50  # smaller regions are grown, since few pixels do not separate motion from light
 _THIRDS = 1 / 3, 2 / 3
-_FRAMES_OF_PARTS = 60  # about so many frames tell how parts move beside the region
-_FEWEST_IN_PART = 24  # pixels of a part of a region, by which unevenness is measured
-_TEXTURE = 1e-3  # grey levels² / px² of a region's pixels: less shows no motion
+_FRAMES_OF_PARTS = 60  # approximate frames for the motion of parts relative to the region
+_FEWEST_IN_PART = 24  # pixels of a part of a region, for its unevenness
+_TEXTURE = 1e-3  # least grey levels² / px² of a region's pixels
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def flat_sensors(
 
 
 def _parts(mask: np.ndarray) -> list[np.ndarray]:
-    """Nine parts of a region, three by three; none of a region in which one would be too small."""
+    """Return nine parts of a region, three by three; none if one would be too small."""
     rows, columns = (
         np.searchsorted(_THIRDS, np.cumsum(mask.sum(axis)) / mask.sum(), side="right") for axis in (1, 0)
     )
@@ -145,14 +145,14 @@ def _mask(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -
 
 
 def _chunks(scene: Prepared, every: int = 1) -> Iterator[Frames]:
-    """Grey levels of boxes of the picture, a few frames at a time; `every` so many."""
+    """Grey levels of boxes of every `every`th picture, a few frames at a time."""
     pictures, rows = scene.observations.pictures, scene.observations.frames[0].rows[::every]
     for first in range(0, len(rows), _AT_ONCE):
         yield partial(_grey, pictures, rows[first : first + _AT_ONCE].tolist(), {})
 
 
 def _grey(pictures: Pictures, rows: list[int], decoded: dict[str, Strips], box: Box) -> np.ndarray:
-    """[f, h, w] grey levels of a box of some pictures, which are decoded once."""
+    """Return grey levels [f, h, w] of a box of some pictures, which are decoded once."""
     if isinstance(pictures, GreyPictures):
         return pictures.data[rows[0] : rows[-1] + 1, *box][np.array(rows) - rows[0]].astype(np.float32)
     if "all" not in decoded:
@@ -187,7 +187,7 @@ def _measured(
 
 
 def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: RegionMotion) -> Body:
-    """The region as a rigid body on the plane of the picture."""
+    """Return the region as a rigid body on the plane of the picture."""
     viewmat, K = frames.viewmat.astype(np.float64), frames.K.astype(np.float64)
     weights = np.zeros(len(scene.means), np.float32)
     if len(weights):
@@ -203,6 +203,6 @@ def _body(scene: Prepared, frames: PosedFrames, mask: np.ndarray, motion: Region
 
 
 def _pixels_along(frames: PosedFrames, body: Body, size: tuple[int, int]) -> np.ndarray:
-    """[2, 2], rows: pixels right and down of a unit along each axis."""
+    """Return pixels right and down of a unit along each axis, [2, 2], in rows."""
     rows = pixel_rows(body.centre[None], frames.viewmat, frames.K, size)[0][0]
     return np.asarray(body.axes @ rows.T)

@@ -24,11 +24,11 @@ _FORMS = {
 OF_PICTURE = "pixel", "polygon"  # regions of a camera's picture
 PIXEL_RADIUS = 4.0  # pixels
 _LONGEST = 60  # characters of a value in a message
-STILL = 0  # number of the cluster that does not move
+STILL = 0  # number of the static cluster
 
 
 class MeasureError(Tg4mmError):
-    """A sensor that cannot be read, that holds no Gaussian, or that no picture shows."""
+    """A sensor that cannot be read, has no Gaussian, or is in no picture."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Sensor:
 
 
 def parse_sensor(text: str) -> Sensor:
-    """A sensor from its text, as `tg4mm measure --sensor` takes it.
+    """Parse a sensor, as `tg4mm measure --sensor` takes it.
 
     Args:
         text: `[NAME=]REGION`, REGION one of `all`, `box:…`, `sphere:…`, `pixel:…`, `cluster:…` (`Sensor`).
@@ -105,7 +105,7 @@ def parse_sensor(text: str) -> Sensor:
 
 
 def read_sensors(path: Path | str) -> list[Sensor]:
-    """The sensors of a YAML file: a list, or `sensors:` with one, of mappings with `name` and one region.
+    """Read the sensors of a YAML file: a list, or `sensors:` with one, of mappings with `name` and one region.
 
     For instance `{name: tip, sphere: [0, 0, 1.2, 0.1]}`, `{name: wall, pixel: [cam_00, 320, 96, 12]}`, `{name: rest,
     cluster: still}`, `{name: whole, all: true}`. Raises MeasureError with the file, the entry and the offending value.
@@ -145,17 +145,17 @@ def drawn_sensors(regions: Regions, cameras: Sequence[str], names: Sequence[str]
 
 
 def file_name(name: str) -> str:
-    """A sensor's name as a part of a file's name."""
+    """Return a sensor's name as a part of a file's name."""
     return re.sub(r"[^\w.+-]+", "_", name)
 
 
 def checked_names(sensors: Sequence[Sensor]) -> list[Sensor]:
-    """The sensors. Raises MeasureError where two have one name, or would share a file, as `a b` and `A_b`."""
+    """Return the sensors. Raises MeasureError if two have one name, or would share a file, as `a b` and `A_b`."""
     names: set[str] = set()
     for sensor in sensors:
         own = file_name(sensor.name).lower()
         if own in names:
-            raise MeasureError(f"two sensors are called {sensor.name!r}: give each a name of its own")
+            raise MeasureError(f"two sensors are called {sensor.name!r}: give each another name")
         names.add(own)
     return list(sensors)
 

@@ -26,7 +26,7 @@ _MOST = 6
 FRAMES = 16  # of a period
 _SHOWN_PX = 0.02  # of the picture's width: what the strongest motion is magnified to
 _MILLISECONDS = 60  # a frame
-_LONGER = 384  # pixels of the longer side, at least: smaller pictures are enlarged by a whole factor
+_LONGER = 384  # least pixels of the longer side; smaller pictures are enlarged by an integer
 _GREY = 0.75  # of the way to grey
 
 
@@ -36,7 +36,7 @@ class Shape:
 
     frequency_hz: float
     phasors: np.ndarray  # [N, 3] complex64, scene units
-    is_above: np.ndarray  # [N] bool: stands out of twice the run's own deviation there
+    is_above: np.ndarray  # [N] bool: exceeds twice the run's deviation
 
 
 def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, ...]:
@@ -66,7 +66,7 @@ def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, 
 
 
 def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndarray:
-    """[N, 3] of all modes within three quarters of a bin: a sinusoid off the bins has its own, or is in two."""
+    """Return the sum [N, 3] of modes within three quarters of a bin, since a sinusoid between bins may be in two."""
     motion = scene.fit.motion
     assert motion is not None
     near = np.abs(motion.freqs_hz - frequency_hz) <= _SAME * resolution

@@ -32,7 +32,7 @@ _DEVIATION = "displacement, standard deviation"
 
 
 def write_uff(measurement: Measurement, path: Path) -> None:
-    """Write the file, whole or not at all."""
+    """Write the file atomically."""
     with replacing(path, ".uff") as temporary:  # pyuff wants the ending
         pyuff.UFF(str(temporary)).write_sets(_sets(measurement), mode="overwrite")
 

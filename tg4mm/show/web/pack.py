@@ -19,11 +19,11 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion, fields_of
 
 SH_STEP = 2.0**-9  # coefficients above degree 0 are rounded to this: half a step is a quarter of a grey level
-MOST_FIELDS = 96  # of motion: what WebGL 2 promises in uniforms and texture layers
+MOST_FIELDS = 96  # of motion; WebGL 2 guarantees as many uniforms and texture layers
 _HALF = 65504.0  # float16's largest number
-_SEEN = 0.25  # pixels of blending weight over all pictures: less is seen by no camera
-_COARSEST = 1  # degree of the spherical harmonics: without it, colours would not change with the viewpoint
-_MARGIN = 0.98  # of the bytes that are aimed at, as not all Gaussians compress alike
+_SEEN = 0.25  # pixels of blending weight over all pictures; less is invisible
+_COARSEST = 1  # least degree of spherical harmonics, for colours that change with the viewpoint
+_MARGIN = 0.98  # of the intended bytes, since compression differs between Gaussians
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Packed:
-    """A block, what is in it, and what its light has to be multiplied with."""
+    """A block, its layout, and the factors of its light."""
 
     block: bytes
     layout: Layout
@@ -95,7 +95,7 @@ def pack(gaussians: Gaussians, motion: "MotionFields", light: AppearanceModes | 
 
 
 def unpack(block: bytes, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """[N, 4] float32 and [N, V] float16 of a block: what the page's program reads, and tests compare with."""
+    """Return [N, 4] float32 and [N, V] float16 of a block, as the page's program reads them."""
     data = zlib.decompress(block)
     n, first = layout.n_gaussians, 16 * layout.n_gaussians
     exact = np.frombuffer(data[:first], np.uint8).reshape(4, 4 * n).T.copy().view("<f4")
@@ -104,19 +104,19 @@ def unpack(block: bytes, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _apart(table: np.ndarray) -> bytes:
-    """The bytes of [N, V] values, column after column, all first bytes before all second ones."""
+    """Return the bytes of [N, V] values, column after column, all first bytes before all second ones."""
     flat = np.ascontiguousarray(table.T)
     return flat.view(np.uint8).reshape(-1, flat.itemsize).T.tobytes()
 
 
 def _compressed(data: bytes) -> bytes:
-    """A zlib stream. Only runs of zeros repeat here: a search for anything else costs time and gains no size."""
+    """Return a zlib stream. Only runs of zeros repeat here; a search for others costs time and saves nothing."""
     compressor = zlib.compressobj(9, strategy=zlib.Z_RLE)
     return compressor.compress(data) + compressor.flush()
 
 
 def _light(light: AppearanceModes | None, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of light [R, N, K, 3] over their sizes, and the sizes [R]."""
+    """Return changes of light [R, N, K, 3] over their sizes, and the sizes [R]."""
     if light is None or not len(light.shapes):
         return np.zeros((0, n, 0, 3), np.float32), np.zeros(0)
     sizes = np.abs(light.shapes).max(axis=(1, 2, 3)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""A run as one HTML file: template, style, program, scene and numbers put together."""
+"""Writes a run as one HTML file of template, style, program, scene and numbers."""
 
 import base64
 import hashlib
@@ -83,7 +83,7 @@ def make_page(run: Run, most_bytes: int | None = None, regions: Path | None = No
 
 
 def _own_bytes() -> int:
-    """Size of a page without its block, about: program, style, numbers."""
+    """Return the approximate size of a page without its block: program, style, numbers."""
     return _NUMBERS + sum((_PLAYER / name).stat().st_size for name in ("player.js", "licences.txt"))
 
 
@@ -94,7 +94,7 @@ def _fields(motion: ModalMotion | None, n: int) -> MotionFields:
 
 
 def render(page: Page) -> str:
-    """The page as text. Its content security policy lets nothing in or out: only its own program runs."""
+    """Return the page as text. Its content security policy allows no connections and only its program."""
     style = (_HERE / "page.css").read_text(encoding="utf-8")
     program = (_PLAYER / "player.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
     digest = base64.b64encode(hashlib.sha256(program.encode()).digest()).decode()
@@ -108,7 +108,7 @@ def render(page: Page) -> str:
         program=Markup(program),
         program_hash=Markup(f"sha256-{digest}"),
         licences=(_PLAYER / "licences.txt").read_text(encoding="utf-8"),
-        # Inside a script element only "<" could end it; \u003c is the same text to JSON.
+        # Only "<" could end a script element; JSON reads \u003c as the same text.
         scene=Markup(json.dumps(page.scene, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")),
         block=Markup(base64.b64encode(page.block).decode("ascii")),
         regions=Markup(base64.b64encode(page.regions).decode("ascii")),
@@ -119,7 +119,7 @@ FORMAT_VERSION = 1
 
 
 def camera_json(camera: Camera) -> dict[str, Any]:
-    """A camera as the page takes it: {name, width, height, K, viewmat}, docs/conventions.md."""
+    """Return a camera for the page: {name, width, height, K, viewmat}, docs/conventions.md."""
     return {
         "name": camera.name,
         "width": camera.width,
