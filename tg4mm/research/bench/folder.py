@@ -1,4 +1,4 @@
-"""The folder of a benchmark: what it is for stands in it, and one made for something else is refused."""
+"""The folder of a benchmark, with a record of its purpose; a folder of another purpose is refused."""
 
 import hashlib
 import os
@@ -32,21 +32,21 @@ CIRCUMSTANCES = {  # of `circumstances`, as a checked form
 
 
 def open_folder(out: Path, kind: str) -> None:
-    """Make the folder, or go on in one made for the same `kind`. Raises BenchError where it holds anything else."""
+    """Make the folder, or continue in one of the same `kind`. Raises BenchError for another one."""
     WorkFolder(out, RECORD, BenchError).claim({"format": FORMAT, "version": VERSION, "kind": kind})
 
 
 def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> None:
-    """Note in OUT/runs/<label> which dataset its results are of.
+    """Record the dataset of the results in OUT/runs/<label>.
 
-    digest, filmed: of its description, and of its training pictures and cameras. Raises BenchError where the results
-    are of another dataset, or of one whose training pictures or cameras were others.
+    digest, filmed: of its description, and of its training pictures and cameras. Raises BenchError for results of
+    another dataset, or of other training pictures or cameras.
     """
     record = out / "runs" / label / SET
     if record.is_file():
         try:
             found = read_object(record)
-        except RunError:  # torn: written anew
+        except RunError:  # truncated, and written again
             found = {}
         if found.get("digest", digest) != digest:
             raise BenchError(
@@ -76,7 +76,7 @@ def filmed_digest(root: Path) -> str:
     return _content_digest(root, tuple(tuple(entry) for entry in state))
 
 
-@lru_cache(maxsize=64)  # every job of a set asks
+@lru_cache(maxsize=64)  # for every job of a set
 def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
     digest = hashlib.sha256()
     for name, size, _ in state:
@@ -86,7 +86,7 @@ def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
 
 
 def safe_name(text: str) -> str:
-    """A file's name: letters, digits and - _ . stay, all else is _."""
+    """Return a file's name with letters, digits and - _ . of the text, and _ for others."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)
 
 
@@ -97,7 +97,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def circumstances(command: Sequence[str] | None = None) -> dict[str, Any]:
-    """Where, when and by what the figures were made: what a page says of its origin."""
+    """Return machine, time and versions of the figures, for a page's origin."""
     import torch
 
     return {
@@ -115,7 +115,7 @@ def circumstances(command: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 def _version() -> str:
-    """With the commit, where the code lies in a clone."""
+    """Return the version, with the commit in a clone."""
     root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():
         return __version__
@@ -139,7 +139,7 @@ def _processor() -> str:
 
 
 def why_failed(error: Exception, place: Path) -> str:
-    """One line. Of an error that is no message to a user the traceback is written to `place`/traceback.txt."""
+    """Return one line; the traceback of an unexpected error is written to `place`/traceback.txt."""
     why = str(error) or type(error).__name__
     if isinstance(error, Tg4mmError | OSError | MemoryError):
         return why

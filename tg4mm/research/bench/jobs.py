@@ -1,4 +1,4 @@
-"""One job: a method on a dataset. Fit, render the test pictures at every α, score them; never anything twice."""
+"""One job, a method on a dataset: fits, renders test pictures at every α, and scores them; nothing is done twice."""
 
 import time
 import warnings
@@ -28,7 +28,7 @@ from tg4mm.research.bench.sets import BenchSet, truth_at, truth_state
 from tg4mm.research.evaluate.lpips import load_lpips
 
 SCORES = "scores.json"
-_VERSION = 1  # of how pictures are scored: raise it when the same pictures would score otherwise
+_VERSION = 1  # of the scores; to be raised when the same pictures would have others
 _RECORD = {"recipe": str, "n_images": int, "frames_per_s": Maybe(float)}
 _SCORES = {"version": Just(_VERSION), "entries": {str: {"asked": str, "scores": {str: Maybe(float)}}}}
 
@@ -42,7 +42,7 @@ class Line:
     alphas: dict[str, dict[str, Any]]  # α as text → scores
     frames_per_s: float | None  # posing and rendering, without writing files; median over α > 0
     notes: tuple[str, ...] = ()
-    failed: tuple[str, ...] = ()  # why an α is not there
+    failed: tuple[str, ...] = ()  # reasons for missing α
 
 
 def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
@@ -50,17 +50,17 @@ def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
 
 
 def picture_folder(place: Path, row: str) -> Path:
-    """Where a row's pictures lie, named as the dataset's own: magnified/x020/007/test/r_000.png."""
+    """Return the folder of a row's pictures, named as in the dataset: magnified/x020/007/test/r_000.png."""
     return place / "pictures" / safe_name(row)
 
 
 def run_job(
     method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = (), collect: bool = False
 ) -> tuple[dict[str, Any], list[Line]]:
-    """(what `fit` returned, the method's rows), done or read from an earlier call.
+    """Return the figures of `fit` and the method's rows, computed or read from an earlier call.
 
-    collect: an α that is not there yet is not made. An α that fails is left out, and the row says why; raises the
-    Tg4mmError of the first where none succeeds.
+    collect: missing α are not computed. An α that fails is left out, with the reason in the row; if all fail, the first
+    Tg4mmError is raised.
     """
     place = job_folder(out, data, method)
     if collect and not _Kept(place / SCORES).entries:
@@ -75,13 +75,13 @@ def run_job(
 
 
 def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
-    """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
+    """Return whether all rows have scores at every α, of any settings, to estimate the remaining time."""
     known = _Kept(job_folder(out, data, method) / SCORES).entries
     return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
 
 
 def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
-    """Return those of `alphas_of` that the method has pictures for."""
+    """Return the α of `alphas_of` for which the method has pictures."""
     return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
 
 
@@ -100,11 +100,11 @@ def _line(
             continue
         try:
             record, scores = _at(method, row, data, place, alpha, plan, vqa, kept, collect)
-        except (Tg4mmError, OSError) as error:  # the other α are as good as before
+        except (Tg4mmError, OSError) as error:  # the other α are still valid
             first = first or error
             failed.append(f"α = {alpha}: {error}")
             continue
-        if alpha > 0 and record["frames_per_s"]:  # at 0 a method may have nothing to do
+        if alpha > 0 and record["frames_per_s"]:  # at 0 a method may do nothing
             speeds.append(record["frames_per_s"])
         found[f"{alpha:g}"] = scores
     if first is not None and not found:
@@ -133,7 +133,7 @@ def _at(
 def rendered(
     method: Method, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
 ) -> dict[str, Any]:
-    """Render what is not there yet; {recipe, n_images, frames_per_s}, which is written last, when all is there."""
+    """Render missing pictures; returns {recipe, n_images, frames_per_s}, which is written at the end."""
     recipe, old = _found(method, row, data, place, alpha, plan)
     if old is not None:
         return old
@@ -148,7 +148,7 @@ def rendered(
             spent += time.perf_counter() - began
             if got is None:
                 break
-            if not n:  # from here on the pictures are of two recipes, until the last is written
+            if not n:  # pictures are of two recipes until the last is written
                 record.unlink(missing_ok=True)
             write_png(folder / picture_name(capture, got[0]), got[1])
             n += 1
@@ -161,13 +161,13 @@ def rendered(
 def _found(
     method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: Plan
 ) -> tuple[str, dict[str, Any] | None]:
-    """(the digest of all that the pictures depend on, their record where they are there)."""
+    """Return a digest of everything that determines the pictures, and the record of existing ones."""
     recipe = json_digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})[:20]
     folder, truth = picture_folder(place, row), truth_at(data, alpha)
     old = _read(_record_of(folder, alpha), _RECORD)
-    there = old is not None and old["recipe"] == recipe
-    there = there and all((folder / picture_name(truth, i)).is_file() for i in range(len(truth)))
-    return recipe, old if there else None
+    is_same = old is not None and old["recipe"] == recipe
+    files = (folder / picture_name(truth, i) for i in range(len(truth)))
+    return recipe, old if is_same and all(file.is_file() for file in files) else None
 
 
 def _record_of(folder: Path, alpha: float) -> Path:
@@ -175,7 +175,7 @@ def _record_of(folder: Path, alpha: float) -> Path:
 
 
 def _read(file: Path, form: dict[str, Any]) -> dict[str, Any] | None:
-    """None where the file is not there or damaged: it is made anew."""
+    """Read a file; None if it is missing or damaged, and is to be written again."""
     try:
         return read_formed(file, form)
     except (OSError, ValueError):
@@ -189,7 +189,7 @@ class _Kept:
         self.entries: dict[str, Any] = {} if known is None else known["entries"]
 
     def known(self, row: str, alpha: int, asked: str) -> dict[str, Any] | None:
-        """The scores of a row at α, None where they are not there or of another request."""
+        """Return the scores of a row at α; None if missing or of another request."""
         entry = self.entries.get(f"{row} {alpha}")
         return dict(entry["scores"]) if entry is not None and entry["asked"] == asked else None
 
@@ -197,7 +197,7 @@ class _Kept:
         self, row: str, alpha: int, asked: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
         vqa: Sequence[Checkout],
     ) -> dict[str, Any]:  # fmt: skip
-        """The scores of a row at α, made where they are not there or of another request."""
+        """Return the scores of a row at α, computed if missing or of another request."""
         if (known := self.known(row, alpha, asked)) is not None:
             return known
         lpips = load_lpips(plan.lpips_weights) if plan.lpips_weights else None

@@ -1,4 +1,4 @@
-"""Means over scenes, for sets of one size, amplitude and kind of capture, or of one kind of capture alone."""
+"""Means over scenes, for sets of one size, amplitude and kind of capture, or only of one kind of capture."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,9 +19,9 @@ _LEVEL = 0.95
 
 
 def half_width(values: Sequence[float], scenes: Sequence[str]) -> float | None:
-    """Half of the 95 % interval of the mean of `values` [N], each of the scene named beside it.
+    """Return half of the 95 % interval of the mean of `values` [N] of `scenes`; None for a single value.
 
-    Of one scene its sets are drawn: the interval then says nothing of other scenes. None for a single value.
+    For one scene its sets are drawn, so that the interval excludes the scatter of scenes.
     """
     if len(values) < 2:
         return None
@@ -32,7 +32,7 @@ def half_width(values: Sequence[float], scenes: Sequence[str]) -> float | None:
 
 @lru_cache(maxsize=64)
 def _drawn(scene_of: tuple[int, ...]) -> tuple[np.ndarray, float]:
-    """(weights [resamples, N] of the values in each resampled mean, factor from its standard deviation to half)."""
+    """Return the values' weights in each resampled mean [resamples, N], and half an interval over its deviation."""
     from scipy.stats import t
 
     rng = np.random.default_rng(0)
@@ -54,13 +54,13 @@ JUDGED = "modal"  # the row that others are compared with
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The entry of `displacement_figures` of the frequency that moves most; {} if there is none."""
+    """Return the entry of `displacement_figures` for the strongest frequency; {} without one."""
     rows = (displacement or {}).get("per_frequency") or []
     return max(rows, key=lambda row: row["amplitude_true"] or 0.0, default={})
 
 
 def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
-    """The figures of a run that do not depend on α. Seconds, degrees, MiB; memory is each stage's own."""
+    """Return the figures of a run that do not depend on α: seconds, degrees, MiB of each stage."""
     moved = run["displacement"] or {}
     main = main_frequency(moved)
     seconds, observed = run["seconds"], run.get("observed") or {}
@@ -88,19 +88,19 @@ def _apart(found: float | None, true: float | None) -> float | None:
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """The mean of those that are there, None if none is."""
+    """Return the mean of known values; None without any."""
     known = [v for v in values if v is not None]
     return sum(known) / len(known) if known else None
 
 
 def mean_of_all(values: Iterable[float | None]) -> float | None:
-    """The mean, None if one is missing."""
+    """Return the mean; None if a value is missing."""
     known = list(values)
     return None if None in known else mean(known)
 
 
 def half_of(values: Iterable[tuple[str, float | None]], scene_of: Mapping[str, str]) -> float | None:
-    """Half of the 95 % interval of the mean over (set, value); None where `mean_of_all` is, and of one set."""
+    """Return half of the 95 % interval of the mean over (set, value); None for a missing value, or one set."""
     sets, known = zip(*values, strict=True) if (values := list(values)) else ((), ())
     return None if None in known else half_width(known, [scene_of.get(label, label) for label in sets])
 
@@ -110,7 +110,7 @@ def group_means(
     group_of: Mapping[str, str],
     scene_of: Mapping[str, str] = MappingProxyType({}),
 ) -> list[dict[str, Any]]:
-    """[{group, row, n_sets, sets, scalars: {…}, half: {scalar: …}}] of the `scalars`, as `line_means`."""
+    """Return means of `scalars` as [{group, row, n_sets, sets, scalars: {…}, half: {scalar: …}}], like `line_means`."""
     lines = [{**run, "alphas": {"": scalars(run)}, "frames_per_s": None} for run in runs]
     return [
         {
@@ -127,12 +127,12 @@ def line_means(
     group_of: Mapping[str, str],
     scene_of: Mapping[str, str] = MappingProxyType({}),
 ) -> list[dict[str, Any]]:
-    """[{group, row, n_sets, sets, alphas, half: {α: {metric}}, frames_per_s}] of the scores, by group and row.
+    """Return means of scores as [{group, row, n_sets, sets, alphas, half: {α: {metric}}, frames_per_s}].
 
-    `group_of`, `scene_of` a set's label; half: of the 95 % interval of each mean. An α counts where every set of the
-    group that has this row has ground truth for it: means of different scenes must not stand in one line. For the same
-    reason a metric that a set has for no row (nothing moves there, say) is the mean of the other sets in every row, and
-    one that only this row lacks somewhere is None.
+    `group_of`, `scene_of`: by a set's label; half: of the 95 % interval of each mean. An α counts only if every set of
+    the group with this row has ground truth for it, so that a line only has means of the same scenes. For the same
+    reason a metric that a set has in no row (such as without motion) is the mean of the other sets in every row, and a
+    metric that only this row lacks in a set is None.
     """
     lines, grouped = list(lines), dict[tuple[str, str], list[Mapping[str, Any]]]()
     for line in lines:
@@ -169,7 +169,7 @@ def line_means(
 
 
 def less(lines: Iterable[Mapping[str, Any]], base: str) -> list[dict[str, Any]]:
-    """The lines with every score less that of the row `base` on the same set at the same α; without those of `base`."""
+    """Return the other lines with every score less that of the row `base` on the same set at the same α."""
     lines = list(lines)
     of_base = {line["set"]: line["alphas"] for line in lines if line["row"] == base}
     found = []

@@ -1,4 +1,4 @@
-"""One run of a benchmark: train, score by every method asked for, keep the figures; never anything twice."""
+"""One run of a benchmark: trains, scores by every requested method and keeps the figures; nothing is done twice."""
 
 import dataclasses
 import gc
@@ -33,16 +33,15 @@ from tg4mm.run.train import parse_settings, train
 from tg4mm.show.maps import blending_weights, pixel_sums
 
 AGREES = 0.5  # correlation of both changes from which a Gaussian's motion counts as observed
-_SHIFT_PX = 1.0  # the α is taken that brings the motion nearest to it: large enough to show, small enough to be linear
-_TIMES = 12  # timesteps that are looked at, at most
-_STILL = 0.01  # of the largest motion: below it a Gaussian stands still
+_SHIFT_PX = 1.0  # intended motion by the choice of α, large enough to show and small enough to be linear
+_TIMES = 12  # timesteps that are compared, at most
+_STILL = 0.01  # of the largest motion; a Gaussian with less is static
 
 
 def observed_figures(subject: Subject, data: BenchSet, train: Capture) -> dict[str, float | None]:
-    """Displacement error and static leak over what can be observed and what stands still, and their shares.
+    """Return the displacement error over observable and static Gaussians, and the observed share of the moving weight.
 
-    `observed_share`: the part of the moving weight that is observed. Figures are None where there is no exact or
-    estimated motion.
+    Figures are None without an exact or estimated motion.
     """
     names = ("displacement_error_observed", "observed_share")
     if subject.estimated is None or subject.exact is None:
@@ -65,9 +64,9 @@ def observed_figures(subject: Subject, data: BenchSet, train: Capture) -> dict[s
 
 
 def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.ndarray:
-    """[N] correlation, over the pixels that a Gaussian makes, of its exact motion's change with the ground truth's.
+    """Correlate each Gaussian's exact change with the ground truth's over its pixels, [N]; 0 without a change.
 
-    In the test cameras, at the α that brings the motion nearest to one pixel. 0 where nothing changes.
+    Pictures are those of the test cameras, at the α that brings the motion nearest to one pixel.
     """
     alpha = min(data.alphas, key=lambda a: abs(np.log((1 + a) * data.amplitude_px / _SHIFT_PX)))
     capture = load_capture(data.root, split="test", magnification=alpha)
@@ -78,26 +77,20 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
         rows = np.flatnonzero(capture.camera_ids == camera)
         chosen = [int(i) for i in rows if capture.timesteps[i] in times]
         true = np.stack([images.rgb(i, background=BACKGROUND) for i in chosen])
-        made = np.stack(
-            [
-                render_views(moved.pose(gaussians, int(capture.timesteps[i]), alpha), capture, np.array([i]))[
-                    0
-                ]
-                for i in chosen
-            ]
-        )
+        posed = ((i, moved.pose(gaussians, int(capture.timesteps[i]), alpha)) for i in chosen)
+        made = np.concatenate([render_views(g, capture, np.array([i])) for i, g in posed])
         true, made = true - true.mean(0), made - made.mean(0)
         maps = np.stack([(made * made).sum((0, 3)), (made * true).sum((0, 3)), (true * true).sum((0, 3))], -1)
         sums += pixel_sums(gaussians, maps, capture.viewmats[chosen[0]], capture.Ks[chosen[0]])
-    own, both, truth = sums.T
-    norm = np.sqrt(own * truth)
+    model, both, truth = sums.T
+    norm = np.sqrt(model * truth)
     return np.divide(both, norm, out=np.zeros_like(both), where=norm > 0)
 
 
 def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
-    """Timesteps spread over the first period, or over the record where that is shorter, `_TIMES` at most.
+    """Return at most `_TIMES` timesteps over the first period, or over a shorter record.
 
-    Spread over the whole record they could all show the same phase.
+    Over the complete record they could all show the same phase.
     """
     period = fps / frequency_hz if frequency_hz > 0 else n_timesteps
     last = min(n_timesteps, max(round(period), 2)) - 1
@@ -105,16 +98,16 @@ def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
 
 
 def rms_motion(motion: ModalMotion) -> np.ndarray:
-    """[N] rms over modes of the phasors' lengths, scene units."""
+    """Return the rms over modes of the phasors' lengths, [N], scene units."""
     return np.sqrt((np.abs(motion.displacement.astype(np.complex128)) ** 2).sum((0, 2)) / 2)
 
 
 FIGURES = "figures.json"
 MADE = "made.json"
-SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
-VERSION = 5  # of how figures are made: raise it when the same request would give others
+SEEN = ("closure", "change_gain", "change_residual")  # visible motion by one way to magnify
+VERSION = 5  # of the figures; to be raised when the same request would give others
 _STAGES = {"space": float, "motion": float, "total": float}
-# What tables and pages need of a run, here and in results.json.
+# Entries of a run for tables and pages, here and in results.json.
 OF_RUN = {
     "log": {str: dict.fromkeys(("seconds?", "peak_memory_mib?", "iterations?"), Maybe(float))},
     "seconds": _STAGES,
@@ -122,7 +115,7 @@ OF_RUN = {
     "rows": {float: {str: {str: Maybe(float)}}},
     "displacement": Maybe(DISPLACEMENT),
     "notes": [str],
-    "made?": CIRCUMSTANCES,  # when, where and by what it was trained
+    "made?": CIRCUMSTANCES,  # time, machine and version of the training
 }
 FORM = {
     "version": Just(VERSION),
@@ -139,11 +132,11 @@ FORM = {
 def measure(
     place: Path, data: BenchSet, training: Training, plan: Plan, donor: Path | None = None
 ) -> dict[str, Any]:
-    """Train and score in the folder `place`, or read what an earlier call has left there whole.
+    """Train and score in the folder `place`, or read the complete figures of an earlier call.
 
-    donor: a run folder whose space stage has the same settings and data; it is taken over, since training again would
-    give the same bits. Raises RunError where `place` holds a run of other settings, Tg4mmError where the data do not
-    allow these. Returned: {request, log, model, rows, displacement, …}, see `_figures`.
+    donor: a run folder with a space stage of the same settings and data, which is copied, since training would give the
+    same bits. Raises RunError if `place` has a run of other settings, Tg4mmError if the data do not allow these.
+    Returns {request, log, model, rows, displacement, …}, see `_figures`.
     """
     request = _request(data, training, plan)
     kept = read_figures(place)
@@ -155,7 +148,7 @@ def measure(
     metrics = {}
     for way in training.ways:
         metrics[way.name] = _scored(run, way, data, plan, place, scores)
-        # Of one way to magnify; what frames it, the rest pose and the exact motion, is of all.
+        # Scores of one way to magnify; those at rest and by the exact motion apply to all ways.
         for key in [key for key in scores if key[0][:1] == (OURS,)]:
             del scores[key]
     figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
@@ -165,7 +158,7 @@ def measure(
 
 
 def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
-    """Raise Tg4mmError for an α without ground truth and for weights that cannot be read, before hours of training."""
+    """Raise Tg4mmError for an α without ground truth and for unreadable weights, before hours of training."""
     check_alphas(sets, plan.alphas)
     if plan.lpips_weights:
         load_lpips(plan.lpips_weights)
@@ -174,9 +167,9 @@ def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
 
 
 def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], device: str) -> None:
-    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each.
+    """Compile and load the kernels by a training of one iteration, so that no run's seconds include that.
 
-    On the first of the sets that can be trained. What fails here is said by the run itself.
+    It uses the first trainable set. Errors are left to the run.
     """
     for preset in presets:
         modal = {"space.iterations": "1", "motion.iterations": "1", "motion.components": "1"}
@@ -195,28 +188,28 @@ def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], devic
 
 
 def is_measured(place: Path, data: BenchSet, training: Training, plan: Plan) -> bool:
-    """Whether `measure` would find its figures there."""
+    """Return whether `measure` would find its figures."""
     kept = read_figures(place)
     return kept is not None and kept["request"] == _request(data, training, plan)
 
 
 def read_figures(place: Path) -> dict[str, Any] | None:
-    """The figures kept in `place`; None if there are none that this version can read."""
+    """Read the figures in `place`; None if this version cannot read them."""
     try:
         return read_formed(place / FIGURES, FORM)
-    except (OSError, ValueError):  # damaged: the run beside it is still whole, and is scored again
+    except (OSError, ValueError):  # damaged; the run is complete, and is scored again
         return None
 
 
 def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
-    """0, the test split as it is, and what is asked for and there."""
+    """Return 0, the test split itself, and the requested α with ground truth."""
     return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
 
 
 def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
     configs = parse_settings(training.settings, training.preset)
-    own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
-    return own | {
+    trainer = {} if training.trainer is None else {"trainer": training.trainer.plain()}
+    return trainer | {
         "dataset": str(data.root),
         "digest": data.digest,
         "truth": {f"{a:g}": truth_state(data, a) for a in alphas_of(data, plan)},
@@ -237,7 +230,7 @@ def weights_state(plan: Plan) -> list[Any]:
 
 
 def _made_by(place: Path) -> dict[str, Any] | None:
-    """By what code, when and where the run is trained, noted before it begins; None for one of which it was not."""
+    """Note version, time and machine before a run's training; None for a run without that note."""
     record = place / MADE
     if not (place / "run").is_dir():
         place.mkdir(parents=True, exist_ok=True)
@@ -250,7 +243,7 @@ def _made_by(place: Path) -> dict[str, Any] | None:
 
 def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
     place.parent.mkdir(parents=True, exist_ok=True)
-    gc.collect()  # each stage's own peak, though with what is loaded for the runs before it
+    gc.collect()  # for each stage's peak memory
     _check_device(place, device)
     if training.trainer is not None:
         return training.trainer(data.root, place, training.settings, device)
@@ -260,7 +253,7 @@ def _trained(place: Path, data: BenchSet, training: Training, device: str, donor
 
 
 def _check_device(place: Path, device: str) -> None:
-    """Raise RunError for a run with a stage of another device, whose seconds would be taken for this one's."""
+    """Raise RunError for a run with a stage of another device, whose seconds are not comparable."""
     log = Run.open(place).log() if place.is_dir() else {}
     before = "cuda" if any("peak_gpu_memory_mib" in stage for stage in log.values()) else "cpu"
     if log and before != device:
@@ -271,7 +264,7 @@ def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) ->
     configs = parse_settings(training.settings, training.preset)
     plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
     given = Run.open(donor)
-    # The preset paper replaces its base Gaussians by the decoded ones, so there is nothing to take from it.
+    # The preset paper replaces its base Gaussians by the decoded ones, which are of no use here.
     if (given.preset, training.preset) != ("modal", "modal") or given.settings["space"] != plain["space"]:
         return
     run = Run.create(place, data.root, training.preset, plain)
@@ -301,11 +294,10 @@ def _observed(run: Run, data: BenchSet, plan: Plan) -> dict[str, float | None]:
 def _figures(
     run: Run, request: dict[str, Any], training: Training, metrics: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
+    """Return {version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
 
     rows: {α: {"nothing moves": {ssim, …: None but for the plan's metrics}, <each way's name>: …, "ceiling": …}}, α as
-    text since JSON has no other keys; a way's row also holds closure, change_gain, change_residual as `evaluate_run`
-    defines them.
+    text, since JSON has no other keys; a way's row also has closure, change_gain, change_residual of `evaluate_run`.
     """
     rows: dict[str, dict[str, Any]] = {}
     for name, figures in metrics.items():
@@ -333,7 +325,7 @@ def _figures(
 
 
 def strongest_hz(run: Run) -> float | None:
-    """Frequency of the run's mode with the largest rms displacement; None without a mode that vibrates."""
+    """Return the frequency of the run's mode with the largest rms displacement; None without a vibration."""
     motion = run.load_motion()
     if motion is None or not (motion.freqs_hz > 0).any():
         return None
@@ -342,16 +334,16 @@ def strongest_hz(run: Run) -> float | None:
 
 
 def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
-    """Seconds of the space stage (of `paper`: base and triplane), of the motion stage, and of both."""
+    """Return the seconds of the space stage (of `paper`: base and triplane), the motion stage, and both."""
     motion = float(log.get("motion", {}).get("seconds") or 0.0)
     space = sum(float(entry.get("seconds") or 0.0) for stage, entry in log.items() if stage != "motion")
     return {"space": space, "motion": motion, "total": space + motion}
 
 
 def stage_costs(log: Mapping[str, Any]) -> dict[str, float | None]:
-    """{space_iterations, motion_iterations, space_peak_mib, motion_peak_mib}, the stages as of `stage_seconds`.
+    """Return {space_iterations, motion_iterations, space_peak_mib, motion_peak_mib} for the stages of `stage_seconds`.
 
-    Iterations are summed and the most memory (MiB) is taken over what makes a stage; None where the log has none.
+    Iterations of a stage are summed, and its memory (MiB) is the maximum; None if the log has none.
     """
     costs: dict[str, float | None] = {}
     for stage in ("space", "motion"):

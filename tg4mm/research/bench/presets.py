@@ -1,4 +1,4 @@
-"""The whole benchmark from nothing: which datasets and methods, as commands that each can be run again."""
+"""The complete benchmark as repeatable commands for datasets and methods."""
 
 import json
 import shlex
@@ -25,13 +25,13 @@ _SMOKE_SETTINGS = (
 
 @dataclass(frozen=True)
 class BenchPreset:
-    """What a benchmark consists of."""
+    """The datasets and methods of a benchmark."""
 
-    scenes: tuple[str, ...]  # each a built-in scene, or --blend FILE --motion FILE, and options of its own
+    scenes: tuple[str, ...]  # each a built-in scene, or --blend FILE --motion FILE, with options
     options: tuple[str, ...]  # of `tg4mm generate`, for all of them
     methods: tuple[str, ...] = DEFAULT
     settings: tuple[str, ...] = ()  # KEY=VALUE, as `--set`
-    seeds: tuple[int, ...] = ()  # of the generator: every scene once with each; (): once, with its default
+    seeds: tuple[int, ...] = ()  # of the generator, every scene with each; (): its default
 
 
 _SPLIT = ("--samples", "32", "--noise", "picture")
@@ -60,19 +60,19 @@ PRESETS |= {
 
 @dataclass(frozen=True)
 class Step:
-    """One command."""
+    """A command."""
 
-    name: str  # a path under which its mark can lie
+    name: str  # the path of its mark
     command: tuple[str, ...]  # arguments, the first is the program
     needs: tuple[str, ...] = ()  # names of steps
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What a user chooses beyond a preset, as options of `tg4mm bench scenes`; empty: not given."""
+    """A user's options of `tg4mm bench scenes` beyond a preset; empty: not given."""
 
     external: tuple[str, ...] = ()  # NAME=DIR
-    alphas: str = ""  # of the ground truth that is rendered, too
+    alphas: str = ""  # also of the rendered ground truth
     device: str = ""
     lpips_weights: tuple[str, ...] = ()
     md_vqa: str = ""
@@ -80,7 +80,7 @@ class Choices:
     vqa_python: str = ""
 
     def check(self) -> None:
-        """Raises BenchError for an outside method that every job would refuse."""
+        """Raise BenchError for an outside method that every job would refuse."""
         methods_of((), {}, parse_external(list(self.external)))
 
     def options(self, *names: str) -> list[str]:
@@ -105,7 +105,7 @@ class _Data:
 def steps_of(
     name: str | BenchPreset, out: str, python: str = sys.executable, choices: Choices = Choices()
 ) -> list[Step]:
-    """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, page.
+    """Return the steps of a preset in the folder `out`, in order: datasets, jobs, page.
 
     Raises BenchError for an unknown preset and two datasets of one folder.
     """
@@ -156,7 +156,7 @@ def _datasets(chosen: BenchPreset, out: str) -> list[_Data]:
 
 
 def _folder(options: Sequence[str]) -> str:
-    """The name of the dataset's folder, which the generator chooses."""
+    """Return the name of the dataset's folder, which the generator chooses."""
     from dataset_gen.options import parser, request_from
 
     (settings,) = request_from(parser().parse_args([*options, "--out", "data"])).sets
@@ -164,7 +164,7 @@ def _folder(options: Sequence[str]) -> str:
 
 
 def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer = print) -> int:
-    """Run the steps one after the other; one that fails is said, and what can goes on. Returns how many failed."""
+    """Run the steps in order; failures are printed, and independent steps continue. Returns the number of failures."""
     steps, failed = steps_of(name, str(out), choices=choices), set[str]()
     for i, step in enumerate(steps, 1):
         missing = [n for n in step.needs if n in failed]
@@ -185,7 +185,7 @@ _TEXT, _TEXTS, _NUMBERS = "a text", "a list of texts", "a list of whole numbers"
 
 
 def _given(config: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
-    """The values that a configuration has, lists as tuples. Raises BenchError for one of another kind."""
+    """Return the values in a configuration, lists as tuples. Raises BenchError for one of another kind."""
     found: dict[str, Any] = {}
     for key, kind in kinds.items():
         value = config.get(key)
@@ -209,25 +209,24 @@ def choices_from(config: Mapping[str, Any]) -> Choices:
 
 
 def preset_from(config: Mapping[str, Any]) -> str | BenchPreset:
-    """The preset that a configuration names, with what it gives itself. Raises BenchError for another type of value."""
+    """Return a configuration's preset with its changes. Raises BenchError for another type of value."""
     name = config.get("preset")
     if not isinstance(name, str) or name not in PRESETS:
         raise BenchError(f"configuration: preset is {name!r}, expected {', '.join(PRESETS)}")
-    own = _given(
-        config, {"scenes": _TEXTS, "methods": _TEXTS, "settings": _TEXTS, "seeds": _NUMBERS, "options": _TEXT}
-    )
-    if "options" in own:
-        own["options"] = tuple(shlex.split(own["options"]))
-    if own.get("scenes") == ():
+    kinds = {"scenes": _TEXTS, "methods": _TEXTS, "settings": _TEXTS, "seeds": _NUMBERS, "options": _TEXT}
+    changes = _given(config, kinds)
+    if "options" in changes:
+        changes["options"] = tuple(shlex.split(changes["options"]))
+    if changes.get("scenes") == ():
         raise BenchError("configuration: scenes is [], expected one or more")
-    checked_names(own.get("methods", DEFAULT))
-    if "methods" in own:
-        own.setdefault("settings", ())  # the preset's are for its own methods
-    return replace(PRESETS[name], **own) if own else name
+    checked_names(changes.get("methods", DEFAULT))
+    if "methods" in changes:
+        changes.setdefault("settings", ())  # the preset's are for its methods
+    return replace(PRESETS[name], **changes) if changes else name
 
 
 def main() -> int:
-    """Reads {preset, out, python, what `Choices` and `BenchPreset` have} as JSON; prints {step: {command, needs}}."""
+    """Read {preset, out, python, fields of `Choices` and `BenchPreset`} as JSON; print {step: {command, needs}}."""
     from tg4mm.core.untrusted import parse_json
 
     try:

@@ -1,4 +1,4 @@
-"""The benchmark's main tables: every method on every dataset, resumable job by job."""
+"""Runs every method on every dataset for the benchmark's tables, resumable by jobs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -29,10 +29,7 @@ Printer = Callable[[str], None]
 
 @dataclass(frozen=True)
 class ScenesRequest:
-    """What to run.
-
-    `same_time` says when a `paper` preset is trained once more, for as long as `modal` took (`same_time_trainings`).
-    """
+    """A request. `same_time`: when a `paper` preset is trained again for the time of `modal` (`same_time_trainings`)."""
 
     methods: tuple[str, ...] = DEFAULT
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`
@@ -40,10 +37,10 @@ class ScenesRequest:
     same_time: str = "needed"
     plan: Plan = field(default_factory=Plan)
     vqa: tuple[Checkout, ...] = ()
-    collect: bool = False  # run nothing: the tables of what is finished
+    collect: bool = False  # only make the tables of finished jobs
 
     def presets(self) -> list[str]:
-        """The methods that `tg4mm train` knows."""
+        """Return the presets of `tg4mm train` among the methods."""
         return [
             m.training.preset for m in self.made() if isinstance(m, Trained) and m.training.trainer is None
         ]
@@ -58,11 +55,10 @@ def run_scenes(
     request: ScenesRequest,
     say: Printer = print,
 ) -> dict[str, Any]:
-    """Run what is not finished, and write results.json and the pages in `out`, anew after every job.
+    """Run unfinished jobs, and write results.json and the pages in `out` after every job.
 
-    A dataset that cannot be read, and a job that fails, stand under `failed` with the reason; the rest goes on. Raises
-    Tg4mmError (BenchError, CaptureError, RunError) on bad options before anything is written, and where nothing at all
-    succeeds.
+    Unreadable datasets and failed jobs are listed under `failed` with the reason; the others continue. Raises
+    Tg4mmError (BenchError, CaptureError, RunError) on bad options before anything is written, and if nothing succeeds.
     """
     if request.same_time not in SAME_TIME_CHOICES:
         raise Tg4mmError(f"--same-time {request.same_time!r}, expected {', '.join(SAME_TIME_CHOICES)}")
@@ -87,7 +83,7 @@ def run_scenes(
         for data in sets:
             for method in methods:
                 if not jobs[data.label, method.name]:
-                    bench.write()  # what is finished can be read while the rest runs
+                    bench.write()  # finished results can be read while others run
                 bench.job(method, data)
                 if not jobs[data.label, method.name]:
                     n_done += 1
@@ -104,7 +100,7 @@ def run_scenes(
 
 
 def foreseen(sets: Sequence[BenchSet], request: ScenesRequest) -> Iterator[str]:
-    """What of outside methods will fail, known before hours of training."""
+    """Yield a line for each outside method that will fail, before hours of training."""
     for data in sets:
         for method in request.external:
             try:
@@ -117,7 +113,7 @@ def foreseen(sets: Sequence[BenchSet], request: ScenesRequest) -> Iterator[str]:
 
 
 def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
-    """The job of one method on one dataset, for `run_scenes` to find; its folder. Raises Tg4mmError."""
+    """Run one method on one dataset for a later `run_scenes`; returns its folder. Raises Tg4mmError."""
     methods = {m.name: m for m in request.made()}
     if name not in methods:
         raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
@@ -132,7 +128,7 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
 
 
 def _band(request: ScenesRequest) -> str:
-    """`motion.band` where it is set, which every method then magnifies."""
+    """Return `motion.band` if set, which every method then magnifies."""
     return request.settings.get("modal", {}).get("motion.band", "")
 
 
@@ -146,7 +142,7 @@ def _shown_band(request: ScenesRequest) -> str | None:
 
 
 def _in_band(sets: Sequence[BenchSet], request: ScenesRequest) -> list[BenchSet]:
-    """Raises Tg4mmError for a band above half the rate of a set."""
+    """Return the sets with the requested band. Raises Tg4mmError for one above half the rate of a set."""
     bands = [asked_band(_band(request), s.fps) or s.band_hz for s in sets]
     return [replace(s, band_hz=band) for s, band in zip(sets, bands, strict=True)]
 
@@ -164,21 +160,20 @@ class _Bench:
         self.here = circumstances()
         self.runs: list[dict[str, Any]] = []
         self.lines: list[dict[str, Any]] = []
-        self.figures: dict[str, dict[str, dict[str, Any]]] = {
-            s.label: {} for s in sets
-        }  # set → preset → figures
+        # set → preset → figures
+        self.figures: dict[str, dict[str, dict[str, Any]]] = {s.label: {} for s in sets}
         self.first_error: Exception | None = None
-        self.written = 0, 0  # lines and failures that the tables hold
+        self.written = 0, 0  # lines and failures in the tables
 
     def job(self, method: Method, data: BenchSet) -> None:
-        """One method on one dataset; what fails is kept as a line of `failed`."""
+        """Run one method on one dataset; a failure becomes a line of `failed`."""
         self.say(f"{data.label}, {method.name}")
         plan, collect = self.request.plan, self.request.collect
         try:
             if collect and isinstance(method, Trained):
                 self._check_trained(method, data)
             figures, lines = run_job(method, data, self.out, plan, self.request.vqa, collect)
-        except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
+        except Exception as error:  # one job's error must not end hours of others
             self.first_error = self.first_error or error
             why = why_failed(error, job_folder(self.out, data, method))
             self.failed.append({"set": data.label, "method": method.name, "why": why})
@@ -187,7 +182,7 @@ class _Bench:
             self._keep(method, data, figures, lines)
 
     def write(self) -> None:
-        """The tables of what is there, where there is more than at the last call."""
+        """Write the tables if there are more results than at the last call."""
         now = len(self.lines), len(self.failed)
         if self.lines and now != self.written:
             write_results(self.out, self.results())
@@ -204,21 +199,21 @@ class _Bench:
             self.figures[data.label][method.training.name] = figures
             self.runs.append(run_entry(data, method.training.name, method.training, figures))
         elif figures:
-            own = {"set": data.label, "row": method.name, "preset": "", "overrides": {}, "ways": []}
-            self.runs.append(own | figures)
+            entry = {"set": data.label, "row": method.name, "preset": "", "overrides": {}, "ways": []}
+            self.runs.append(entry | figures)
         for line in lines:
             for why in line.failed:
                 self.failed.append({"set": data.label, "method": line.row, "why": why})
                 self.say(f"    failed: {why}")
         self.lines += [{"set": data.label, **to_json(asdict(line), "line")} for line in lines]
         mine = [line for line in self.lines if line["set"] == data.label]
-        # At α = 0 both ends are nearly alike, so a share of what lies between them says nothing.
+        # At α = 0 both ends are nearly equal, so that closure has no meaning.
         for alpha in {a for line in mine for a in line["alphas"] if float(a) > 0}:
             at = {line["row"]: line["alphas"][alpha] for line in mine if alpha in line["alphas"]}
             with_closure(at, STATIC, CEILING)
 
     def results(self) -> dict[str, Any]:
-        """What results.json holds."""
+        """Return the content of results.json."""
         titles = group_titles(self.sets)
         sets = [s.plain() | {"group": titles[s.label]} for s in self.sets]
         kinds = {s.label: s.cameras for s in self.sets}
@@ -253,7 +248,7 @@ def _prepare(
     methods: Sequence[Method],
     say: Printer,
 ) -> None:
-    """Compile what the runs to come will use, by trainings that lie in `place` for a moment."""
+    """Compile the kernels of the coming runs, by temporary trainings in `place`."""
 
     def is_open(m: Trained) -> bool:
         return any(not is_measured(job_folder(out, s, m), s, m.training, request.plan) for s in sets)
@@ -265,7 +260,7 @@ def _prepare(
 
 
 def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, Any]) -> dict[str, Any]:
-    """One run in results.json."""
+    """Return a run's entry in results.json."""
     return {
         "set": data.label,
         "row": row,
@@ -277,10 +272,10 @@ def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, A
 
 
 def same_time_trainings(figures: dict[str, dict[str, Any]], request: ScenesRequest) -> list[Training]:
-    """The `paper` presets once more, their iterations scaled to the time that `modal` took on this machine.
+    """Return the `paper` presets with iterations scaled to the time of `modal` on this machine.
 
-    "needed": only where the preset's own iterations took less time than `modal`, so that the comparison would have been
-    in favour of `modal`; where it took more it had the advantage already.
+    "needed": only if the preset took less time than `modal`, so that the comparison favoured `modal`; a slower preset
+    had the advantage already.
     """
     if "modal" not in figures or request.same_time == "never":
         return []

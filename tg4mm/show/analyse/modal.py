@@ -133,7 +133,7 @@ def from_transfers(transfers: Sequence[Transfer], band: tuple[float, float] | No
         shape = _scaled(np.asarray(constants)[:, 0])
         if f > (1 - _END) * hz[-1]:  # modes beyond the range bias it, which no draw shows
             spread = np.array([np.nan, np.nan])
-        sure, sure_z = np.hypot(spread, scatter).tolist()
+        sure, sure_z = np.hypot(spread[:2], scatter).tolist()
         modes.append(Mode(Value(f, sure), Value(z, sure_z), shape))
     return Modes("LSCF", tuple(t.response for t in transfers), tuple(modes), diagram)
 
