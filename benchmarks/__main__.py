@@ -43,7 +43,7 @@ def add(parser: argparse.ArgumentParser, options: Mapping[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 done, 2 on bad input, said in one line."""
+    """Run a benchmark; return 0, or 2 on bad input, after a line on it."""
     name, *rest = [*(sys.argv[1:] if argv is None else argv), "--help"]
     known = names()
     if name not in known:

@@ -78,7 +78,7 @@ class Film:
 
 
 def tried(seed: int) -> tuple[float, float, float, float]:
-    """True gain and its error, told gain and its deviation."""
+    """Return the true gain and its error, and the estimated gain and its deviation."""
     drawn = Film.of(seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
@@ -92,7 +92,7 @@ def tried(seed: int) -> tuple[float, float, float, float]:
         (loss,) = codec_losses(path, [REGION], [[measured]], FPS)[0]
     print(
         f"{seed}: {drawn.codec}, {float(drawn.options['b']) / (WIDTH * HEIGHT * FPS):.2f} bits a pixel, noise "
-        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {gain:.2f} ± {error:.2f}, told "
+        f"{drawn.noise:.1f}, {drawn.amplitude:.3f} px, {drawn.hz:.1f} Hz: true {gain:.2f} ± {error:.2f}, estimate "
         f"{loss.gain:.2f} ± {loss.deviation:.2f}",
         flush=True,
     )
@@ -104,12 +104,12 @@ def run(options: argparse.Namespace) -> None:
     rows = np.array([tried(seed) for seed in range(options.first, options.first + options.films)])
     off, sure = np.abs(rows[:, 0] - rows[:, 2]), np.hypot(rows[:, 1], rows[:, 3])
     rms, from_one = (np.sqrt((x**2).mean()) for x in (off, rows[:, 0] - 1))
-    print(f"true - told, rms: {rms:.3f}; true - 1: {from_one:.3f}")
+    print(f"true - estimate, rms: {rms:.3f}; true - 1: {from_one:.3f}")
     print(
         f"within one deviation {(off < sure).mean():.0%}, within two {(off < 2 * sure).mean():.0%} of {len(rows)}"
     )
-    rows = rows[rows[:, 2] >= LOST]  # without a mark: amplitudes as they are measured, and corrected
-    sizes, sure = np.array([before_compression(g, e, Loss(told, d)) for g, e, told, d in rows]).T
+    rows = rows[rows[:, 2] >= LOST]  # without a mark: measured and corrected amplitudes
+    sizes, sure = np.array([before_compression(g, e, Loss(estimate, d)) for g, e, estimate, d in rows]).T
     raw, off = (np.sqrt(((x - 1) ** 2).mean()) for x in (rows[:, 0], sizes))
     one, two = ((np.abs(sizes - 1) < n * sure).mean() for n in (1, 2))
     print(

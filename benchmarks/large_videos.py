@@ -75,14 +75,14 @@ def _make(video: Path, width: int, height: int, pictures: int) -> None:
 
 
 def _cost(words: list[str]) -> str:
-    """Runs a program. Processor seconds, seconds by the clock and most GiB, as cells of a table."""
+    """Run a program; return processor seconds, seconds of time and most GiB as cells of a table."""
     began = time.monotonic()
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(words, stdout=said, stderr=said)
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(words, stdout=output, stderr=output)
         _, status, used = os.wait4(process.pid, 0)
         if status:
-            said.seek(0)
-            raise SystemExit(said.read().decode(errors="replace")[-2000:])
+            output.seek(0)
+            raise SystemExit(output.read().decode(errors="replace")[-2000:])
     seconds = used.ru_utime + used.ru_stime
     return f"{seconds:.0f} | {time.monotonic() - began:.0f} | {used.ru_maxrss / 2**20:.1f}"
 

@@ -45,7 +45,7 @@ class Effect:
     times_s: Sequence[float] | None = None
     is_hlg: bool = False
     is_portrait: bool = False
-    said: str = ""  # what names it, a regular expression
+    named: str = ""  # regular expression of its name in the text
 
 
 def effects(rng: np.random.Generator) -> dict[str, Effect]:
@@ -70,19 +70,19 @@ def effects(rng: np.random.Generator) -> dict[str, Effect]:
         "none": Effect(),
         "stabilisation": Effect(
             shift=lambda t: np.cos(2 * np.pi * drift_hz * t + phases).sum(1) / 6**0.5,
-            said="camera (itself moved|shake)",
+            named="camera (itself moved|shake)",
         ),
-        "focus hunts": Effect(zoom=hunting, said="grows and shrinks"),
+        "focus hunts": Effect(zoom=hunting, named="grows and shrinks"),
         "focus pumps": Effect(
-            zoom=lambda t: pump * float(np.cos(2 * np.pi * pump_hz * t)), said="grows and shrinks"
+            zoom=lambda t: pump * float(np.cos(2 * np.pi * pump_hz * t)), named="grows and shrinks"
         ),
-        "exposure": Effect(light=lambda t: float(2 ** dim(t)), said="exposure or lamps"),
+        "exposure": Effect(light=lambda t: float(2 ** dim(t)), named="exposure or lamps"),
         "white balance": Effect(
-            tint=lambda t: np.array([1 + warm(t), 1, 1 - warm(t)]), said="white balance changes"
+            tint=lambda t: np.array([1 + warm(t), 1, 1 - warm(t)]), named="white balance changes"
         ),
-        "HLG": Effect(is_hlg=True, said="HLG, 10 bits"),
+        "HLG": Effect(is_hlg=True, named="HLG, 10 bits"),
         "portrait": Effect(is_portrait=True),
-        "variable rate": Effect(times_s=(kept / FPS + jitter).tolist(), said="rate varies"),
+        "variable rate": Effect(times_s=(kept / FPS + jitter).tolist(), named="rate varies"),
     }
 
 
@@ -175,13 +175,13 @@ def run(options: Any) -> None:
         films = [film_of(name, seed, options.out) for seed in seeds]
         for stage in options.stages:
             scores, texts = zip(*(judged(*film, stage) for film in films), strict=True)
-            told = sum(bool(re.search(known[name].said, text)) for text in texts)
+            count = sum(bool(re.search(known[name].named, text)) for text in texts)
             cells = [
                 share(score.strongest_named for score in scores),
                 ", ".join(f"{abs(z):.1f}" for score in scores for z in score.frequencies) or "–",
                 ", ".join(f"{ratio:.2f}" for score in scores for ratio in score.ratios) or "–",
                 ", ".join(f"{abs(z):.1f}" for score in scores for z in score.amplitudes) or "–",
                 str(sum(len(score.false) for score in scores)),
-                f"{told} of {len(texts)}" if known[name].said else "",
+                f"{count} of {len(texts)}" if known[name].named else "",
             ]
             print(f"| {name} | {stage} | {' | '.join(cells)} |", flush=True)

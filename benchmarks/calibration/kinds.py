@@ -203,8 +203,8 @@ def _of_sensor(
         best = _nearest(hz, lines, float(np.ptp(result.times_s)))
         if best is not None:
             used.add(best)
-        told = peaks[best].is_resolved if best is not None else result.series.is_resolved
-        size = float(peak_displacement(np.where(told, phasor, 0)))
+        resolved = peaks[best].is_resolved if best is not None else result.series.is_resolved
+        size = float(peak_displacement(np.where(resolved, phasor, 0)))
         if size * result.px_per_unit > LEAST_PX / 4:
             _compare_peak(out, result, best, hz, size, what)
     for k, (peak, orbit) in enumerate(zip(peaks, result.orbits, strict=True)):

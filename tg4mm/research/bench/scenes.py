@@ -29,7 +29,7 @@ Printer = Callable[[str], None]
 
 @dataclass(frozen=True)
 class ScenesRequest:
-    """A request. `same_time`: when a `paper` preset is trained again for the time of `modal` (`same_time_trainings`)."""
+    """A request. `same_time`: when `same_time_trainings` trains a `paper` preset again for the time of `modal`."""
 
     methods: tuple[str, ...] = DEFAULT
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`

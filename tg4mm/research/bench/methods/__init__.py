@@ -1,4 +1,4 @@
-"""What a method of the benchmark is, and those that train a run."""
+"""The interface of the benchmark's methods, and methods that train a run."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,53 +18,52 @@ from tg4mm.research.evaluate.scores import Candidate, Subject, render_views, sub
 from tg4mm.run import Run
 from tg4mm.run.tensor_file import model_hash
 
-Pictures = Iterator[
-    tuple[int, np.ndarray]
-]  # (index of the capture's image, [H, W, 3] float32 in 0..1 over white)
+# (index of the capture's image, [H, W, 3] float32 in 0..1 over white)
+Pictures = Iterator[tuple[int, np.ndarray]]
 
 
 class Method(Protocol):
-    """One job of the benchmark. `place` is a folder of its own for each dataset; both calls are idempotent."""
+    """A job of the benchmark. `place` is a separate folder for each dataset; both calls are idempotent."""
 
     @property
     def name(self) -> str:
-        """The folder's name, and what `tg4mm bench job` calls it."""
+        """The name of the folder and of the method for `tg4mm bench job`."""
         ...
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """The rows of the tables that it gives: several where one training is magnified in several ways."""
+        """The rows of the tables, several if a training is magnified in several ways."""
         ...
 
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        """Learn from the training pictures; go on where a killed call was.
+        """Learn from the training pictures, or continue after a killed call.
 
-        Returned: figures as of `tg4mm.research.bench.measure.measure`, {} for a method that has nothing to learn.
-        Raises Tg4mmError where the dataset does not allow it.
+        Returns figures like `tg4mm.research.bench.measure.measure`, {} for a method without training. Raises
+        Tg4mmError if the dataset does not allow it.
         """
         ...
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        """All that the pictures of a row depend on beside the dataset and α, in JSON's types."""
+        """Return everything that determines a row's pictures beside dataset and α, in JSON's types."""
         ...
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
-        """The pictures of the test split `capture`, each once, in any order, magnified by α in the plan's band.
+        """Yield each picture of the test split `capture`, in any order, magnified by α in the plan's band.
 
-        What is prepared once, such as opening a model, is done when this is called: the pictures themselves are timed.
+        Preparations, such as opening a model, are done by the call, since the iteration is timed.
         """
         ...
 
 
 _CAMERAS_AT_ONCE = 8  # pictures held
-_VERSION = 1  # of how pictures are made of a model: raise it when the same model would give others
+_VERSION = 1  # of the pictures; to be raised when the same model would give others
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A preset, magnified in each of its ways. `framing`: also the rows of its Gaussians at rest and moved exactly."""
+    """A preset, magnified in each of its ways. `framing`: with rows of its Gaussians at rest and moved exactly."""
 
     training: Training
     framing: bool = False
@@ -75,11 +74,11 @@ class Trained:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        own = tuple(row_title(self.training.name, way.name) for way in self.training.ways)
-        return (STATIC, *own, CEILING) if self.framing else own
+        ways = tuple(row_title(self.training.name, way.name) for way in self.training.ways)
+        return (STATIC, *ways, CEILING) if self.framing else ways
 
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        _subject_of.cache_clear()  # of another run, whose memory is not this one's
+        _subject_of.cache_clear()  # frees the memory of another run
         return measure(place, data, self.training, plan)
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
@@ -100,12 +99,12 @@ class Trained:
         run, magnified = place / "run", (way or self.training.ways[0]).magnified(plan.bands(data))
         subject = _subject_of(run, model_hash(run), data.root, magnified, plan.device)
         (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
-        if method.posing is not None:  # opens the model, which is not to count as rendering
+        if method.posing is not None:  # opens the model, which is not rendering
             method.posing.at(float(alpha))
         return _pictures(subject, method, capture, float(alpha))
 
     def _way(self, row: str) -> Scoring | None:
-        """How a row is magnified, None for one that frames the others."""
+        """Return the magnification of a row; None for a row for comparison."""
         return next((w for w in self.training.ways if row_title(self.training.name, w.name) == row), None)
 
 
@@ -124,5 +123,5 @@ def _pictures(subject: Subject, method: Candidate, capture: Capture, alpha: floa
 
 
 def row_title(training: str, way: str) -> str:
-    """`modal`, but `paper-tuned: linear`."""
+    """Return a row's title, such as `modal` or `paper-tuned: linear`."""
     return training if training == way else f"{training}: {way}"

@@ -85,7 +85,7 @@ class ControlPoints(nn.Module):
         nn.init.zeros_(self.layers[-1].get_parameter("weight"))
 
     def moves(self, time: float) -> Tensor:
-        """[K, 6] of the control points themselves."""
+        """Return the motion of the control points [K, 6]."""
         when = torch.full_like(self.at[:, :1], time)
         x = torch.cat([_encoded(self.at / self.unit, _OCTAVES[0]), _encoded(when, _OCTAVES[1])], 1)
         for layer in self.layers[:-1]:
@@ -102,7 +102,7 @@ class ControlPoints(nn.Module):
         return (weights * torch.cat([shift, moves[..., 3:]], -1)).sum(1)
 
     def stretch(self, time: float) -> Tensor:
-        """ARAP: mean square of what neighbours' difference departs from the turned one, by its length at rest."""
+        """Return ARAP: the mean square of the neighbours' departure from a rotation, by their distance at rest."""
         moves = self.moves(time)
         apart = self.at[self.neighbours] - self.at[:, None]
         now = apart + moves[self.neighbours, :3] - moves[:, None, :3]
@@ -112,19 +112,19 @@ class ControlPoints(nn.Module):
 
 
 def _turned(vectors: Tensor, rotation: Tensor) -> Tensor:
-    """Vectors [..., 3] turned by rotation vectors [..., 3], to second order in the angle."""
+    """Turn vectors [..., 3] by rotation vectors [..., 3], to second order in the angle."""
     first = torch.linalg.cross(rotation, vectors)
     return vectors + first + torch.linalg.cross(rotation, first) / 2
 
 
 def _encoded(x: Tensor, octaves: int) -> Tensor:
-    """[P, C (1 + 2 octaves)]: x, and sine and cosine of π 2ᵏ x."""
+    """Return x, and sine and cosine of π 2ᵏ x, [P, C (1 + 2 octaves)]."""
     waves = [x * (math.pi * 2**k) for k in range(octaves)]
     return torch.cat([x, *(f(w) for w in waves for f in (torch.sin, torch.cos))], 1)
 
 
 def spread(points: Tensor, count: int) -> Tensor:
-    """Indices of `count` of the points [N, 3], each the farthest from those before; the first is point 0."""
+    """Return indices of `count` points of [N, 3], each the farthest from those before; the first is point 0."""
     chosen = [0]
     distance = (points - points[0]).square().sum(1)
     while len(chosen) < min(count, len(points)):

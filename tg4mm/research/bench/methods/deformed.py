@@ -1,6 +1,6 @@
-"""Runs whose Gaussians begin as those of `modal` (same space stage, same settings) and are moved by another method.
+"""Runs that move the Gaussians of `modal` (same space stage, same settings) by another method.
 
-The trajectories are kept as a modal motion of all frequency bins, so that the band is magnified as by any other method.
+Trajectories are kept as a modal motion of all frequency bins, so that the band is magnified as for other methods.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ C = TypeVar("C")
 
 
 def configured(name: str, usual: C, given: Mapping[str, str]) -> C:
-    """`usual` with the settings `NAME.KEY`. Raises Tg4mmError for one that is none, and a value that does not fit."""
+    """Return `usual` with the settings `NAME.KEY`. Raises Tg4mmError for an unknown one, and an invalid value."""
     names = [f"{name}.{f.name}" for f in dataclasses.fields(usual)]  # type: ignore[arg-type]
     for key in given:
         if key not in names:
@@ -50,7 +50,7 @@ def configured(name: str, usual: C, given: Mapping[str, str]) -> C:
 
 
 def overrides(name: str, config: Any, usual: Any) -> dict[str, str]:
-    """The settings that differ from the usual ones, as `--set` takes them."""
+    """Return the settings that differ from the usual ones, as `--set` takes them."""
     before = dataclasses.asdict(usual)
     return {f"{name}.{k}": str(v) for k, v in dataclasses.asdict(config).items() if v != before[k]}
 
@@ -80,13 +80,13 @@ class Moving:
     parameters: int
 
 
-# (the Gaussians of `modal`, the views of each timestep, its configuration) → what it fits
+# (the Gaussians of `modal`, the views of each timestep, its configuration) → fitted motion
 Fit = Callable[[Gaussians, list[Cameras], Any], Moving]
 
 
 @dataclass(frozen=True)
 class Deformer:
-    """A `Trainer`: space stage as `modal`, then a method's own fit to the pictures of all timesteps."""
+    """A `Trainer`: the space stage of `modal`, then a method's fit to the pictures of all timesteps."""
 
     name: str
     usual: Any  # its configuration by default
@@ -114,7 +114,7 @@ class Deformer:
 
 
 def deformed(name: str, usual: Any, fit: Fit, settings: Mapping[str, str], own: Mapping[str, str]) -> Trained:
-    """The method; `settings` are those of `modal`, of which the space stage's count, `own` are `NAME.…`."""
+    """Return the method; `settings`: those of `modal`, for the space stage; `own`: `NAME.…`."""
     deformer = Deformer(name, usual, fit, configured(name, usual, own))
     return Trained(Training(name, "modal", settings, (Scoring(name, "modal"),), deformer))
 
@@ -122,7 +122,7 @@ def deformed(name: str, usual: Any, fit: Fit, settings: Mapping[str, str], own: 
 def fit_motion(
     run: Run, capture: Capture, images: ImageStack, fit: Fit, config: Any, device: str = "cpu"
 ) -> None:
-    """Fit to all pictures and save it as the run's motion. A killed fit begins anew."""
+    """Fit to all pictures and save the run's motion. A killed fit starts again."""
     began = time.monotonic()
     reset_peak_memory()
     reset_gpu_peak(device)
@@ -140,7 +140,7 @@ def fit_motion(
 
 
 def box_of(g: Gaussians) -> Tensor:
-    """[2, 3] the box that the Gaussians fill, scene units."""
+    """Return the box of the Gaussians [2, 3], scene units."""
     return torch.from_numpy(scene_box(g.means.cpu().numpy()).astype(np.float32)).to(g.means.device)
 
 
@@ -159,7 +159,7 @@ def descend(
 ) -> None:
     """Fit to random views of random timesteps; Adam's rates fall to a tenth.
 
-    now: the Gaussians at rest. motion: [N, 6] of a timestep. penalty: what is added to the L1 of its pictures.
+    now: the Gaussians at rest. motion: [N, 6] of a timestep. penalty: added to the L1 of its pictures.
     """
     adam = torch.optim.Adam(list(groups), eps=1e-15)
     falls = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / iterations))
@@ -177,12 +177,12 @@ def descend(
             update(i + 1)
 
 
-# 4DGS's rates for its Gaussians, of which a tenth is taken: these are fitted already. Means per unit of the box.
+# 4DGS's rates for its Gaussians; a tenth is used, since these are fitted already. Means per unit of the box.
 _RATES = {"means": 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "sh": 2.5e-3}
 
 
 class Free:
-    """Gaussians that are trained along."""
+    """Gaussians with trained attributes."""
 
     def __init__(self, g: Gaussians) -> None:
         self.parameters = {k: v.requires_grad_() for k, v in base_of(g).items()}
@@ -199,7 +199,7 @@ class Free:
 
 @torch.no_grad()
 def from_first(g: Gaussians, motion: Callable[[int], Tensor], n: int) -> tuple[Gaussians, Tensor]:
-    """The Gaussians at timestep 0, and the motion from there [n, N, 6]; rotations are small, and subtracted."""
+    """Return the Gaussians at timestep 0 and the motion from there [n, N, 6]; small rotations are subtracted."""
     series = torch.stack([motion(t) for t in range(n)])
     return moved(g.detach(), series[0]), series - series[0]
 
@@ -209,7 +209,7 @@ PER_FRAME = "per-frame"
 
 @dataclass(frozen=True)
 class PerFrameConfig:
-    """Positions and rotations are tuned; the rate falls to `falls_to` within a timestep, so that they come to rest."""
+    """Settings: positions and rotations are tuned, and the rate falls to `falls_to` within a timestep."""
 
     iterations: int = 100  # of each timestep, one view each
     rate: float = 2e-4  # of Adam; of displacements per unit of the scene's box
@@ -218,7 +218,7 @@ class PerFrameConfig:
 
 
 def tune_each(g: Gaussians, views: list[Cameras], config: PerFrameConfig) -> Moving:
-    """[T, N, 6] each timestep's own, from zero."""
+    """Fit each timestep's motion separately, from zero."""
     box, n = box_of(g), config.iterations
     unit = torch.tensor([float((box[1] - box[0]).max())] * 3 + [1.0] * 3, device=g.means.device)
     series = []

@@ -1,12 +1,12 @@
-"""3DMM, the Eulerian method that [TG4MM] Table I compares with, at a size that two threads of a CPU can train.
+"""3DMM, the Eulerian method in [TG4MM] Table I, at a size that two threads of a CPU can train.
 
-A `Field` is fitted to timestep 0. Then, for each later timestep, differences of its planes alone, from zero, all else
-frozen. Planes plus differences over time are magnified by phase, as published; and by `linear` those that are fitted
-with total variation on the differences. Departures from [3DMM]: planes of 16 × 64² (32 × 512²), no proposal networks,
+A `Field` is fitted to timestep 0, then only differences of its planes for each later timestep, from zero. Planes plus
+differences over time are magnified by phase, as published; those fitted with total variation on the differences are
+magnified by `linear`. Departures from [3DMM]: planes of 16 × 64² (32 × 512²), no proposal networks,
 fewer and faster iterations (10,000 at 1e-4 for a timestep there), harmonics of degree 2.
 
 Files in RUN, beside config.json and log.json: field.safetensors (timestep 0), phase_0001 … and linear_0001 …
-(differences of one timestep, [3, R, R, C]). A killed fit goes on at the part it was at.
+(differences of one timestep, [3, R, R, C]). A killed fit continues at its part.
 """
 
 import math
@@ -48,7 +48,7 @@ from tg4mm.run import Run
 
 NAME = "3dmm"
 WAYS = ("phase", "linear")
-_VERSION = 1  # of how it is fitted and drawn: raise it when the same settings would give other pictures
+_VERSION = 1  # of fit and pictures; to be raised when the same settings would give other pictures
 _TV_EVERY = 4  # iterations
 _EMPTY_EVERY, _LOOKED_EVERY = 8, 250  # iterations
 _RAYS_AT_ONCE = 4096
@@ -75,7 +75,7 @@ class EulerianConfig:
 
 @dataclass(frozen=True)
 class Eulerian:
-    """A `Method`. Rows: the field at rest, and its differences magnified by phase and by linear."""
+    """A `Method` with rows of the field at rest, and its differences magnified by phase and by linear."""
 
     config: EulerianConfig = EulerianConfig()
     name: str = NAME
@@ -104,13 +104,13 @@ class Eulerian:
         way = WAYS[self.rows.index(row) - 1]
         planes = field.planes.numpy()
         steps = range(1, data.n_timesteps)
-        own = [run.load_part(_part(t, way))[0]["planes"].numpy() for t in steps]
-        video = np.stack([planes, *(planes + d for d in own)])
+        changes = [run.load_part(_part(t, way))[0]["planes"].numpy() for t in steps]
+        video = np.stack([planes, *(planes + d for d in changes)])
         return _drawn(field, magnified(video, band_response(data, alpha, plan), way), capture)
 
 
 def magnified(video: np.ndarray, response: np.ndarray, way: str) -> np.ndarray:
-    """Planes over time [T, 3, R, R, C], magnified; response [T // 2 + 1]: α times the temporal filter's."""
+    """Magnify planes over time [T, 3, R, R, C]; response [T // 2 + 1]: α times the temporal filter's."""
     if way == "linear":
         flat = video.reshape(len(video), -1)
         return magnified_series(flat, response).reshape(video.shape)
@@ -127,7 +127,7 @@ def _part(t: int, way: str) -> str:
 
 
 def _fit(run: Run, capture: Capture, images: ImageStack, config: EulerianConfig) -> None:
-    """Every part that is not there yet."""
+    """Fit every missing part."""
     first = views_at(capture, images, 0)
     if len(first.rgb) < 2:
         raise CaptureError(
@@ -165,7 +165,7 @@ def _figures(began: float, iterations: int) -> dict[str, float]:
 
 
 def _load_field(run: Run, config: EulerianConfig) -> Field:
-    """The field of timestep 0, without gradients."""
+    """Load the field of timestep 0, without gradients."""
     tensors, _ = run.load_part("field")
     place = Place(tensors.pop("box").numpy(), tensors.pop("filled").numpy() > 0)
     field = Field(place, config.resolution, config.channels, torch.Generator())
@@ -174,7 +174,7 @@ def _load_field(run: Run, config: EulerianConfig) -> Field:
 
 
 class Seen:
-    """Pixels of one timestep whose rays meet what is filled, drawn at random."""
+    """Random pixels of one timestep with rays through filled cells."""
 
     def __init__(self, views: RestViews, place: Place, seed: int) -> None:
         origins, directions = rays_of(views.viewmats, views.Ks, views.size)
@@ -187,7 +187,7 @@ class Seen:
         self._draw = torch.Generator().manual_seed(seed)
 
     def loss(self, field: Field, planes: Tensor, count: int, place: Place | None = None) -> Tensor:
-        """Mean square error of `count` pixels over random backgrounds; place: of `Field.render`."""
+        """Return the mean square error of `count` pixels over random backgrounds; place: of `Field.render`."""
         some = torch.randint(len(self._ink), (count,), generator=self._draw)
         behind = torch.rand(count, 3, generator=self._draw)
         start = torch.rand(count, generator=self._draw)
@@ -196,7 +196,7 @@ class Seen:
 
 
 def fit_at_rest(field: Field, seen: Seen, config: EulerianConfig, update: Update) -> None:
-    """Fit all of the field. What is empty has samples at one iteration of `_EMPTY_EVERY` alone, so that it stays so."""
+    """Fit the complete field. Empty cells have samples in one iteration of `_EMPTY_EVERY`, so that they stay empty."""
     c, place = config, field.place
 
     def loss(i: int) -> Tensor:
@@ -210,7 +210,7 @@ def fit_at_rest(field: Field, seen: Seen, config: EulerianConfig, update: Update
 
 
 def differences(field: Field, seen: Seen, way: str, config: EulerianConfig) -> Tensor:
-    """[3, R, R, C] what a timestep's planes have more than those at rest; smooth where it is for `linear`."""
+    """Fit the differences [3, R, R, C] of a timestep's planes from those at rest, smooth ones for `linear`."""
     own = torch.zeros_like(field.planes).requires_grad_()
     c, smoothness = config, config.motion_smoothness if way == "linear" else 0.0
 
@@ -227,7 +227,7 @@ def _descend(
     how: tuple[int, float, float],
     update: Update | None = None,
 ) -> None:
-    """Adam on (parameters, the planes among them that are to be smooth); how: iterations, rate, smoothness."""
+    """Run Adam on (parameters, the smooth planes among them); how: iterations, rate, smoothness."""
     (parameters, smooth), (n, rate, smoothness) = what, how
     adam = torch.optim.Adam(parameters, lr=rate, eps=1e-12, fused=True)
     for i in range(n):
@@ -245,7 +245,7 @@ def _descend(
 
 @torch.no_grad()
 def occupied(field: Field, planes: Tensor) -> Place:
-    """The field's place without the cells where, and beside which, it is empty by these planes."""
+    """Return the field's place without cells that are empty, with their neighbours, by these planes."""
     from scipy.ndimage import maximum_filter
 
     box, filled = field.place.box, field.place.filled
@@ -258,7 +258,7 @@ def occupied(field: Field, planes: Tensor) -> Place:
 
 @torch.no_grad()
 def _drawn(field: Field, video: np.ndarray | None, capture: Capture) -> Pictures:
-    """The pictures of a capture by planes over time [T, 3, R, R, C]; None: those at rest, each camera drawn once."""
+    """Yield a capture's pictures by planes over time [T, 3, R, R, C]; None: at rest, each camera drawn once."""
     size = capture.width, capture.height
     planes: Tensor = field.planes
     place, known = occupied(field, planes), dict[bytes, np.ndarray]()

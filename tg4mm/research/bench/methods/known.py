@@ -1,4 +1,4 @@
-"""The methods by name, as `--methods` and `bench job` take them; pictures that another program has rendered."""
+"""The methods by name, for `--methods` and `bench job`; pictures rendered by another program."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,10 +43,10 @@ _NOTE = "displacements handed in: errors are over the points of points3d.ply, ea
 
 
 def submitted(folder: Path, data: BenchSet) -> dict[str, Any]:
-    """A run's figures as of `measure`, with those of the motion alone; {} where `folder` holds no displacements.
+    """Return figures of a submitted motion, like `measure`; {} if `folder` has no displacements.
 
-    Raises BenchError for a file that does not hold `displacement` [T, P, 3] alone, finite, and CaptureError for a
-    dataset whose truth is damaged.
+    Raises BenchError for a file that is not a finite `displacement` [T, P, 3] alone, and CaptureError for a dataset
+    with damaged truth.
     """
     file = folder / FILE
     if not file.is_file():
@@ -99,7 +99,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class External:
-    """Pictures in `folder`/<dataset's name>/, laid out as the dataset's own, or displacements: docs/protocol.md."""
+    """Pictures in `folder`/<dataset's name>/, in the dataset's layout, or displacements: docs/protocol.md."""
 
     name: str
     folder: Path
@@ -125,7 +125,7 @@ class External:
     def check(self, data: BenchSet, alpha: int) -> None:
         """Raise BenchError (CaptureError) for the first picture at α that is missing, no PNG or of another size.
 
-        By the files' heads alone.
+        Only the files' heads are read.
         """
         truth = truth_at(data, alpha)
         for i in range(len(truth)):
@@ -157,16 +157,16 @@ class External:
         return any(self.has(data, alpha) for alpha in (0, *data.alphas))
 
     def has(self, data: BenchSet, alpha: float) -> bool:
-        """Whether there is anything for this α."""
+        """Return whether there are pictures for this α."""
         return any(self.place(data, alpha).glob("[0-9]*/test/*.png"))
 
     def place(self, data: BenchSet, alpha: float) -> Path:
-        """Where the folders of the timesteps lie."""
+        """Return the parent of the timesteps' folders."""
         return self.folder / data.label / (f"magnified/x{alpha:03g}" if alpha else "")
 
 
 def parse_external(given: list[str]) -> tuple[External, ...]:
-    """From `NAME=DIR`. Raises BenchError for another form, a name that no folder can have or given twice, no folder."""
+    """Parse `NAME=DIR`. Raises BenchError for another form, an invalid or repeated name, and a missing folder."""
     found: dict[str, External] = {}
     for text in given:
         name, sign, folder = text.partition("=")
@@ -183,7 +183,7 @@ def parse_external(given: list[str]) -> tuple[External, ...]:
 
 @dataclass(frozen=True)
 class Known:
-    """A method by name. usual: its own settings; fit: what moves the Gaussians of `modal`; whole: made as it is."""
+    """A named method. usual: its settings; fit: moves the Gaussians of `modal`; whole: the method itself."""
 
     about: str
     usual: Any = None
@@ -215,7 +215,7 @@ DEFAULT = ("modal", "paper-tuned", TRACKING, Phase2D.name)
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
-    """The names. Raises BenchError for one that is none, given twice, or for no name at all."""
+    """Return the names. Raises BenchError for an unknown or repeated name, or for none."""
     if not names or names == [""]:
         raise BenchError(f"--methods is empty, expected some of {', '.join(NAMES)}")
     for i, name in enumerate(names):
@@ -229,10 +229,10 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
 def methods_of(
     names: Sequence[str], settings: Mapping[str, Mapping[str, str]], external: Sequence[External] = ()
 ) -> list[Method]:
-    """The methods, in order; the first preset also gives the rows of its Gaussians at rest and moved exactly.
+    """Return the methods, in order; the first preset also has rows of its Gaussians at rest and moved exactly.
 
-    settings: {preset or method: as `--set`}; methods that begin with the Gaussians of `modal` have its settings too.
-    Raises BenchError for an outside method that is called as one of this program's.
+    settings: {preset or method: as `--set`}; methods that use the Gaussians of `modal` also have its settings. Raises
+    BenchError for an outside method with a name of this program's.
     """
     reference = next((n for n in names if n in SCORINGS), None)
     made = [_method(n, settings, n == reference) for n in names]
@@ -252,7 +252,7 @@ def _method(name: str, settings: Mapping[str, Mapping[str, str]], framing: bool)
 
 
 def settings_of(given: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, str]]:
-    """`--set` by preset and method. Raises Tg4mmError for a name that none has, and for a value that does not fit."""
+    """Return `--set` by preset and method. Raises Tg4mmError for an unknown name, and for an invalid value."""
     usual = {n: METHODS[n].usual for n in names if METHODS[n].usual is not None}
     own = {n: {k: v for k, v in given.items() if k.startswith(f"{n}.")} for n in usual}
     for name, some in own.items():

@@ -1,7 +1,7 @@
-"""Gaussians that a `HexPlane` moves, in the manner of 4DGS: the dynamic 3DGS that [TG4MM] Table V compares with.
+"""Gaussians moved by a `HexPlane`, in the manner of 4DGS, the dynamic 3DGS in [TG4MM] Table V.
 
-`tracking`: the Gaussians at rest are those of `modal` and stay as they are. `4dgs`: they are trained along, and what
-they move from is timestep 0. Departures from the published 4DGS: no densification after the start, size and opacity do
+`tracking`: the Gaussians at rest are those of `modal`. `4dgs`: they are trained together with the field, and move from
+timestep 0 on. Departures from the published 4DGS: no densification after the start, size and opacity do
 not change over time, and the time planes have a cell for each timestep.
 """
 
@@ -42,7 +42,7 @@ class TrackingConfig:
 
 
 def track(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> Moving:
-    """Fit the field that moves the Gaussians, which stay as they are."""
+    """Fit the field that moves the fixed Gaussians."""
     field, motion = _fitted(g, lambda: g, [], views, config)
     with torch.no_grad():
         series = torch.stack([motion(t) for t in range(len(views))])
@@ -62,7 +62,7 @@ def track_along(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> M
 def _fitted(
     g: Gaussians, now: Callable[[], Gaussians], groups: list, views: list[Cameras], config: TrackingConfig
 ) -> "tuple[HexPlane, Callable[[int], Tensor]]":
-    """The field, and how the motion [N, 6] (scene units, radians) at timestep t is got; asked where `g` stand."""
+    """Fit and return the field, and a function of the timestep for the motion [N, 6] of `g` (scene units, radians)."""
     n, device, box = len(views), g.means.device, box_of(g)
     points = ((g.means - box[0]) / (box[1] - box[0]) * 2 - 1).clamp(-1, 1)
     unit = float((box[1] - box[0]).max())
@@ -90,7 +90,7 @@ _PAIRS = tuple(combinations(range(4), 2))  # of x, y, z, t
 
 
 class HexPlane(nn.Module):
-    """(points in −1..1, time in −1..1) → displacement [N, 3] and rotation vectors [N, 3], in the units of `scale`."""
+    """Map points and time in −1..1 to displacements [N, 3] and rotation vectors [N, 3], in the units of `scale`."""
 
     def __init__(
         self, resolution: int, levels: int, n_timesteps: int, channels: int, width: int, seed: int
@@ -113,7 +113,7 @@ class HexPlane(nn.Module):
         nn.init.zeros_(self.head.bias)
 
     def forward(self, points: Tensor, time: float) -> Tensor:
-        """[N, 6] at points [N, 3]; columns displacement and rotation."""
+        """Return displacement and rotation [N, 6] at points [N, 3]."""
         at = [*points.unbind(1), torch.full_like(points[:, 0], time)]
         features = []
         for first in range(0, len(self.planes), len(_PAIRS)):
@@ -129,7 +129,7 @@ class HexPlane(nn.Module):
         return self.head(x)
 
     def roughness(self) -> tuple[Tensor, Tensor]:
-        """(total variation of the planes over space, second difference of the others over time), means of squares."""
+        """Return mean squares of the spatial planes' total variation, and of the others' second difference in time."""
         space, time = self.planes[0].new_zeros(()), self.planes[0].new_zeros(())
         for i, plane in enumerate(self.planes):
             if _PAIRS[i % len(_PAIRS)][1] == 3:

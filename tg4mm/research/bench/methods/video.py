@@ -1,4 +1,4 @@
-"""Magnification of each test view's own video, in two dimensions: no scene, no other view."""
+"""Two-dimensional magnification of each test view's video, without a scene or other views."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,11 +20,11 @@ from tg4mm.research.bench.sets import BenchSet, truth_at
 # NTSC's luma and two chroma signals from RGB.
 _YIQ = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
 _RGB = np.linalg.inv(_YIQ)
-_VERSION = 2  # of these methods: raise it when the same settings would give other pictures
+_VERSION = 2  # of these methods; to be raised when the same settings would give other pictures
 
 
 class VideoMethod:
-    """What both share: nothing to learn, and a video for each camera of the test split."""
+    """Base of both methods, which have no training, and a video for each camera of the test split."""
 
     name: str
 
@@ -47,7 +47,7 @@ class VideoMethod:
         response = band_response(data, alpha, plan)
         for rows, own in zip(cameras_of(capture), cameras_of(seen), strict=True):
             video = video_of(seen, own)
-            # clip: what is magnified may leave 0..1
+            # magnified values may leave 0..1
             magnified = video if alpha == 0 else self.magnified(video, response, alpha).clip(0, 1)
             yield from zip(rows.tolist(), magnified, strict=True)
 
@@ -109,7 +109,7 @@ class SmoothedPhase(PhaseMagnifier):
 
 
 def _padded(video: np.ndarray) -> np.ndarray:
-    """[T, H, W] with its last rows and columns repeated up to even sizes that the sub-bands allow."""
+    """Repeat the last rows and columns of [T, H, W] up to even sizes for the sub-bands."""
     up = [max(SMALLEST, n + n % 2) - n for n in video.shape[1:]]
     return np.pad(video, ((0, 0), (0, up[0]), (0, up[1])), mode="edge")
 
@@ -130,7 +130,7 @@ class Linear2D(VideoMethod):
         yiq = video @ _YIQ.T.astype(np.float32)
         levels = laplacian(yiq)
         response = response.copy()
-        response[0] = 0.0  # 0 Hz is the picture itself, which a windowed filter does not remove whole
+        response[0] = 0.0  # the picture itself, which a windowed filter does not remove completely
         change = [np.zeros_like(level) for level in levels]
         for k in range(1, len(levels) - 1):  # neither the finest nor the rest, as published
             wavelength = float(np.hypot(video.shape[1], video.shape[2])) / 3 / 2 ** (len(levels) - 1 - k)
@@ -147,7 +147,7 @@ _KERNEL = np.array([1, 4, 6, 4, 1], np.float32) / 16  # Burt and Adelson's binom
 
 
 def laplacian(video: np.ndarray) -> list[np.ndarray]:
-    """Levels of [T, H, W, C], finest first; the last is the low-pass rest, of fewer than ten cells a side."""
+    """Return the levels of [T, H, W, C], finest first; the last, a low-pass, has fewer than ten cells a side."""
     levels, rest = [], video
     while min(rest.shape[1:3]) >= 10:
         low = _blurred(rest)[:, ::2, ::2]
@@ -157,7 +157,7 @@ def laplacian(video: np.ndarray) -> list[np.ndarray]:
 
 
 def collapse(levels: list[np.ndarray]) -> np.ndarray:
-    """The video of `laplacian`'s levels."""
+    """Return the video of `laplacian`'s levels."""
     video = levels[-1]
     for level in reversed(levels[:-1]):
         video = level + _enlarged(video, level.shape[1:3])
