@@ -128,5 +128,5 @@ def _present(root: Path) -> str:
 def magnified_alphas(root: Path) -> list[int]:
     """The α above 0 that a dataset has ground truth for, ascending: of its folders magnified/x005."""
     names = (path.name[1:] for path in (root / "magnified").glob("x*") if path.is_dir())
-    own = {int(n) for n in names if n.isdecimal() and n == f"{int(n):03d}" and int(n)}
-    return sorted(own | set(_published(root)))
+    alphas = {int(n) for n in names if n.isdecimal() and n == f"{int(n):03d}" and int(n)}
+    return sorted(alphas | set(_published(root)))

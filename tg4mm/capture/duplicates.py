@@ -208,11 +208,11 @@ def _stands_out_in_kind(share: np.ndarray, is_new: np.ndarray, places: Sequence[
     for k, place in enumerate(places):
         rows.setdefault(place, []).append(k)
     right = pairs = compared = 0.0
-    for own in rows.values():
-        new = is_new[own]
+    for alike in rows.values():
+        new = is_new[alike]
         count = int(new.sum()) * int((~new).sum())
         if count:
-            right += count * _ordered(rankdata(-share[own]), new)
+            right += count * _ordered(rankdata(-share[alike]), new)
             pairs += count
             compared += int((~new).sum())
     if compared < _COMPARED * int((~is_new).sum()):
@@ -242,15 +242,15 @@ def _without_pattern(
     again, unsure = share >= _ALONE, (share >= _BETWEEN) & (share < _ALONE)
     again[0] = unsure[0] = False
     new = ~again
-    count, own = int(again.sum()), changes[1:][new[1:]]
+    count, between_new = int(again.sum()), changes[1:][new[1:]]
     # B-frames and the frame after them are coded together: if a codec skips them all, that is one decision.
     groups = {k + place[2] for k, place in enumerate(places) if again[k]}
     if not _ALONE_FEWEST <= count <= _ALONE_MOST * len(changes) or unsure.sum() > _UNSURE * count:
         return None
     if len(groups) < _ALONE_FEWEST:
         return None
-    usual = float(np.median(own))
-    if np.quantile(own, 0.2) < _FLOOR * usual or np.quantile(changes[again], 0.9) > _NOTHING * usual:
+    usual = float(np.median(between_new))
+    if np.quantile(between_new, 0.2) < _FLOOR * usual or np.quantile(changes[again], 0.9) > _NOTHING * usual:
         return None
     if max(np.diff(np.flatnonzero([*new, True])), default=1) > _ALONE_RUN + 1:
         return None

@@ -36,8 +36,8 @@ class Orientation:
 
     def stored_vector(self, shown: np.ndarray) -> np.ndarray:
         """A vector [2], right and down in the picture that is shown, in the one that is stored."""
-        own = shown * np.where([self.mirrors_rows, self.mirrors_columns], -1, 1)
-        return own[::-1] if self.is_transposed else own
+        mirrored = shown * np.where([self.mirrors_rows, self.mirrors_columns], -1, 1)
+        return mirrored[::-1] if self.is_transposed else mirrored
 
 
 AS_STORED = Orientation()

@@ -81,16 +81,16 @@ class VideoFile:
 def video_file(root: Path) -> VideoFile | None:
     """Return the video linked by `tg4mm sfm`, None for pictures. Raises CaptureError if scene.json is damaged."""
     where = root / "scene.json"
-    own = read_scene(root, needs_fps=False).values.get("video")
-    if own is None:
+    entry = read_scene(root, needs_fps=False).values.get("video")
+    if entry is None:
         return None
-    record = Record(f"{where}: video", own)
-    repeats = own.get("repeats", [])
-    if not isinstance(own.get("file"), str):
+    record = Record(f"{where}: video", entry)
+    repeats = entry.get("repeats", [])
+    if not isinstance(entry.get("file"), str):
         raise record.error("file", "the name of a video")
     if not isinstance(repeats, list) or not all(isinstance(k, int) and k >= 0 for k in repeats):
         raise record.error("repeats", "a list of frames")
-    path = inside(root, root / own["file"], str(where))
+    path = inside(root, root / entry["file"], str(where))
     return VideoFile(path, record.number("from_s", low=-1.0), tuple(repeats)) if path.is_file() else None
 
 

@@ -151,12 +151,12 @@ def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
             '"fps": <frames per second> to it'
         )
     places = (times - moments[0]) / float(np.diff(moments).min())
-    own = np.full(len(views), math.nan)
+    times_s = np.full(len(views), math.nan)
     if np.nanmax(np.abs(places - np.round(places))) > UNEVEN:
-        places, own = _uneven(times, moments, fps)
+        places, times_s = _uneven(times, moments, fps)
     known = [
         v.frame.number("time_s") if v.frame.has("time_s") else float(s)
-        for v, s in zip(views, own, strict=True)
+        for v, s in zip(views, times_s, strict=True)
     ]
     timesteps = np.nan_to_num(np.round(places)).astype(int).tolist()
     views = [replace(v, timestep=t, time_s=s) for v, t, s in zip(views, timesteps, known, strict=True)]

@@ -59,16 +59,16 @@ class Window:
 
         Colours count by their alpha, as straight alpha has it.
         """
-        own = self.part(image)
+        part = self.part(image)
         if self.factor == 1:
-            return own
+            return part
         scale = 257 if image.dtype == np.uint8 else 1
-        alpha = own[..., 3]
+        alpha = part[..., 3]
         if alpha.min() == np.iinfo(image.dtype).max:
-            total = self._sum(own)
+            total = self._sum(part)
             return ((total * scale + self.factor**2 // 2) // self.factor**2).astype(np.uint16)
         coverage = self._sum(alpha[..., None]).astype(np.float64)
-        colour = self._sum(own[..., :3].astype(np.uint64) * alpha[..., None])
+        colour = self._sum(part[..., :3].astype(np.uint64) * alpha[..., None])
         out = np.concatenate([colour / np.maximum(coverage, 1), coverage / self.factor**2], axis=-1)
         return np.rint(out * scale).astype(np.uint16)
 

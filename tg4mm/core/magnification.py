@@ -172,8 +172,8 @@ class Magnification:
 
     def times(self, alpha: float) -> "Magnification":
         """Replace every α by `alpha`."""
-        own = Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
-        return replace(own, suppressed=self.suppressed, amplitude_percentile=self.amplitude_percentile)
+        magnified = Magnification.of(alpha, *self.limits, method=self.method, filter=self.filter)
+        return replace(magnified, suppressed=self.suppressed, amplitude_percentile=self.amplitude_percentile)
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
@@ -219,8 +219,8 @@ class Magnification:
     @property
     def of_phase(self) -> dict[str, float | bool]:
         """The settings of the method `phase` that are not at their defaults, by name."""
-        own = {"suppressed": self.suppressed, "amplitude_percentile": self.amplitude_percentile}
-        return {name: value for name, value in own.items() if value}
+        options = {"suppressed": self.suppressed, "amplitude_percentile": self.amplitude_percentile}
+        return {name: value for name, value in options.items() if value}
 
     @property
     def is_identity(self) -> bool:

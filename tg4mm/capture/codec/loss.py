@@ -76,39 +76,39 @@ def codec_losses(
     """
     if not any(tones):
         return [[] for _ in tones]
-    slowest = max(min(tone.frequency_hz for own in tones for tone in own), 1e-3)
+    slowest = max(min(tone.frequency_hz for of_region in tones for tone in of_region), 1e-3)
     height, width = regions[0].shape
     periods, pixels = (_QUICK_PERIODS, _QUICK_PIXELS) if quick else (_PERIODS, _PIXELS)
     fewest = int(max(_FEWEST, periods * (fps or 30.0) / slowest))
     most = max(fewest, int(pixels / (height * width)))
     try:
         if is_lossless(video):
-            return [[Loss(1.0, 0.0) for _ in own] for own in tones]
+            return [[Loss(1.0, 0.0) for _ in of_region] for of_region in tones]
         made = probe(video, start_s, most)
     except (OSError, ValueError, Tg4mmError, av_module().FFmpegError):
         made = None
     if made is None:
         why = "what its compression takes is not known: the video cannot be tested"
-        return [[Loss(float("nan"), float("nan"), why) for _ in own] for own in tones]
+        return [[Loss(float("nan"), float("nan"), why) for _ in of_region] for of_region in tones]
     shape = made.orientation.shown(made.luma[0]).shape
     for region in regions:
         if region.shape != shape:
             raise Tg4mmError(f"a region has the shape {region.shape}, the video's pictures {shape}")
     masks = [made.orientation.stored(region.astype(np.float32)) for region in regions]
     if made.is_key.all():  # every picture by itself: noise, but no memory
-        return [[Loss(1.0, 0.0) for _ in own] for own in tones]
+        return [[Loss(1.0, 0.0) for _ in of_region] for of_region in tones]
     if not made.encoder or quick:
         unasked = _TOO_LARGE if made.encoder else _UNASKED
         own_words = [_by_pictures(made, mask, unasked) for mask in masks]
-        found = [[loss] * len(own) for loss, own in zip(own_words, tones, strict=True)]
+        found = [[loss] * len(of_region) for loss, of_region in zip(own_words, tones, strict=True)]
         if not made.encoder or most * height * width > _QUICK_MOST:
             return found
-        tones = [own if loss.why else [] for loss, own in zip(own_words, tones, strict=True)]
+        tones = [of_region if loss.why else [] for loss, of_region in zip(own_words, tones, strict=True)]
     is_new = ~np.isin(np.arange(len(made.luma)), list(repeats))
     is_new[0] = True
     times = (np.cumsum(is_new) - 1) / float(fps or made.rate)
     tested = _tested(made, masks, tones, times, seed, without_between, fewest)
-    return [own or known for own, known in zip(tested, found, strict=True)] if quick else tested
+    return [of_region or known for of_region, known in zip(tested, found, strict=True)] if quick else tested
 
 
 def _tested(
@@ -125,13 +125,15 @@ def _tested(
     The first encoding has `frames`, the second as many as make its standard error as small as what is beside it.
     """
     found: list[list[Loss]] = [[] for _ in tones]
-    for group in _apart([k for k, own in enumerate(tones) if own], masks):
-        own = [[replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group]
-        gains, length = [np.ones(len(t)) for t in own], min(frames, len(times))
+    for group in _apart([k for k, of_group in enumerate(tones) if of_group], masks):
+        of_group = [
+            [replace(t, phasor=made.orientation.stored_vector(t.phasor)) for t in tones[k]] for k in group
+        ]
+        gains, length = [np.ones(len(t)) for t in of_group], min(frames, len(times))
         for again in range(2):
             scaled = [
                 [Tone(t.frequency_hz, t.phasor / np.clip(g, *_GAINS)) for t, g in zip(ts, gs, strict=True)]
-                for ts, gs in zip(own, gains, strict=True)
+                for ts, gs in zip(of_group, gains, strict=True)
             ]
             inside, shown = [masks[k] for k in group], times[:length]
             results = through(made, inside, scaled, shown, seed + again, without_between)
@@ -157,11 +159,11 @@ def _told(gain: float, deviation: float) -> Loss:
 
 def _by_pictures(made: Probe, mask: np.ndarray, unasked: str) -> Loss:
     inside = mask > 0.5
-    own = made.luma[:, inside].astype(np.float32)
-    equal = float((own[1:] == own[:-1]).mean())
-    own -= own.mean(0)
-    own -= own.mean(1, keepdims=True)
-    memory = float((own[1:] * own[:-1]).mean() / max(float((own**2).mean()), 1e-9))
+    luma = made.luma[:, inside].astype(np.float32)
+    equal = float((luma[1:] == luma[:-1]).mean())
+    luma -= luma.mean(0)
+    luma -= luma.mean(1, keepdims=True)
+    memory = float((luma[1:] * luma[:-1]).mean() / max(float((luma**2).mean()), 1e-9))
     if equal < FRESH_PIXELS and abs(memory) < FRESH_NOISE:
         return Loss(1.0, FRESH)
     why = f"may be smaller than it was: {equal:.0%} of its pixels repeat the frame before, and {unasked}"

@@ -78,7 +78,7 @@ def through(
     mean, height = made.planes.mean(0, dtype=np.float32), made.luma.shape[1]
     luma = mean[:height]
     noise = _noise(made, mean)
-    moves = [np.stack([_series(own, times, axis) for axis in (0, 1)], 1) for own in tones]
+    moves = [np.stack([_series(of_region, times, axis) for axis in (0, 1)], 1) for of_region in tones]
     soft = [gaussian_filter(mask, _EDGE_PX) for mask in _grown(masks)]
     boxes = [_box_of(mask) for mask in soft]
 
@@ -97,8 +97,8 @@ def through(
         seen, is_between = _decoded(path)
     used = is_new & ~is_between if without_between else is_new
     return [
-        [gain_of(u, own, j, times[used]) for j in range(len(own))]
-        for own, u in zip(tones, shifts_of(seen[used], masks, times[used]), strict=True)
+        [gain_of(u, of_region, j, times[used]) for j in range(len(of_region))]
+        for of_region, u in zip(tones, shifts_of(seen[used], masks, times[used]), strict=True)
     ]
 
 
@@ -112,7 +112,9 @@ def _grown(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return the regions with their surroundings that belong to no other."""
     wide = [maximum_filter(mask, 2 * _AROUND_PX + 1) for mask in masks]
     every = np.max(masks, axis=0)
-    return [np.where(every > 0, mask, own).astype(np.float32) for mask, own in zip(masks, wide, strict=True)]
+    return [
+        np.where(every > 0, mask, grown).astype(np.float32) for mask, grown in zip(masks, wide, strict=True)
+    ]
 
 
 def _noise(made: Probe, mean: np.ndarray) -> np.ndarray:
@@ -222,9 +224,9 @@ def probe(path: Path, start_s: float, most: int) -> Probe | None:
         return None
     with opened(path) as container:
         packets = [p.size for p in container.demux(stream_of(container)) if p.size]
-    own = np.array(kinds)
+    kind_of = np.array(kinds)
     return Probe(
-        np.stack(planes), own == ALONE, own == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
+        np.stack(planes), kind_of == ALONE, kind_of == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
         _encoder(codec, settings), _settings(settings), orientation,
     )  # fmt: skip
 
@@ -265,17 +267,17 @@ def _settings(text: str) -> dict[str, str]:
 
 def rate_options(made: Probe) -> dict[str, str]:
     """Return encoder options that reproduce the quality and the frame kinds."""
-    own = made.settings
-    options = {key: own[key] for key in _OPTIONS if key in own}
-    control = own.get("rc", "")
-    if control == "crf" and "crf" in own:
-        rate = {"crf": own["crf"]}
-    elif control == "cqp" and "qp" in own:
-        rate = {"qp": own["qp"]}
+    settings = made.settings
+    options = {key: settings[key] for key in _OPTIONS if key in settings}
+    control = settings.get("rc", "")
+    if control == "crf" and "crf" in settings:
+        rate = {"crf": settings["crf"]}
+    elif control == "cqp" and "qp" in settings:
+        rate = {"qp": settings["qp"]}
     else:
         rate = {"b": str(round(made.bits))}
-        if "vbv-maxrate" in own and "vbv-bufsize" in own:  # thousands of bits
-            rate |= {"maxrate": own["vbv-maxrate"] + "000", "bufsize": own["vbv-bufsize"] + "000"}
+        if "vbv-maxrate" in settings and "vbv-bufsize" in settings:  # thousands of bits
+            rate |= {"maxrate": settings["vbv-maxrate"] + "000", "bufsize": settings["vbv-bufsize"] + "000"}
     which = "x264-params" if made.encoder == "libx264" else "x265-params"
     quiet = {} if made.encoder == "libx264" else {"log-level": "none", "pools": "none", "frame-threads": "1"}
     joined = ":".join(f"{key}={value}" for key, value in (options | quiet).items())

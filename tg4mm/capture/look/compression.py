@@ -20,15 +20,15 @@ def with_losses(
     if not lines:
         return found.lines
     regions = list({line.region.tobytes(): line.region for line in lines}.values())
-    own = [[line for line in lines if (line.region == region).all()] for region in regions]
+    by_region = [[line for line in lines if (line.region == region).all()] for region in regions]
     masks = [found.pixels(region) for region in regions]
-    tones = [[_tone(line) for line in some] for some in own]
+    tones = [[_tone(line) for line in some] for some in by_region]
     all_losses = codec_losses(
         *(video, masks, tones, fps, start_s, repeats), quick=True, without_between=found.without_between
     )
     known = {
         id(line): loss
-        for some, losses in zip(own, all_losses, strict=True)
+        for some, losses in zip(by_region, all_losses, strict=True)
         for line, loss in zip(some, losses, strict=True)
     }
     return tuple(_with_loss(line, known[id(line)]) if id(line) in known else line for line in found.lines)

@@ -63,9 +63,9 @@ def look(
     found = replace(look_at(series, drawn), repeats=repeats)
     if path.is_dir() or is_stack(path):
         return found
-    own = [line for one in found.regions for line in one.lines]
+    of_regions = [line for one in found.regions for line in one.lines]
     corrected = with_losses(
-        replace(found, lines=(*found.lines, *own)), path, found.rate, window.start_s, repeats
+        replace(found, lines=(*found.lines, *of_regions)), path, found.rate, window.start_s, repeats
     )
     count = len(found.lines)
     return replace(found, lines=corrected[:count], regions=with_lines(found.regions, corrected[count:]))
@@ -133,8 +133,8 @@ def _edges(search: Search) -> np.ndarray:
     touching, near_by = (
         ndimage.binary_dilation(scene.grid.picture(moving), BLOCK, n).ravel() for n in (1, _ITS_RIM)
     )
-    own = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
-    folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in own]
+    known_hz = [n * line.vibration.hz for line in search.lines for n in (1, 2)]
+    folded = [abs((hz + 0.5 / scene.dt) % (1 / scene.dt) - 0.5 / scene.dt) for hz in known_hz]
     for cells, tones in _by_themselves(scene):
         near = (abs(tone[0] - hz) < 1 / scene.duration for tone in tones for hz in folded)
         left, upper, right, lower = scene.grid.box(cells)
@@ -149,11 +149,11 @@ def _moved(search: Search) -> np.ndarray:
     pool, moved = search.pools[0], np.zeros(len(search.pools[0]), bool)
     for line in search.lines:
         fit = pool.in_picture(line.plain[0])
-        own = np.einsum("cxa,icx->ica", pool.axes, fit - np.median(fit, 1, keepdims=True))
+        deviation = np.einsum("cxa,icx->ica", pool.axes, fit - np.median(fit, 1, keepdims=True))
         basis = line.vibration.columns(search.times)
         precision = 4 / len(search.times) / pool.floor[search.bin_of(line.vibration.hz)].reshape(-1, 2)
-        statistic = np.einsum("ica,ij,jca,ca->c", own, basis.T @ basis, own, precision)
-        moves, size = statistic > _MOVES, np.linalg.norm(own, axis=(0, 2))
+        statistic = np.einsum("ica,ij,jca,ca->c", deviation, basis.T @ basis, deviation, precision)
+        moves, size = statistic > _MOVES, np.linalg.norm(deviation, axis=(0, 2))
         if moves.mean() > _MOST:
             moves &= size > _AS_MUCH * np.percentile(size[moves], 90)
         moved |= moves
@@ -193,16 +193,16 @@ def _reported(search: Search, line: Line) -> CoreLine:
 
     A decay is estimated from frames that keep small motion: the loss of the others would look like damping.
     """
-    own, scene = line.vibration, search.scene
+    vibration, scene = line.vibration, search.scene
     series, seen = search.series_of(line)
-    reported = steady = fit_lines(series[seen], search.times[seen], [own.hz]).lines[0]
-    if own.decay_per_s:
+    reported = steady = fit_lines(series[seen], search.times[seen], [vibration.hz]).lines[0]
+    if vibration.decay_per_s:
         rows = seen & ~scene.between if scene.treats_apart else seen
-        rows = rows if _is_off_mirror(own.hz, search.times[rows], scene.duration) else seen
-        half = max(1 / scene.duration, own.decay_per_s / np.pi)
-        ends = max(own.hz - half, 1 / scene.duration), own.hz + half
+        rows = rows if _is_off_mirror(vibration.hz, search.times[rows], scene.duration) else seen
+        half = max(1 / scene.duration, vibration.decay_per_s / np.pi)
+        ends = max(vibration.hz - half, 1 / scene.duration), vibration.hz + half
         found = find_lines(series[rows], search.times[rows], ends=ends, most=1).lines
-        reported = found[0] if found and found[0].damping is not None else own
+        reported = found[0] if found and found[0].damping is not None else vibration
     if 0 < abs(reported.decay_per_s) * scene.duration < scene.coded_change:
         return replace(steady, decay_per_s=0.0, change="untold")
     return reported
@@ -230,7 +230,7 @@ def _result(scene: Scene, search: Search, swings: tuple[GlobalMotion, ...], line
         moves_by_itself=grid.picture(scene.masks.core),
         hidden=grid.picture(scene.masks.hidden & ~scene.masks.moves),
         usable=grid.picture(scene.usable),
-        shift_px=scene.own.reshape(len(scene.own), grid.rows, grid.columns, 2),
+        shift_px=scene.relative.reshape(len(scene.relative), grid.rows, grid.columns, 2),
         whole_px=scene.whole,
         times_s=series.times_s,
         cell_px=grid.size,

@@ -41,8 +41,8 @@ def marked(
     clipped [rows, columns] bool: cells with clipped highlights.
     """
     marks = [_mark(line, lines, rate, duration_s, patterns, taken_off) for line in lines]
-    own = [replace(line, mark=mark) for line, mark in zip(lines, marks, strict=True)]
-    return [_beside_light(line, light, duration_s, clipped) for line in own]
+    marked_lines = [replace(line, mark=mark) for line, mark in zip(lines, marks, strict=True)]
+    return [_beside_light(line, light, duration_s, clipped) for line in marked_lines]
 
 
 def _beside_light(

@@ -92,9 +92,15 @@ def matched(patch: Patch, baseline: BaselineMisfit, change: np.ndarray) -> Match
     shares = (np.maximum(left - baseline.noise, 0) / np.maximum(all_of_it, 1e-9))[all_of_it > baseline.noise]
     if len(shares) and np.percentile(shares, 25) > _LEFT:
         return None
-    own = (left < before) & np.array([part[4] for part in parts])
+    is_better = (left < before) & np.array([part[4] for part in parts])
     covariance = np.stack([part[3] for part in parts])
-    return Matched(patch.cells[own], shift[:, own], gain[:, own], misfit[:, own], covariance[own])
+    return Matched(
+        patch.cells[is_better],
+        shift[:, is_better],
+        gain[:, is_better],
+        misfit[:, is_better],
+        covariance[is_better],
+    )
 
 
 def _cell(pictures: np.ndarray, place: np.ndarray, size: int, start: np.ndarray) -> tuple[Any, ...]:

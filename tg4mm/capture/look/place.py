@@ -89,10 +89,10 @@ def placed(search: Search, line: Line) -> list[Placed]:
     sizes = np.linalg.norm(placing.cells.fit, axis=(0, 2))
     joined = numbers[np.isin(numbers, out[0].moving) & (sizes > _JOINS * out[0].amplitude_px)]
     labels, count = ndimage.label(grid.picture(np.isin(np.arange(len(grid)), joined)), BLOCK)
-    own = labels.ravel()[numbers]
-    largest = [float(placing.cells.statistic[own == k].max()) for k in range(1, count + 1)]
+    cells = labels.ravel()[numbers]
+    largest = [float(placing.cells.statistic[cells == k].max()) for k in range(1, count + 1)]
     for k in 1 + np.argsort(largest)[::-1]:
-        inside = own == k
+        inside = cells == k
         if inside.sum() < _FEWEST_APART or np.isin(out[0].region, numbers[inside]).any():
             continue
         part = _Placing(search, line, inside).placed()
@@ -262,8 +262,8 @@ class _Placing:
     def _series(self, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The region's motion [F, 2] and [F] bool: the pictures in which it is seen."""
         pool, columns = self.cells.pool, np.stack([2 * region, 2 * region + 1], 1).ravel()
-        own = self.search.columns(self.line.vibration) @ self.line.taken[0][:, columns]
-        motion = pool.in_picture(pool.residual[:, columns] + own, region)
+        part = self.search.columns(self.line.vibration) @ self.line.taken[0][:, columns]
+        motion = pool.in_picture(pool.residual[:, columns] + part, region)
         seen = np.ones((len(motion), len(region))) if pool.seen is None else pool.seen[:, 2 * region]
         weights = self.weights[region]
         total = np.einsum("kc,cxy->kxy", seen, weights)
@@ -339,8 +339,8 @@ class _Placing:
     def _meets_image(self) -> bool:
         """Whether the line's images by a codec, at j / p of the rate less its frequency, coincide with it."""
         scene, hz = self.search.scene, self.line.vibration.hz
-        own = images(hz, 1 / scene.dt, scene.patterns)
-        return min((abs(image - hz) for image in own), default=np.inf) < 2 / scene.duration
+        image_hz = images(hz, 1 / scene.dt, scene.patterns)
+        return min((abs(image - hz) for image in image_hz), default=np.inf) < 2 / scene.duration
 
 
 def _along(fit: np.ndarray, noise: np.ndarray, inverse: np.ndarray) -> tuple[float, float, np.ndarray, float]:

@@ -50,10 +50,12 @@ class AggregationWindow:
         fit = np.linalg.pinv(columns, rcond=_RANK * max(columns.shape)) @ series
         if self.seen is None:
             return np.asarray(fit)
-        for pictures, own in self._alike if which is None else _alike(self.seen[:, which]):
+        for pictures, members in self._alike if which is None else _alike(self.seen[:, which]):
             products = columns[pictures].T @ columns[pictures]
             products += (_REDUCED * np.trace(products) + 1e-9) * np.eye(columns.shape[1])
-            fit[:, own] = np.linalg.solve(products, columns[pictures].T @ series[np.ix_(pictures, own)])
+            fit[:, members] = np.linalg.solve(
+                products, columns[pictures].T @ series[np.ix_(pictures, members)]
+            )
         return np.asarray(fit)
 
     @cached_property
@@ -75,7 +77,7 @@ def _alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     _, of = np.unique(np.packbits(seen[:, gaps].T > 0, axis=1), axis=0, return_inverse=True)
     order = np.argsort(of.ravel(), kind="stable")
     groups = np.split(gaps[order], np.flatnonzero(np.diff(of.ravel()[order])) + 1)
-    return [(np.flatnonzero(seen[:, own[0]]), own) for own in groups]
+    return [(np.flatnonzero(seen[:, members[0]]), members) for members in groups]
 
 
 def pools_of(scene: Scene) -> list[AggregationWindow]:
@@ -104,7 +106,7 @@ def _pool(scene: Scene, size: int) -> AggregationWindow:
     flat = scene.information.reshape(-1, 4)
     whole = boxes(flat).reshape(-1, 2, 2)
     good = (count >= max(1, size * size / 2)) & (np.linalg.det(whole) > 1e-12)
-    weighted = np.einsum("cij,kcj->kci", scene.information, scene.own) * seen[..., None]
+    weighted = np.einsum("cij,kcj->kci", scene.information, scene.relative) * seen[..., None]
     by_shift = boxes(weighted)[:, good]
     varies = bool((scene.masks.hidden & scene.usable).any())
     information = (

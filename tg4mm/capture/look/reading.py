@@ -160,10 +160,12 @@ class _Reader:
         """[C] bool: cells that no small shift explains, or whose shift is far from the whole picture's."""
         shift, _, misfit, _ = self.solved()
         covariance = self.templates[0].covariance
-        own = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
+        deviation = np.linalg.norm(np.nan_to_num(shift - whole_shift(shift, covariance)[:, None]), axis=2)
         baseline = baseline_of(misfit, covariance, self.grid, alone)
         noise = np.sqrt(np.einsum("cii->c", covariance) * baseline.typical)
-        return baseline.stand_out() | (np.percentile(own, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise))
+        return baseline.stand_out() | (
+            np.percentile(deviation, 95, axis=0) > np.maximum(_FAR_PX, _CLEAR * noise)
+        )
 
     def solved(self) -> tuple[np.ndarray, ...]:
         """Shifts [F, C, 2], gains, misfits and changes [F, C]."""

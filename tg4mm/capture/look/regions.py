@@ -55,7 +55,7 @@ def _looked(scene: Scene, region: Region) -> RegionLook:
     resolved = values > max(values[0] / _EDGE**2, least)
     products = np.einsum("fc,cij->fij", seen, information)
     rows = np.linalg.det(products) > _SEEN**2 * np.linalg.det(whole)
-    weighted = np.einsum("fc,cij,fcj->fi", seen, information, scene.own[:, cells], optimize=True)
+    weighted = np.einsum("fc,cij,fcj->fi", seen, information, scene.relative[:, cells], optimize=True)
     motion = np.linalg.solve(products[rows], weighted[rows][..., None])[..., 0] @ axes[:, resolved]
     series = without(motion, scene.nuisance[rows])
     shown = scene.grid.picture(cells)

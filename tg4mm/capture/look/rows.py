@@ -42,21 +42,21 @@ def by_phases(angles: np.ndarray, weights: np.ndarray, heights: np.ndarray, hz: 
     if best in (0, len(tried) - 1) or (likely[best] - likely[len(tried) // 2]) / 2 < _GAIN:
         return None
 
-    def fitted(own: np.ndarray) -> tuple[float, float, float]:
+    def fitted(chosen: np.ndarray) -> tuple[float, float, float]:
         """Return seconds, their variance by the weights, and χ² per degree of freedom."""
-        left = turned[own] * np.exp(-4j * np.pi * hz * tried[best] * heights[own])
+        left = turned[chosen] * np.exp(-4j * np.pi * hz * tried[best] * heights[chosen])
         off = np.angle(left * np.conj(left.sum())) / 2
-        columns = np.stack([np.ones(len(off)), 2 * np.pi * hz * heights[own]], 1)
-        inverse = np.linalg.inv(columns.T @ (weights[own, None] * columns))
-        fit = inverse @ (columns.T @ (weights[own] * off))
-        spread = float(weights[own] @ (off - columns @ fit) ** 2) / max(len(off) - 2, 1)
+        columns = np.stack([np.ones(len(off)), 2 * np.pi * hz * heights[chosen]], 1)
+        inverse = np.linalg.inv(columns.T @ (weights[chosen, None] * columns))
+        fit = inverse @ (columns.T @ (weights[chosen] * off))
+        spread = float(weights[chosen] @ (off - columns @ fit) ** 2) / max(len(off) - 2, 1)
         return float(tried[best] + fit[1]), float(inverse[1, 1]), spread
 
     seconds, variance, spread = fitted(np.ones(len(heights), bool))
     without = np.array([fitted(heights != place)[0] for place in places])
     scatter = (len(places) - 1) * float(np.var(without))  # jackknife: neighbours of one height err alike
-    own = max(variance * max(spread, 1.0), scatter)
-    return Readout(seconds, float(np.hypot(own**0.5, _SHARE * seconds)))
+    total = max(variance * max(spread, 1.0), scatter)
+    return Readout(seconds, float(np.hypot(total**0.5, _SHARE * seconds)))
 
 
 def by_light(rows: np.ndarray, times_s: np.ndarray) -> Readout | None:

@@ -69,9 +69,11 @@ class Scene:
     nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
     light: list[Light]
     lost: float  # share of detail that B-frames lack
-    own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
+    relative: np.ndarray = field(
+        default_factory=lambda: np.zeros(0)
+    )  # [F, C, 2] shifts less the background's
     whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
-    shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, subtracted from `own`
+    shapes: tuple[str, ...] = ()  # of `zoom.py`, that the background follows, subtracted from `relative`
     courses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [F, m] theirs, px in the corners
 
     @property
@@ -320,19 +322,19 @@ def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[L
     level = _median_of(gain)
     found = tones_of(level / level.mean() - 1, series.times_s, nuisance)
     row, column = np.floor(_PARTS * series.grid.centres() / np.array(series.size)).astype(int).T[::-1]
-    own = [(k, _median_of(gain[:, _PARTS * row + column == k])) for k in range(_PARTS**2)]
-    own = [(k, part) for k, part in own if np.isfinite(gain[:, _PARTS * row + column == k]).any()]
+    by_part = [(k, _median_of(gain[:, _PARTS * row + column == k])) for k in range(_PARTS**2)]
+    by_part = [(k, part) for k, part in by_part if np.isfinite(gain[:, _PARTS * row + column == k]).any()]
     kept = []
     for hz, deviation, amplitude in found:
         columns = np.concatenate([nuisance, tone(series.times_s, hz)], 1)
-        fits = [np.linalg.lstsq(columns, part, rcond=None)[0] for _, part in own]
-        noise = [np.std(part - columns @ fit) for (_, part), fit in zip(own, fits, strict=True)]
+        fits = [np.linalg.lstsq(columns, part, rcond=None)[0] for _, part in by_part]
+        noise = [np.std(part - columns @ fit) for (_, part), fit in zip(by_part, fits, strict=True)]
         waves = np.array([fit[-2] - 1j * fit[-1] for fit in fits])
         sizes, sure = np.abs(waves), np.array(noise) * np.sqrt(2 / len(level))
         shown = (sizes > _EVERYWHERE * np.median(sizes)) & bool(np.median(sizes) > _SURE * np.median(sure))
-        heights = np.array([k // _PARTS for k, _ in own])
+        heights = np.array([k // _PARTS for k, _ in by_part])
         alike = sum(abs(waves[heights == h].sum()) for h in range(_PARTS)) / max(sizes.sum(), 1e-30)
-        if shown.sum() >= len(own) - _EXCEPT and alike > _IN_PHASE:
+        if shown.sum() >= len(by_part) - _EXCEPT and alike > _IN_PHASE:
             kept.append(Light(hz, deviation, amplitude, abs(waves.sum()) < _IN_PHASE * sizes.sum()))
     return kept
 
@@ -354,7 +356,7 @@ def against_background(scene: Scene, still: np.ndarray, all_still: bool = False)
     """
     shift = np.where(scene.masks.hidden[..., None], 0.0, np.nan_to_num(scene.series.shift))
     if not still.any():
-        return replace(scene, own=shift, whole=np.zeros((len(shift), 2)))
+        return replace(scene, relative=shift, whole=np.zeros((len(shift), 2)))
     size = np.trace(scene.information, axis1=1, axis2=2)
     weights = (
         scene.information * np.minimum(1, np.median(size[still]) / np.maximum(size, 1e-9))[:, None, None]
@@ -367,8 +369,8 @@ def against_background(scene: Scene, still: np.ndarray, all_still: bool = False)
     most = _AGREES * (_FAR_OFF if all_still else 1)
     counts = counts * _agrees(scene, still, shift - np.einsum("cip,kp->kci", design[..., 2:], known), most)
     found = fitted(design, weights, counts, shift)
-    own = shift - np.einsum("cip,kp->kci", design, found)
-    return replace(scene, own=own, whole=found[:, :2], shapes=shapes, courses=found[:, 2:])
+    relative = shift - np.einsum("cip,kp->kci", design, found)
+    return replace(scene, relative=relative, whole=found[:, :2], shapes=shapes, courses=found[:, 2:])
 
 
 def _agrees(scene: Scene, still: np.ndarray, shift: np.ndarray, most: float) -> np.ndarray:

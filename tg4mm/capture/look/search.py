@@ -208,8 +208,8 @@ class Search:
             pool.residual = pool.series - columns @ fit
             if pool.seen is not None:
                 pool.residual *= pool.seen
-            for line, own in zip(self.lines, np.split(fit, stops), strict=True):
-                line.taken[k] = own
+            for line, share in zip(self.lines, np.split(fit, stops), strict=True):
+                line.taken[k] = share
 
     def _make_plain(self) -> None:
         """Fit every line's cosine and sine to all pictures, B-frames included."""
@@ -218,27 +218,29 @@ class Search:
             line.plain = list(line.taken)
             if columns.shape[1] > 2:
                 pairs = zip(self.pools, line.taken, strict=True)
-                line.plain = [pool.fitted(plain, pool.residual + columns @ own) for pool, own in pairs]
+                line.plain = [
+                    pool.fitted(plain, pool.residual + columns @ coefficients) for pool, coefficients in pairs
+                ]
 
     def _again(self) -> None:
         """Fit each line again with the others subtracted; twice, as they depend on each other."""
         if len(self.lines) < 2:
             return
-        own = {line.pool for line in self.lines}
+        pools = {line.pool for line in self.lines}
         for line in [*self.lines, *self.lines]:
             series, seen = self.series_of(line)
             hz, width = line.vibration.hz, 1 / self.scene.duration
             line.vibration = fit_line_near(series[seen], self.times[seen], hz, width, line.noise)
-            self._take_off(own)
+            self._take_off(pools)
         self._take_off()
 
     def series_of(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
         """Return the series [F] of a line's shape without the other lines, and [F] bool: where enough of it is seen."""
         pool = self.pools[line.pool]
-        own = self.columns(line.vibration) @ line.taken[line.pool]
+        fitted = self.columns(line.vibration) @ line.taken[line.pool]
         if pool.seen is not None:
-            own = own * pool.seen
-        return line.shape.series(pool.residual + own, pool.seen)
+            fitted = fitted * pool.seen
+        return line.shape.series(pool.residual + fitted, pool.seen)
 
 
 def _least_support(peak: Peak) -> float:

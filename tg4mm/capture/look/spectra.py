@@ -49,15 +49,17 @@ def noise_floor(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     levels, freedom = [], []
     for first, stop in windows:
         relative = np.log(np.median(flat[first:stop], 0) / level + 1e-30)
-        own = _MEDIAN_SCATTER * PAD / (stop - first)
+        scatter = _MEDIAN_SCATTER * PAD / (stop - first)
         shared, between = 0.0, 9.0
         if len(relative) > 8:
             shared = float(np.median(relative))
-            between = max((1.4826 * float(np.median(np.abs(relative - shared)))) ** 2 - own - of_level, 0.0)
-        weight = between / (between + own)
+            between = max(
+                (1.4826 * float(np.median(np.abs(relative - shared)))) ** 2 - scatter - of_level, 0.0
+            )
+        weight = between / (between + scatter)
         drawn = (1 - weight) * shared + weight * relative
-        levels.append(level * np.exp(np.maximum(drawn, relative - own**0.5)) / LOG2)
-        freedom.append(2 / (weight * own + of_level))
+        levels.append(level * np.exp(np.maximum(drawn, relative - scatter**0.5)) / LOG2)
+        freedom.append(2 / (weight * scatter + of_level))
     at = np.interp(np.arange(count), [(a + b) / 2 for a, b in windows], np.arange(len(windows)))
     low = np.minimum(at.astype(int), max(len(windows) - 2, 0))
     high, part = np.minimum(low + 1, len(windows) - 1), at - low

@@ -79,8 +79,8 @@ def _slopes(
     here: np.ndarray,
 ) -> np.ndarray | None:
     """[m, 2]: slope of a quarter's time course on the others', and its ratio to its deviation; None for few cells."""
-    own, others = counts * here, counts * ~here
-    if (own.sum(0) > 0).sum() < _FEWEST_CELLS or (others.sum(0) > 0).sum() < 2 * _FEWEST_CELLS:
+    inner, others = counts * here, counts * ~here
+    if (inner.sum(0) > 0).sum() < _FEWEST_CELLS or (others.sum(0) > 0).sum() < 2 * _FEWEST_CELLS:
         return None
     course = fitted(design, weights, others, shift)
     out = []
@@ -88,8 +88,8 @@ def _slopes(
         rest = np.delete(np.arange(design.shape[2]), k)
         left = shift - np.einsum("cip,kp->kci", design[..., rest], course[:, rest])
         column = design[..., k]
-        size = np.einsum("kc,ci,cij,cj->k", own, column, weights, column, optimize=True)
-        along = np.einsum("kc,ci,cij,kcj->k", own, column, weights, left, optimize=True)
+        size = np.einsum("kc,ci,cij,cj->k", inner, column, weights, column, optimize=True)
+        along = np.einsum("kc,ci,cij,kcj->k", inner, column, weights, left, optimize=True)
         rows = size > 0.5 * np.median(size)
         if rows.sum() <= 2 * nuisance.shape[1]:
             return None

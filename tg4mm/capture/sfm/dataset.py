@@ -144,10 +144,10 @@ def _write_picture(target: Path, lens: Lens, frame: Frame) -> None:
 
 def video_of(out: Path, clip: Clip) -> Path:
     """The clip's video in the dataset, a link where that can be."""
-    own = out / "video" / clip.path.name
-    if not own.exists():
-        link_or_copy(clip.path, own)
-    return own
+    linked = out / "video" / clip.path.name
+    if not linked.exists():
+        link_or_copy(clip.path, linked)
+    return linked
 
 
 def video_frames_of(out: Path, track: Track) -> list[str] | None:

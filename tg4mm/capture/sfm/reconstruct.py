@@ -161,8 +161,8 @@ def _video(job: _Job) -> dict[str, Any]:
     clip, survey = job.sources.clips[0], job.surveys[0]
     if not clip.is_coded:
         return {}
-    own, start_s = video_of(job.work.out, clip), max(job.config.window.start_s, 0.0)
-    return {"video": {"file": f"video/{own.name}", "from_s": start_s, "repeats": list(survey.repeats)}}
+    linked, start_s = video_of(job.work.out, clip), max(job.config.window.start_s, 0.0)
+    return {"video": {"file": f"video/{linked.name}", "from_s": start_s, "repeats": list(survey.repeats)}}
 
 
 def _posed(job: _Job) -> dict[str, Any]:

@@ -62,8 +62,8 @@ def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> 
     shots = []
     for path in pictures:
         header = image_header(path)
-        own = (header.width, header.height)
-        group = "shared" if own == size and not each else f"{SWEEP} {own[0]}×{own[1]}"
+        wh = (header.width, header.height)
+        group = "shared" if wh == size and not each else f"{SWEEP} {wh[0]}×{wh[1]}"
         shots.append(Shot(f"{SWEEP}/{path.name}", path, group, SWEEP, turns=exif_turns(path)))
     return shots
 

@@ -138,9 +138,9 @@ def _is_pinhole(camera: Any) -> bool:
 
 def _lens(camera: Any, turns: int, pinhole: _Pinhole, size: tuple[int, int]) -> Lens:
     K, (width, height) = pinhole.K, size
-    own = (camera.height, camera.width) if turns % 2 else (camera.width, camera.height)
+    turned = (camera.height, camera.width) if turns % 2 else (camera.width, camera.height)
     taken_of = camera.width, camera.height
-    if _is_pinhole(camera) and own == size:
+    if _is_pinhole(camera) and turned == size:
         return Lens(K, size, None, turns, taken_of=taken_of)
     block = int(1 / pinhole.scale) if pinhole.scale <= 0.5 else 1
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)

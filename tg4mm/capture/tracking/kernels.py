@@ -30,9 +30,9 @@ def resample(
                 if weight != 0:
                     first = left + x - reach
                     if first >= 0 and first + width + 2 * reach - 1 <= last_column:
-                        own = pictures[f, source, first : first + width + 2 * reach]
+                        source_row = pictures[f, source, first : first + width + 2 * reach]
                         for j in range(width + 2 * reach):
-                            line[j] += weight * own[j]
+                            line[j] += weight * source_row[j]
                         continue
                     for j in range(width + 2 * reach):
                         line[j] += weight * pictures[f, source, min(max(first + j, 0), last_column)]

@@ -60,18 +60,18 @@ class Region:
             slice(part.start - wide.start, part.stop - wide.start)
             for part, wide in zip((down, right), outer, strict=True)
         ]
-        own = mask[down, right].astype(np.float64)
-        y, x = np.mgrid[: own.shape[0], : own.shape[1]] + 0.5
-        centre = float((own * x).sum() / own.sum()), float((own * y).sum() / own.sum())
+        weight = mask[down, right].astype(np.float64)
+        y, x = np.mgrid[: weight.shape[0], : weight.shape[1]] + 0.5
+        centre = float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
         radius = max(
-            float(np.sqrt((own * ((x - centre[0]) ** 2 + (y - centre[1]) ** 2)).sum() / own.sum())), 0.5
+            float(np.sqrt((weight * ((x - centre[0]) ** 2 + (y - centre[1]) ** 2)).sum() / weight.sum())), 0.5
         )
         side = int(np.clip(radius / _SQUARES, *_SIDE))
         halves = ((x - centre[0]) // side + (y - centre[1]) // side) % 2
-        some = [np.flatnonzero((own > _LEAST_ROOT**2) & (halves == half)) for half in (0, 1)]
+        some = [np.flatnonzero((weight > _LEAST_ROOT**2) & (halves == half)) for half in (0, 1)]
         index, root = np.zeros((2, max(map(len, some))), int), np.zeros((2, max(map(len, some))), np.float32)
         for half, pixels in enumerate(some):
-            index[half, : len(pixels)], root[half, : len(pixels)] = pixels, np.sqrt(own.ravel()[pixels])
+            index[half, : len(pixels)], root[half, : len(pixels)] = pixels, np.sqrt(weight.ravel()[pixels])
         at = centre[0] + right.start, centre[1] + down.start
         return Region((outer[0], outer[1]), (inner[0], inner[1]), index, root, Turn(centre, radius), at)
 
@@ -101,7 +101,10 @@ class Region:
         """[2, F, P] float32, weighted, of pictures [F, h, w] of the inner box."""
         flat = pictures.reshape(len(pictures), -1)
         return np.stack(
-            [flat[:, own].astype(np.float32) * root for own, root in zip(self.index, self.root, strict=True)]
+            [
+                flat[:, pixels].astype(np.float32) * root
+                for pixels, root in zip(self.index, self.root, strict=True)
+            ]
         )
 
 
@@ -129,11 +132,12 @@ class RowClock:
             delays[max(first, 0) : max(last, 0)] = band.delay_s
             counts = [int((root > 0).sum()) for root in region.root]
             ends = [
-                slice(*np.searchsorted(own[:n], [first, last])) for own, n in zip(rows, counts, strict=True)
+                slice(*np.searchsorted(numbers[:n], [first, last]))
+                for numbers, n in zip(rows, counts, strict=True)
             ]
-            if any(own.stop > own.start for own in ends):
+            if any(span.stop > span.start for span in ends):
                 bands.append((band.delay_s, ends))
-                known.append(sum(float(weight[k, own].sum()) for k, own in enumerate(ends)))
+                known.append(sum(float(weight[k, span].sum()) for k, span in enumerate(ends)))
         weights = np.maximum(known, 1e-12 * max(max(known), 1e-30))
         whole = float(np.average([delay for delay, _ in bands], weights=weights))
         return RowClock(region, times_s, delays, bands, whole)
@@ -152,8 +156,8 @@ class RowClock:
         """[2, B, f, 8] products of each band of some pictures, and energies [2, f]."""
         difference = template.difference(pictures)
         parts = [
-            template.banded_products(own, half, [ends[half] for _, ends in self.bands])
-            for half, own in enumerate(difference)
+            template.banded_products(part, half, [ends[half] for _, ends in self.bands])
+            for half, part in enumerate(difference)
         ]
         return np.stack(parts), np.einsum("cfp,cfp->cf", difference, difference)
 
@@ -161,9 +165,9 @@ class RowClock:
         """[2, F, 8] products at the time of the region, and the energies."""
         total = np.zeros((len(parts), *parts.shape[2:]))
         for b, (delay, _) in enumerate(self.bands):
-            own = np.moveaxis(parts[:, b], 1, -1)  # [2, 8, F]
-            moved = later(self.times_s, own.reshape(-1, own.shape[-1]), self.delay_s - delay)
-            total += np.moveaxis(moved.reshape(own.shape), -1, 1)
+            part = np.moveaxis(parts[:, b], 1, -1)  # [2, 8, F]
+            moved = later(self.times_s, part.reshape(-1, part.shape[-1]), self.delay_s - delay)
+            total += np.moveaxis(moved.reshape(part.shape), -1, 1)
         return total, energy
 
 
@@ -187,8 +191,8 @@ class RegionMotion:
         """[F, 2] pixels right and down of both halves together."""
         total = self.normals.sum(0)
         total = total + (1e-9 * np.trace(total) + 1e-12) * np.eye(3)
-        own = np.einsum("cij,cfj->fi", self.normals, self.shift)
-        return np.asarray(np.linalg.solve(total, own.T).T[:, :2])
+        weighted = np.einsum("cij,cfj->fi", self.normals, self.shift)
+        return np.asarray(np.linalg.solve(total, weighted.T).T[:, :2])
 
     @property
     def other_share(self) -> float:
@@ -239,13 +243,13 @@ def region_motions(
     kept = [mapped_zeros((len(times_s), *region.shape), np.uint16) for region in regions]
     first = 0
     for some in pictures:
-        for region, own in zip(regions, kept, strict=True):
+        for region, cut in zip(regions, kept, strict=True):
             grey = some(region.box)
-            own[first : first + len(grey)] = np.rint(np.clip(grey, 0, 255) * _LEVELS)
+            cut[first : first + len(grey)] = np.rint(np.clip(grey, 0, 255) * _LEVELS)
         first += len(grey)
     out = []
-    for region, own in zip(regions, kept, strict=True):
-        out.append(_measured(region, own, times_s, readout_s, masks[0].shape[0]))
+    for region, cut in zip(regions, kept, strict=True):
+        out.append(_measured(region, cut, times_s, readout_s, masks[0].shape[0]))
         step()
     return out
 
@@ -257,13 +261,13 @@ def _measured(
     if not first.hidden.any():
         return first
     seen = np.flatnonzero(~first.hidden)
-    own = _estimated(region, kept[seen], times_s[seen], readout_s, height)
+    motion = _estimated(region, kept[seen], times_s[seen], readout_s, height)
     shift = np.stack(
-        [[np.interp(times_s, times_s[seen], y) for y in half.T] for half in own.shift]
+        [[np.interp(times_s, times_s[seen], y) for y in half.T] for half in motion.shift]
     ).transpose(0, 2, 1)
     misfit, change = first.misfit.copy(), first.change.copy()
-    misfit[seen], change[seen] = own.misfit, own.change
-    return replace(own, shift=shift, misfit=misfit, change=change, hidden=first.hidden)
+    misfit[seen], change[seen] = motion.misfit, motion.change
+    return replace(motion, shift=shift, misfit=misfit, change=change, hidden=first.hidden)
 
 
 def _estimated(
@@ -323,7 +327,7 @@ def _iterated(
 
 def _chunks(kept: np.ndarray, region: Region) -> Iterable[np.ndarray]:
     """Grey levels of the inner box, a few frames at a time."""
-    own = kept[:, *region.inner]
-    step = max(1, _AT_ONCE // own[0].size)
-    for first in range(0, len(own), step):
-        yield own[first : first + step].astype(np.float32) / _LEVELS
+    inner = kept[:, *region.inner]
+    step = max(1, _AT_ONCE // inner[0].size)
+    for first in range(0, len(inner), step):
+        yield inner[first : first + step].astype(np.float32) / _LEVELS

@@ -39,8 +39,8 @@ def whole_offsets(pictures: np.ndarray, inside: np.ndarray, reach: int) -> np.nd
     near = np.arange(-reach, reach + 1)
     out = np.empty((len(pictures), 2), int)
     for k, picture in enumerate(pictures):
-        own = picture[box].astype(np.float32) - level
-        unlike = fft.irfft2(of_inside * fft.rfft2(own * own) - 2 * of_first * fft.rfft2(own), shape)
+        cut = picture[box].astype(np.float32) - level
+        unlike = fft.irfft2(of_inside * fft.rfft2(cut * cut) - 2 * of_first * fft.rfft2(cut), shape)
         down, right = np.divmod(int(unlike[near[:, None], near].argmin()), len(near))
         out[k] = right - reach, down - reach
     return out

@@ -165,9 +165,9 @@ class Template:
         if len(shift) == 1:
             return np.asarray(shift[0, :, :2])
         normals = self.motion_equations()[0]
-        total, own = normals.sum(0), np.einsum("cij,cfj->fi", normals, np.nan_to_num(shift))
+        total, weighted = normals.sum(0), np.einsum("cij,cfj->fi", normals, np.nan_to_num(shift))
         ridge = (1e-9 * np.trace(total) + 1e-12) * np.eye(len(total))
-        return np.asarray(np.linalg.solve(total + ridge, own.T).T[:, :2])
+        return np.asarray(np.linalg.solve(total + ridge, weighted.T).T[:, :2])
 
     def solved(self, products: np.ndarray, energy: np.ndarray) -> Solved:
         """Shifts, gains and mean squares from inner products [C, F, 6 or 8] and energies [C, F]."""

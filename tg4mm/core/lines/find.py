@@ -71,10 +71,10 @@ def find_lines(
     if between is not None and (
         part := without_between(record, [shapes[k] for k in order], np.asarray(between, bool))
     ):
-        own, lines_there, differ = part
-        lines = own.result(_kept(own, lines_there)).lines
+        later, lines_there, differ = part
+        lines = later.result(_kept(later, lines_there)).lines
         if not differ:
-            lines += tuple(line for line in found.lines if not _is_among(line, lines, own))
+            lines += tuple(line for line in found.lines if not _is_among(line, lines, later))
         left = found.residual + sum(line.at(record.t) for line in found.lines)
         found = replace(found, lines=lines, residual=left - sum(line.at(record.t) for line in lines))
     strong = sorted(found.lines, key=lambda line: -line.strength)
@@ -117,9 +117,9 @@ def fit_lines(
     record = Record.of(values, times_s, noise, None)
     if record is None or len(record.t) < 4 * len(at) + 8:
         raise ValueError(f"{len(times_s)} samples are too few for {len(at)} lines")
-    lines = [own for own in at if isinstance(own, Line)]
+    lines = [line for line in at if isinstance(line, Line)]
     if lines:
-        shapes = [_shape_of(own, record.t) for own in lines]
+        shapes = [_shape_of(line, record.t) for line in lines]
         return record.whitened(shapes).result(shapes)
     shapes = [Shape(float(hz)) for hz in np.clip(np.asarray(at, np.float64), *record.ends)]
     record = record.whitened(refined(shapes, record.t, record.y, record.ends))
@@ -141,8 +141,8 @@ def fit_line_near(values: np.ndarray, times_s: np.ndarray, hz: float, half_hz: f
     options = [[Shape(hz)]]
     for c in candidates(record.y, record.t, level, (), ends, 0.0):
         if c.statistic > 0 and c.shape.decay >= 0:
-            own = replace(c.shape, is_free=c.shape.decay != 0)
-            options.append([_begun(record, [], own) if own.start else own])
+            shape = replace(c.shape, is_free=c.shape.decay != 0)
+            options.append([_begun(record, [], shape) if shape.start else shape])
     options = [refined(option, record.t, record.y, ends) for option in options]
     return record.result(_simplest(record, options, level)).lines[0]
 
@@ -176,10 +176,10 @@ def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
         found = [Candidate(hidden, 1.0)]
     options = []
     for c in (c for c in found if c.statistic > 0):
-        own = replace(c.shape, is_free=c.shape.decay != 0)
-        if own.start:
-            own = _begun(record, shapes, own)
-        options.append(refined([*shapes, own], record.t, record.y, record.ends))
+        shape = replace(c.shape, is_free=c.shape.decay != 0)
+        if shape.start:
+            shape = _begun(record, shapes, shape)
+        options.append(refined([*shapes, shape], record.t, record.y, record.ends))
     more = _beginnings(record, _simplest(record, options))
     more = _cheapest(record, [more, *_changing(record, shapes, more)])
     return None if unknowns(more) == unknowns(shapes) and len(more) == len(shapes) else more
@@ -286,10 +286,10 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
     duration = float(np.ptp(record.t))
     free = _refitted(record, [replace(s, is_free=True) for s in shapes])
     phasors, residual = solved(free, record.t, record.y)
-    own = covariances(record, free, phasors, record.levels(free, residual))
+    errors = covariances(record, free, phasors, record.levels(free, residual))
     sure = np.sqrt(chi2.isf(_SURE, 1))
     out = []
-    for s, c in zip(free, own, strict=True):
+    for s, c in zip(free, errors, strict=True):
         lasting = duration - float(record.t[s.start] - record.t[0])
         changes = abs(s.decay) > max(sure * np.sqrt(c[1, 1]), LEAST_CHANGE / lasting)
         out.append(s if changes else replace(s, decay=0.0, is_free=False))
@@ -308,8 +308,8 @@ def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
     """Return all but the weakest line that may be noise, a leftover of a stronger line, or part of its neighbour."""
     phasors, residual = solved(shapes, record.t, record.y)
     levels = record.levels(shapes, residual)
-    own = covariances(record, shapes, phasors, levels)
-    strength = np.array([wald(p, c) for p, c in zip(phasors, own, strict=True)])
+    errors = covariances(record, shapes, phasors, levels)
+    strength = np.array([wald(p, c) for p, c in zip(phasors, errors, strict=True)])
     size = np.array([np.linalg.norm(p) for p in phasors])
     least = chi2.isf(record.chance / (_TRIED * len(record.t)), 2 * record.y.shape[1])
     at_end = np.array([min(abs(s.hz - e) for e in record.ends) < 1e-6 * record.ends[1] for s in shapes])
@@ -330,7 +330,7 @@ def _is_change(record: Record, shapes: list[Shape], i: int, size: np.ndarray) ->
     """Whether a change of a stronger line near line i explains it."""
     for j, s in enumerate(shapes):
         if size[j] > size[i] and abs(shapes[i].hz - s.hz) < reach(record, s):
-            alone = [own for k, own in enumerate(shapes) if k != i]
+            alone = [other for k, other in enumerate(shapes) if k != i]
             alone = _refitted(record, modulated(record, alone, j - (j > i), abs(shapes[i].hz - s.hz)))
             if _cheapest(record, [shapes, alone]) is alone:
                 return True

@@ -85,8 +85,8 @@ def solved(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray) -> tuple[np.nd
     """Phasors [K, D] at each wave's middle, and the residual [T, D], of least squares."""
     x = design(shapes, t)
     weights = np.linalg.lstsq(x, y, rcond=None)[0]
-    own = weights[TREND + 1 :]
-    return own[0::2] + 1j * own[1::2], y - x @ weights
+    pairs = weights[TREND + 1 :]
+    return pairs[0::2] + 1j * pairs[1::2], y - x @ weights
 
 
 def slopes(
@@ -124,12 +124,12 @@ def refined(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray, ends: tuple[f
         return (y - basis @ (basis.T @ y)).ravel() / scale
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        own = _with(shapes, x, duration)
-        waves = [s.wave(t) for s in own]
+        moved = _with(shapes, x, duration)
+        waves = [s.wave(t) for s in moved]
         basis, upper = np.linalg.qr(_columns(waves, slow))
         weights = np.linalg.lstsq(upper, basis.T @ y, rcond=None)[0][slow.shape[1] :]
         phasors = weights[0::2] + 1j * weights[1::2]
-        each = zip(own, phasors, waves, strict=True)
+        each = zip(moved, phasors, waves, strict=True)
         columns = [c for s, p, w in each for c in slopes(s, p, t, w)]
         return np.stack([-(c - basis @ (basis.T @ c)).ravel() for c in columns], 1) / (duration * scale)
 
@@ -248,10 +248,10 @@ def sandwiched(columns: np.ndarray, levels: np.ndarray, t: np.ndarray) -> np.nda
     n = samples(t)
     out = np.zeros((columns.shape[2],) * 2)
     for d in range(columns.shape[1]):
-        own = np.fft.rfft(gridded(columns[:, d], t, 2 * n), axis=0)
-        hz = np.arange(len(own)) / 2  # bins
+        spectrum = np.fft.rfft(gridded(columns[:, d], t, 2 * n), axis=0)
+        hz = np.arange(len(spectrum)) / 2  # bins
         density = np.interp(hz, np.arange(1, len(levels) + 1), levels[:, d])
         twice = np.where((hz == 0) | (hz == n / 2), 1.0, 2.0)  # the mirror image
-        weighted = own * (density * twice)[:, None]
-        out += (own.conj().T @ weighted).real / (2 * n)
+        weighted = spectrum * (density * twice)[:, None]
+        out += (spectrum.conj().T @ weighted).real / (2 * n)
     return out

@@ -52,11 +52,11 @@ def modulated(record: Record, shapes: Sequence[Shape], j: int, seen: float | Non
     changes = _changes(plain, t, count, pairs)
     phasor, residual = solved(out, t, record.y)[0][j], solved(out, t, record.y)[1]
     columns, left, across = _beside(record, out, j, phasor, changes)
-    bases = [np.linalg.qr(own)[0] for own in columns]
+    bases = [np.linalg.qr(each)[0] for each in columns]
     best = (0.0, 0, 0.0)  # of what cost, how many columns, which angle
     for _ in range(_STEPS):
-        own = _directed(columns, best[2])[:, : best[1]]
-        now = left - own @ _least_squares(own, left) if best[1] else left
+        each = _directed(columns, best[2])[:, : best[1]]
+        now = left - each @ _least_squares(each, left) if best[1] else left
         beside = residual - (left - now).reshape(len(t), -1) @ across.T
         floor = record.floor(beside, shapes)[0]
         level = float(floor[record.bin_of(plain.hz, len(floor))].mean())
@@ -103,10 +103,10 @@ def _best(
         series = (parts[:n] + 1j * parts[n:]) * np.sqrt((columns[0][:, :n] ** 2).sum(0))
         angle = float(np.angle((series**2).sum()) / 2)
         basis = np.linalg.qr(_directed(columns, angle)[:, :n])[0]
-        own = prices.copy()
-        own[1 : n + 1] += price - np.cumsum((basis.T @ left) ** 2)
-        own[n + 1 :] = np.inf
-        options.append((angle, own))
+        joint = prices.copy()
+        joint[1 : n + 1] += price - np.cumsum((basis.T @ left) ** 2)
+        joint[n + 1 :] = np.inf
+        options.append((angle, joint))
     found = (0.0, 0, 0.0)
     for angle, costs in options:
         k = int(costs[1:].argmin()) + 1
@@ -140,12 +140,12 @@ def _beside(
     t = record.t
     across = np.linalg.svd(np.stack([phasor.real, phasor.imag], 1), full_matrices=False)
     kept = across[0][:, across[1] > 1e-9 * across[1].max()]
-    own, wave = phasor @ kept, shapes[j].wave(t)
-    n = len(own)
+    modulated, wave = phasor @ kept, shapes[j].wave(t)
+    n = len(modulated)
     x = np.kron(design(shapes, t), np.eye(n))  # rows: time, then component
-    bent = [c.ravel()[:, None] for c in slopes(shapes[j], own, t, wave)]
+    bent = [c.ravel()[:, None] for c in slopes(shapes[j], modulated, t, wave)]
     basis = np.linalg.qr(np.hstack([x, *bent]))[0]
-    turning = wave[:, None] * own
+    turning = wave[:, None] * modulated
     columns = np.stack(
         [
             (part.real[:, :, None] * changes[:, None]).reshape(len(t) * n, -1)

@@ -231,12 +231,14 @@ class Record:
         """Return the lines in the units of the values."""
         phasors, residual = solved(shapes, self.t, self.y)
         levels = self.levels(shapes, residual)
-        own = covariances(self, shapes, phasors, levels)
+        errors = covariances(self, shapes, phasors, levels)
         free = _free_decays(self, shapes, levels)
-        for s, p, c in zip(shapes, phasors, own, strict=True):
+        for s, p, c in zip(shapes, phasors, errors, strict=True):
             line = (s.wave(self.t)[:, None] * p).real
             c[1, 1] += early_decay_variance(s, self.t, line + residual, float(c[1, 1]))
-        lines = tuple(self._line(s, p, c, d) for s, p, c, d in zip(shapes, phasors, own, free, strict=True))
+        lines = tuple(
+            self._line(s, p, c, d) for s, p, c, d in zip(shapes, phasors, errors, free, strict=True)
+        )
         n = samples(self.t)
         hz = np.arange(1, len(levels) + 1) / (n * float(np.median(np.diff(self.t))))
         density = np.sqrt(levels @ self.back**2)
@@ -249,10 +251,10 @@ class Record:
         middle = s.middle_s(self.t)
         clock = (phasor @ self.back) * np.exp(-2j * np.pi * s.hz * middle)
         start = float(self.t[s.start]) if s.start else None
-        own = turn @ covariance @ turn.T
+        errors = turn @ covariance @ turn.T
         strength = wald(phasor, covariance)
         change = _change(s, free)
-        return Line(s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, change, strength, s.depth)
+        return Line(s.hz, s.decay, clock, errors, s.from_s(self.t), middle, start, change, strength, s.depth)
 
 
 def _change(s: Shape, free: tuple[float, float]) -> str:
@@ -268,17 +270,17 @@ def _change(s: Shape, free: tuple[float, float]) -> str:
 def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """[D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
     spectrum = spectra(y, t)
-    own = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
-    own = np.maximum(np.maximum(own, noise), 1e-9 * np.sqrt((y**2).mean()) + 1e-300)
+    scatter = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
+    scatter = np.maximum(np.maximum(scatter, noise), 1e-9 * np.sqrt((y**2).mean()) + 1e-300)
     if not 1 < y.shape[1] <= _ALIKE:
-        return np.diag(1 / own)
-    scaled = spectrum / own
+        return np.diag(1 / scatter)
+    scaled = spectrum / scatter
     power = (np.abs(scaled) ** 2).sum(1)
     quiet = scaled[power <= np.quantile(power, 0.7)]
     shared = (quiet.conj().T @ quiet).real
     size = np.sqrt(np.diag(shared)) + 1e-12 * np.sqrt(np.trace(shared)) + 1e-30
     alike = shared / np.outer(size, size) * (1 - 1e-3) + 1e-3 * np.eye(len(shared))
-    return np.asarray(np.diag(1 / own) @ np.linalg.inv(np.linalg.cholesky(alike)).T)
+    return np.asarray(np.diag(1 / scatter) @ np.linalg.inv(np.linalg.cholesky(alike)).T)
 
 
 def nothing(values: np.ndarray) -> Lines:
@@ -289,8 +291,8 @@ def nothing(values: np.ndarray) -> Lines:
 
 def wald(phasor: np.ndarray, covariance: np.ndarray) -> float:
     """χ² of the hypothesis that there is no line."""
-    own = np.concatenate([phasor.real, phasor.imag])
-    return float(own @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ own)
+    parts = np.concatenate([phasor.real, phasor.imag])
+    return float(parts @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ parts)
 
 
 def _free_decays(record: Record, shapes: Sequence[Shape], levels: np.ndarray) -> list[tuple[float, float]]:
@@ -298,9 +300,11 @@ def _free_decays(record: Record, shapes: Sequence[Shape], levels: np.ndarray) ->
     if not shapes:
         return []
     free = refined([replace(s, is_free=True) for s in shapes], record.t, record.y, record.ends)
-    own = covariances(record, free, solved(free, record.t, record.y)[0], levels)
+    errors = covariances(record, free, solved(free, record.t, record.y)[0], levels)
     duration = float(np.ptp(record.t))
-    return [(s.decay * duration, float(np.sqrt(c[1, 1])) * duration) for s, c in zip(free, own, strict=True)]
+    return [
+        (s.decay * duration, float(np.sqrt(c[1, 1])) * duration) for s, c in zip(free, errors, strict=True)
+    ]
 
 
 def covariances(
@@ -333,9 +337,9 @@ def _slow_variance(s: Shape, t: np.ndarray) -> tuple[float, float]:
     if s.modulation is None:
         return 0.0, 0.0
     since = (t[s.start :] - t[s.start]) / (t[-1] - t[s.start])
-    own = s.modulation[s.start :] - 1
+    modulation = s.modulation[s.start :] - 1
     k = np.arange(2, 2 + _NEXT)
-    c = 2 * own @ np.cos(np.pi * since[:, None] * k) / len(since)
+    c = 2 * modulation @ np.cos(np.pi * since[:, None] * k) / len(since)
     scale = (24 / np.pi**2 / (t[-1] - t[s.start])) ** 2
     return scale * float((k * c.imag) @ (k * c.imag)) / _NEXT, scale * float(
         (k * c.real) @ (k * c.real)
@@ -351,14 +355,14 @@ def _jacobian(
     numbers = []
     for s, p in zip(shapes, phasors, strict=True):
         first, bent, wave = len(columns), slopes(s, p, record.t), s.wave(record.t)
-        columns += bent + [part[:, None] * own for part in (wave.real, -wave.imag) for own in each]
+        columns += bent + [part[:, None] * unit for part in (wave.real, -wave.imag) for unit in each]
         of_phasor = np.arange(first + len(bent), len(columns))
         numbers.append(np.array([first, first + 1 if s.is_free else -1, *of_phasor]))
-    columns += [slow[:, None] * own for slow in trend(record.t).T for own in each]
+    columns += [slow[:, None] * unit for slow in trend(record.t).T for unit in each]
     return np.stack(columns, -1), numbers
 
 
-def early_decay_variance(shape: Shape, t: np.ndarray, own: np.ndarray, variance: float) -> float:
+def early_decay_variance(shape: Shape, t: np.ndarray, values: np.ndarray, variance: float) -> float:
     """Return the variance to add to `variance` of a decay per second: 0 where both parts agree or one is too short.
 
     Video compression attenuates small motion, so the end of a ring-down looks weaker than it is, and the damping of
@@ -372,9 +376,9 @@ def early_decay_variance(shape: Shape, t: np.ndarray, own: np.ndarray, variance:
     early = (t >= begin) & (t <= begin + constant)
     if t[-1] < begin + 2 * constant or constant * shape.hz < _CYCLES or early.sum() < _FEWEST:
         return 0.0
-    since, y = t - begin, own[t >= begin]
+    since, y = t - begin, values[t >= begin]
     whole = since[t >= begin]
-    part, y_part = since[early], own[early]
+    part, y_part = since[early], values[early]
 
     def left(log: float) -> float:
         basis = np.linalg.qr(_columns(shape.hz, float(np.exp(log)), part))[0]

@@ -98,7 +98,7 @@ class _Look:
         duration = float(np.ptp(t)) + step
         hz = np.arange(ends[0], ends[1], 1 / (_OVERSAMPLED * duration))
         bins = np.arange(1, len(levels) + 1)
-        level = np.stack([np.interp(hz * duration, bins, own) for own in levels.T], 1)
+        level = np.stack([np.interp(hz * duration, bins, component) for component in levels.T], 1)
         away = np.full(len(hz), np.inf)
         for s in lines:
             off = np.abs(hz - s.hz)
@@ -122,11 +122,11 @@ class _Look:
         sums = np.zeros((len(rates), *self.level.shape), complex)
         energies = np.zeros(len(rates))
         for first, last in zip(edges[-2:0:-1], edges[:1:-1], strict=True):
-            own = slice(first, last)
-            e = np.exp(-rates[:, None] * (t[own] - t[first]))
+            rows = slice(first, last)
+            e = np.exp(-rates[:, None] * (t[rows] - t[first]))
             carried = np.exp(-rates * (t[last] - t[first])) if last < len(t) else np.zeros(len(rates))
-            weighted = (self.residual[own][:, None] * e.T[..., None]).reshape(last - first, -1)
-            fresh = (self.turned[:, own] @ weighted).reshape(len(self.hz), len(rates), -1)
+            weighted = (self.residual[rows][:, None] * e.T[..., None]).reshape(last - first, -1)
+            fresh = (self.turned[:, rows] @ weighted).reshape(len(self.hz), len(rates), -1)
             sums = fresh.transpose(1, 0, 2) + carried[:, None, None] * sums
             energies = (e**2).sum(1) + carried**2 * energies
             shapes = [Shape(0.0, float(rate), int(first)) for rate in rates]
@@ -159,7 +159,9 @@ class _Look:
 def _turned(hz: np.ndarray, t: np.ndarray) -> np.ndarray:
     """[F, T] exp(−iωt) of frequencies of one step: each a product of two, an exponential costs more."""
     few = int(np.sqrt(len(hz))) + 1
-    coarse, fine = (np.exp(-2j * np.pi * own[:, None] * t) for own in (hz[::few], hz[:few] - hz[:1]))
+    coarse, fine = (
+        np.exp(-2j * np.pi * frequencies[:, None] * t) for frequencies in (hz[::few], hz[:few] - hz[:1])
+    )
     return np.asarray((coarse[:, None] * fine).reshape(-1, len(t))[: len(hz)])
 
 
@@ -235,8 +237,8 @@ def _differ(
     for s, phasor, level in zip(shapes, phasors, levels, strict=True):
         if _gained(record, x, (s.wave(record.t) * between)[:, None] * phasor, level) > chi2.isf(chance, 2):
             return True
-        own = _own(record, s, between)
-        if _explained(record, x, own, level) > chi2.isf(chance, own.shape[1] * record.y.shape[1]):
+        part = _own(record, s, between)
+        if _explained(record, x, part, level) > chi2.isf(chance, part.shape[1] * record.y.shape[1]):
             return True
     return False
 

@@ -90,9 +90,9 @@ def _inline(text: str, label: str) -> Markup:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.S)
     used = set(re.findall(r"(?:url\(|href=\")#([^)\"]+)", text))
-    own = f"c{zlib.crc32(text.encode()):08x}-"
-    text = re.sub(r' id="([^"]*)"', lambda m: f' id="{own}{m[1]}"' if m[1] in used else "", text)
-    text = re.sub(r"(url\(|href=\")#", rf"\g<1>#{own}", text)
+    prefix = f"c{zlib.crc32(text.encode()):08x}-"
+    text = re.sub(r' id="([^"]*)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", text)
+    text = re.sub(r"(url\(|href=\")#", rf"\g<1>#{prefix}", text)
     for colour, variable in _VARIABLES.items():
         text = text.replace(colour, f"var({variable})")
     text = re.sub(r"'DejaVu Sans'(?:, [^;\"]*)?", "var(--sans)", text)
@@ -122,21 +122,29 @@ def curves(axes: Any, variables: dict[str, str]) -> Markup:
     found = [(np.asarray(n.get_xdata(), float), np.asarray(n.get_ydata(), float)) for n in lines]
     found += [(np.array([s[0, 0] for s in c.get_segments()]), np.array([s[:, 1].max() for s in c.get_segments()]))
               for c in stems]  # fmt: skip
-    x = np.unique(np.concatenate([own for own, _ in found])) if found else np.zeros(0)
+    x = np.unique(np.concatenate([points for points, _ in found])) if found else np.zeros(0)
     series = [
         {"name": _name(line), "colour": colour(line.get_color()), "dash": line.get_linestyle() not in ("-", "None"),
-         "points": line.get_linestyle() == "None", "y": _placed(x, *own)}
-        for line, own in zip(lines, found, strict=False)
+         "points": line.get_linestyle() == "None", "y": _placed(x, *points)}
+        for line, points in zip(lines, found, strict=False)
     ]  # fmt: skip
     series += [
-        {"name": "", "colour": colour(np.atleast_2d(c.get_color())[0]), "stem": True, "y": _placed(x, *own)}
-        for c, own in zip(stems, found[len(lines) :], strict=True)
-        if len(own[0])
+        {
+            "name": "",
+            "colour": colour(np.atleast_2d(c.get_color())[0]),
+            "stem": True,
+            "y": _placed(x, *points),
+        }
+        for c, points in zip(stems, found[len(lines) :], strict=True)
+        if len(points[0])
     ]
     for band in (c for c in axes.collections if isinstance(c, PolyCollection)):
-        own, tone = np.asarray(band.get_paths()[0].vertices), colour(np.asarray(band.get_facecolor())[0, :3])
+        points, tone = (
+            np.asarray(band.get_paths()[0].vertices),
+            colour(np.asarray(band.get_facecolor())[0, :3]),
+        )
         of = next(s for s in series if s["colour"] == tone and "low" not in s and not s.get("dash"))
-        of["low"], of["high"] = (_placed(x, *_extreme(own, end)) for end in (np.fmin, np.fmax))
+        of["low"], of["high"] = (_placed(x, *_extreme(points, end)) for end in (np.fmin, np.fmax))
     content = {
         "x": _plain(x), "series": series, "xLabel": axes.get_xlabel(), "yLabel": axes.get_ylabel(),
         "xRange": _plain(axes.get_xlim()), "yRange": _plain(axes.get_ylim()), "log": axes.get_yscale() == "log",

@@ -187,11 +187,11 @@ def turn(
     step = max(_CELLS_AT_ONCE // n, 1)
     for start in range(0, cells, step):
         c = coefficients[:, start : start + step]
-        own = torch.angle(c * c[:1].conj())
-        phase = torch.fft.irfft(torch.fft.rfft(own, dim=0) * response[:, None], n, dim=0)
+        angle = torch.angle(c * c[:1].conj())
+        phase = torch.fft.irfft(torch.fft.rfft(angle, dim=0) * response[:, None], n, dim=0)
         if suppressed:
-            phase -= own
-        del own  # or a part of the working set is held twice
+            phase -= angle
+        del angle  # or a part of the working set is held twice
         if keeps is not None:
             phase[:, keeps[start : start + step]] = 0
         c *= torch.polar(torch.ones_like(phase), phase) - 1

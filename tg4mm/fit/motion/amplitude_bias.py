@@ -68,11 +68,11 @@ def gain_of(model: TemporalModel, folds: np.ndarray) -> Gain:
         for v in fold.views.tolist():
             view, y = model.problem.views[v], _smooth(model.images(v))
             moved = (view.jvp(np.ascontiguousarray(folds[k])) for k in (p, 1 - p))
-            own, other = (_smooth(model.problem.without_nuisance(v, pictures)) for pictures in moved)
+            mine, other = (_smooth(model.problem.without_nuisance(v, pictures)) for pictures in moved)
             other *= reliability[:, None, None, None]
             if model.problem.pixel_weights is not None:
                 other *= model.problem.pixel_weights[v][..., None]
-            each = np.einsum("rhwc,rhwc->hw", other, own)
+            each = np.einsum("rhwc,rhwc->hw", other, mine)
             seen[p] += float(np.vdot(other, y))
             shown[p] += float(each.sum(dtype=np.float64))
             places += blend_sum(view, np.repeat(each[..., None], 3, 2))
@@ -105,9 +105,9 @@ class PictureGain:
         view, buffers = problem.views[v], Buffers()
         # not the filmed picture's: texture that the scene lacks is in the targets, but in no J m
         down, right = np.gradient(view.over_white, axis=(0, 1))
-        own = fields if problem.mixing is None else np.tensordot(problem.mixing[v], fields, 1)
-        for first in range(0, len(own), _AT_ONCE):
-            some = np.ascontiguousarray(own[first : first + _AT_ONCE], np.float32)
+        mixed = fields if problem.mixing is None else np.tensordot(problem.mixing[v], fields, 1)
+        for first in range(0, len(mixed), _AT_ONCE):
+            some = np.ascontiguousarray(mixed[first : first + _AT_ONCE], np.float32)
             flow = optical_flow(view, some, buffers)
             carried = problem.without_nuisance(v, -(right * flow[..., :1] + down * flow[..., 1:2]))
             self.along += float(np.vdot(carried, view.jvp(some)))

@@ -220,9 +220,9 @@ class AppearanceFit:
     def of(motion: Problem, cameras: Sequence[PosedView], folds: Sequence[Fold]) -> "AppearanceFit":
         """Beside a motion problem; folds: two of the cameras."""
         tilts = motion.gaussians.sh_degree > 0
-        own = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)
+        views = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)
         return AppearanceFit(
-            AppearanceProblem.of(own, motion.pixel_weights, motion.graph), folds, motion.graph.knn
+            AppearanceProblem.of(views, motion.pixel_weights, motion.graph), folds, motion.graph.knn
         )
 
     def between_passes(self, residual: MotionResidual) -> Correction | None:
@@ -273,8 +273,8 @@ def shared_appearance(
     going = np.arange(len(changes))
     for count in sorted({LOOK, iterations}):
         a, b = (
-            problem.colours(pcg(problem, own[going], count, 0.0).theta)
-            for problem, own in zip(problems, sides, strict=True)
+            problem.colours(pcg(problem, side[going], count, 0.0).theta)
+            for problem, side in zip(problems, sides, strict=True)
         )
         mean = (a + b) / 2
         gain = reliability(*(v.reshape(*v.shape[:2], -1) for v in (mean, a, b)))

@@ -155,8 +155,8 @@ def few_iterations(
             return fields
         shared = SharedPass(on_cpu)
         b = shared.right_hand_sides(images)
-        own = len(b) // len(on_cpu) if on_cpu[0].is_coupled else 1
-        theta = pcg(shared, b, iterations, 1e-6, together=own, update=lambda done, _: update(done)).theta
+        coupled = len(b) // len(on_cpu) if on_cpu[0].is_coupled else 1
+        theta = pcg(shared, b, iterations, 1e-6, together=coupled, update=lambda done, _: update(done)).theta
     return [o.fields(t) for o, t in zip(on_cpu, theta.reshape(len(on_cpu), -1, *b.shape[1:]), strict=True)]
 
 

@@ -57,8 +57,8 @@ class LinearFit:
     def within(self, support: np.ndarray, k: int) -> list[Arrays]:
         """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
         checkpoint = suffixed(self.checkpoint, Step.support.numbered(k))
-        own = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
-        return own.first_pass(self.config.iterations)
+        limited = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
+        return limited.first_pass(self.config.iterations)
 
     def second_pass(
         self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None, rounds: int = 1
@@ -101,8 +101,8 @@ class LinearFit:
                 def tell(done: int, residual: float, k: int = k) -> None:
                     update(k * iterations + done, residual=round(residual, 4))
 
-                own = norms if norms is None or operator.is_coupled else norms[some]
-                yield some, pcg(operator, sides(some), iterations, self.config.tolerance, own, tell)
+                bounds = norms if norms is None or operator.is_coupled else norms[some]
+                yield some, pcg(operator, sides(some), iterations, self.config.tolerance, bounds, tell)
 
     def _first(self, p: int, iterations: int) -> Arrays:
         fold = self.folds[p]

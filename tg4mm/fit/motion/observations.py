@@ -156,8 +156,8 @@ def observe(
 def _valid_mask(capture: Capture, frames: Sequence[PosedFrames]) -> np.ndarray:
     """[V, H, W] bool: the pixels that count in all pictures of a pose."""
     valid = np.ones((len(frames), capture.height, capture.width), bool)
-    for v, own in enumerate(frames):
-        for row in own.rows.tolist():
+    for v, of_camera in enumerate(frames):
+        for row in of_camera.rows.tolist():
             if (mask := mask_of(capture, row)) is not None:
                 valid[v] &= mask
     return valid
@@ -198,9 +198,14 @@ def frames_of(capture: Capture) -> tuple[Clock, list[PosedFrames]]:
     """
     fixed = fixed_cameras(capture)
     if fixed:
-        own = capture.kind.in_turn or (capture.clocks == Clock.independent and len(fixed) > 1)
-        are_synchronous = not own and _are_synchronous(fixed)
-        if capture.clocks == Clock.synchronous and len(fixed) > 1 and not own and not are_synchronous:
+        is_independent = capture.kind.in_turn or (capture.clocks == Clock.independent and len(fixed) > 1)
+        are_synchronous = not is_independent and _are_synchronous(fixed)
+        if (
+            capture.clocks == Clock.synchronous
+            and len(fixed) > 1
+            and not is_independent
+            and not are_synchronous
+        ):
             counts = ", ".join(f"{f.name} {len(f.rows)}" for f in fixed)
             raise CaptureError(
                 f"{capture.root}: scene.json says that its cameras are synchronous, but their times differ (pictures: "

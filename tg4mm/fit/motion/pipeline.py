@@ -228,10 +228,10 @@ def _estimate(
     problem, frames, gain = model.problem, model.observations.frames, PictureGain()
 
     def residuals() -> Iterator[np.ndarray]:
-        for v, own in zip(rows, targets, strict=True):
+        for v, images in zip(rows, targets, strict=True):
             if not model.observations.is_flat:
-                gain.add(problem, v, folds.mean(0), own)
-            yield problem.residual(v, own, fields)
+                gain.add(problem, v, folds.mean(0), images)
+            yield problem.residual(v, images, fields)
 
     views, cameras = [problem.views[v] for v in rows], [frames[v] for v in rows]
     return MotionEstimate(

@@ -84,16 +84,16 @@ def _from_motion(rotations, v_motion, v_field):
 @inlined
 def _product(start, other, edge_rows, signs, x, i):
     """Rows of Gaussian i of the prior's matrix times a field."""
-    own = load_field(x, int64(i) * _WIDTH)
+    here = load_field(x, int64(i) * _WIDTH)
     sigma, bending = broadcast_rows(signs, int64(0)), broadcast_rows(signs, int64(4))
     total = broadcast(float32(0.0))
     differences = total
     for edge in range(start[i], start[i + 1]):
         there = load_field(x, int64(other[edge]) * _WIDTH)
         row, root = broadcast_rows(edge_rows, int64(edge) * ROWS), number(edge_rows, int64(edge) * ROWS)
-        residual = sum_rows(row * fma(there, sigma, -own))
+        residual = sum_rows(row * fma(there, sigma, -here))
         total = fma(-row, residual, total)
-        differences = fma(own - there, root * root, differences)
+        differences = fma(here - there, root * root, differences)
     return fma(differences, bending, total)
 
 
@@ -168,12 +168,12 @@ class Graph:
         n, rows = self.n_gaussians, self.edge_rows.astype(np.float64)
         outer = rows[:, :, None] * rows[:, None, :]
         bending = BENDING * outer[:, :1, :1] * np.diag([0.0, 1, 1, 1])
-        own = np.add.reduceat(outer + bending, self.start[:-1])
+        diagonal = np.add.reduceat(outer + bending, self.start[:-1])
         first = self.start + np.arange(n + 1)
         at_diagonal = np.zeros(first[-1], bool)
         at_diagonal[first[:-1]] = True
         data, column = np.empty((len(at_diagonal), ROWS, ROWS)), np.empty(len(at_diagonal), np.int32)
-        data[at_diagonal], column[at_diagonal] = own, np.arange(n)
+        data[at_diagonal], column[at_diagonal] = diagonal, np.arange(n)
         data[~at_diagonal] = -outer * np.array([1.0, -1, -1, -1]) - bending
         column[~at_diagonal] = self.other
         return bsr_matrix((data, column, first), shape=(ROWS * n, ROWS * n))

@@ -95,8 +95,8 @@ def modes_of(
     cycles, series = _with_bins(basis, sinusoids, clock)
     if appearance is not None and appearance.any():
         flat = appearance.reshape(len(appearance), -1).astype(np.float64)
-        own = flat @ flat.T
-        products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
+        gram = flat @ flat.T
+        products = products / max(np.trace(products), 1e-30) + gram / np.trace(gram)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
     oscillates = cycles >= 1
     dropped = _DROPPED * power[oscillates].sum() if n_timesteps > ALL_BINS_UP_TO else -1.0
@@ -106,10 +106,10 @@ def modes_of(
 
 def _with_known(sinusoids: "Sinusoids", cycles: np.ndarray, n_timesteps: int) -> "Sinusoids":
     """Add frequencies that are far enough from the present ones and from half the frame rate."""
-    for own in cycles:
+    for known in cycles:
         ends = np.append(sinusoids.cycles, n_timesteps / 2)
-        if own >= 1 - _ON_BIN and np.abs(ends - own).min() >= _APART:
-            sinusoids = replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, own)))
+        if known >= 1 - _ON_BIN and np.abs(ends - known).min() >= _APART:
+            sinusoids = replace(sinusoids, cycles=np.sort(np.append(sinusoids.cycles, known)))
     return _on_bins(sinusoids)
 
 
@@ -174,10 +174,10 @@ class Clock:
         """Make those of F frames, or of times [F] in frames."""
         if isinstance(frames, int):
             return Clock(np.arange(frames, dtype=np.float64), frames)
-        own = frames - frames[0]
-        whole = np.round(own)
-        own = np.where(np.abs(own - whole) < _ROUNDED, whole, own)
-        return Clock(own, int(whole[-1]) + 1)
+        since = frames - frames[0]
+        whole = np.round(since)
+        since = np.where(np.abs(since - whole) < _ROUNDED, whole, since)
+        return Clock(since, int(whole[-1]) + 1)
 
     @property
     def shares(self) -> np.ndarray:

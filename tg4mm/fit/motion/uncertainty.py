@@ -242,7 +242,7 @@ def few_view_uncertainty(
     }
     if len(estimate.cameras) > 1:
         return Uncertainty(arrays, figures)
-    own, guess = _along_viewing_rays(estimate, covariance, n_timesteps)
+    along, guess = _along_viewing_rays(estimate, covariance, n_timesteps)
     figures["guess_along_sight_percent"] = round(100 * guess, 1)
     ratio = depth_sensitivity(estimate.views[0], estimate.cameras[0], estimate.gaussians.means.numpy(), seed)
     note = (
@@ -250,7 +250,7 @@ def few_view_uncertainty(
         f"so that {100 * guess:.0f} % of the variance of the motion along it is the prior's guess; "
         "a second camera from the side would show it"
     )
-    return Uncertainty(arrays | own, figures, [note])
+    return Uncertainty(arrays | along, figures, [note])
 
 
 def _unknown_direction(estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int) -> np.ndarray:

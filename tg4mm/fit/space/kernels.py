@@ -115,11 +115,11 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
     yes = n >= 0  # not a literal: for each value of it `backward_rows` would be compiled anew
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
-        own, m = room[get_thread_id()], b - a
-        own[:] = zero
-        v_means, v_quats = own[: 3 * m].reshape((m, 3)), own[3 * m : 7 * m].reshape((m, 4))
-        v_scales, v_opacities = own[7 * m : 10 * m].reshape((m, 3)), own[10 * m : 11 * m]
-        v_sh = own[11 * m : (11 + 3 * coefficients) * m].reshape((m, coefficients, 3))
+        local, m = room[get_thread_id()], b - a
+        local[:] = zero
+        v_means, v_quats = local[: 3 * m].reshape((m, 3)), local[3 * m : 7 * m].reshape((m, 4))
+        v_scales, v_opacities = local[7 * m : 10 * m].reshape((m, 3)), local[10 * m : 11 * m]
+        v_sh = local[11 * m : (11 + 3 * coefficients) * m].reshape((m, coefficients, 3))
         backward_rows(
             means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, camera, width, height,
             splats[a:b], v_splats[a:b], yes, v_means, v_quats, v_scales, v_opacities, v_sh,

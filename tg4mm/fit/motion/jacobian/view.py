@@ -151,8 +151,8 @@ class ViewJacobian:
 
     @property
     def _arrays(self) -> list[np.ndarray]:
-        own = [getattr(self, name) for name in _OF_VIEW]
-        return own + [getattr(self.bins, name) for name in _OF_BINS]
+        arrays = [getattr(self, name) for name in _OF_VIEW]
+        return arrays + [getattr(self.bins, name) for name in _OF_BINS]
 
     def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
         """Add the cotangents of tile–Gaussian pairs [P, R, 8] to `v_motions` [R, N, DOF]."""
@@ -238,8 +238,8 @@ def pixels_moved(views: Sequence[ViewJacobian], shifts: np.ndarray) -> np.ndarra
 def _lengths(view: ViewJacobian, shifts: np.ndarray) -> np.ndarray:
     """[S, n] pixels."""
     right, down = mean_rows(view.packed)
-    own = shifts[:, view.bins.order[: view.bins.n_visible]]
-    return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, own) for row in (right, down))))
+    visible = shifts[:, view.bins.order[: view.bins.n_visible]]
+    return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, visible) for row in (right, down))))
 
 
 def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> np.ndarray:

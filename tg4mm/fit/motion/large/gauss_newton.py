@@ -173,18 +173,18 @@ class StateObservations:
         squares = [float(np.einsum("hwc,hwc->", s, s, dtype=np.float64)) for s in of_camera]
         return float(squares @ self.states.count)
 
-    def target_images(self, v: int, residuals: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    def target_images(self, v: int, residuals: np.ndarray, rows: np.ndarray, shown: np.ndarray) -> np.ndarray:
         """[R, H, W, 3]: camera v's target images that the motion explains, of the states `own` where it was linearised.
 
         residuals: of `residuals`. shown [R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
         changes within states is taken as spread evenly over time.
         """
-        sums = self.states.sums[own]
-        mix = (sums.T @ self.states.gains[own]).astype(np.float32)
-        share = np.float32(self.states.count[own].sum() / self.states.count.sum())
+        sums = self.states.sums[rows]
+        mix = (sums.T @ self.states.gains[rows]).astype(np.float32)
+        share = np.float32(self.states.count[rows].sum() / self.states.count.sum())
         changes = np.asarray(share * self.changes_within[v])
         mixed = np.zeros((sums.shape[1], len(residuals[v])))
-        mixed[:, own] = sums.T
+        mixed[:, rows] = sums.T
         _add(changes, mixed, residuals[v])
         _add(changes, mix, shown)
         release(self.changes_within)
@@ -232,15 +232,15 @@ def linearisation_points(
     points = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), POINTS, POINT_PX)
     out = []
     for point in range(len(points.gains)):
-        own = np.flatnonzero(points.of == point)
-        share = states.count[own] / states.count[own].sum()
-        motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
+        rows = np.flatnonzero(points.of == point)
+        share = states.count[rows] / states.count[rows].sum()
+        motion = torch.from_numpy(np.tensordot(share, motions[rows], 1).astype(np.float32))
         there = moved(gaussians, motion)
         is_large = len(points.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
         height, width = observed.pictures.shape[2:4]
         each = (view_jacobian(there, camera, (width, height)) for camera in observed.cameras)
         jacobians = [view.stored() if is_large else view for view in each]
-        out.append(LinearisationPoint(jacobians, own, _root(states.products[own].sum(0))))
+        out.append(LinearisationPoint(jacobians, rows, _root(states.products[rows].sum(0))))
     return out
 
 
@@ -276,7 +276,7 @@ def coupled_operator(
     weights = None if rest.weights is None else np.concatenate([rest.weights] * len(points))
     nuisances: list[Nuisance] = []
     if at_rest.nuisances:
-        nuisances = [replace(at_rest.nuisances[v], view=own) for v, own in zip(rows, views, strict=True)]
+        nuisances = [replace(at_rest.nuisances[v], view=one) for v, one in zip(rows, views, strict=True)]
     means = None if at_rest.means is None else [at_rest.means[v] for v in rows]
     projections = projections_of(nuisances, means, weights)
     plain = replace(rest, views=views, weights=weights, projections=projections)
@@ -416,7 +416,7 @@ class GaussNewton:
         residuals, _ = self.observed.residuals(state.gaussians, fields, self.device)
         if not self.config.smoothness_weight and len(self.folds) == 2:
             images = self.rest_targets(residuals, views, fields, range(len(views)))
-            target = np.stack([own[:1].copy() for own in images])
+            target = np.stack([of_view[:1].copy() for of_view in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, iterations)
         points = linearisation_points(state.gaussians, views, fields, self.observed)

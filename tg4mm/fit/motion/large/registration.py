@@ -92,14 +92,14 @@ def camera_rotations(observations: Observations) -> np.ndarray:
 def _rotations_of(observations: Observations, frames: PosedFrames) -> np.ndarray:
     """[F, 3] of one camera."""
     rows = frames.rows
-    own = replace(observations, frames=[frames])
+    alone = replace(observations, frames=[frames])
     rotations, exposures = np.zeros((len(rows), 3)), np.zeros((len(rows), 6))
-    mean = mean_pictures(own)[0]
+    mean = mean_pictures(alone)[0]
     weights = np.ones(mean.shape[:2], np.float32)
     for _ in range(_STEPS):
         everyone = np.zeros((int(rows.max()) + 1, 3))
         everyone[rows] = rotations
-        n, mean, energy = _step(registered(own, everyone), mean, weights, exposures)
+        n, mean, energy = _step(registered(alone, everyone), mean, weights, exposures)
         rotations = (Rotation.from_rotvec(rotations) * Rotation.from_rotvec(n[:, 6:])).as_rotvec()
         rotations -= rotations.mean(0)
         exposures = n[:, :6]

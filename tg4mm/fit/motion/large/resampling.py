@@ -71,10 +71,10 @@ class StoredPictures:
         return _WHITE
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        own = [self.place[int(row)] for row in rows]
+        places = [self.place[int(row)] for row in rows]
 
         def strip(part: slice) -> np.ndarray:
-            colours = self.data[own, part]
+            colours = self.data[places, part]
             release(self.data)
             return np.concatenate([colours, np.full((*colours.shape[:3], 1), _WHITE, np.uint16)], -1)
 
@@ -94,13 +94,13 @@ def put_back(
     moves = np.tensordot(np.abs(functions).max(1), np.abs(flow).max(-1), 1) > _UNMOVED_PX
     rows, columns = (_reach(moves.any(axis)) for axis in (1, 0))
     by_row = _by_row(frames, functions, range(height)[rows], height)
-    own = np.ascontiguousarray(flow[:, rows, columns], np.float32)
+    inner = np.ascontiguousarray(flow[:, rows, columns], np.float32)
     with progress("pictures put back", len(frames.rows), "pictures") as update:
         for first in range(0, len(frames.rows), _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
             shown = over_white(pictures.strips(frames.rows[some].tolist())(slice(None)), pictures.maximum)
-            if own.size:
-                moved = np.einsum("krf,rkwc->fkwc", by_row[..., some], own, optimize=True)
+            if inner.size:
+                moved = np.einsum("krf,rkwc->fkwc", by_row[..., some], inner, optimize=True)
                 _resample_by(_spline(shown), moved, rows.start, columns.start, shown)
             out[some] = np.rint(np.clip(shown, 0, 1) * _WHITE)
             release(out)

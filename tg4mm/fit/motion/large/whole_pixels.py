@@ -149,8 +149,8 @@ def _put_back(last: LinearSolution, observations: Observations, checkpoint: Chec
     config = replace(model.config, nuisance=nuisance)
     again = Synchronous.of(gaussians, displaced(gaussians, fields), config, model.problem.device, checkpoint)
     n = again.targets.n_known
-    own = np.tensordot(again.targets.basis[:n] @ basis.T, fields, 1)
-    return _PutBack(again, np.ascontiguousarray(own, np.float32))
+    moved = np.tensordot(again.targets.basis[:n] @ basis.T, fields, 1)
+    return _PutBack(again, np.ascontiguousarray(moved, np.float32))
 
 
 def _large(fields: np.ndarray, frames: PosedFrames) -> np.ndarray:

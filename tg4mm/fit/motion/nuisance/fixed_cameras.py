@@ -82,9 +82,9 @@ class BlockShifts:
             top, bottom = max(tall.start, rows.start), min(tall.stop, rows.stop)
             if top >= bottom:
                 continue
-            own = changes[:, top - rows.start : bottom - rows.start, wide].reshape(len(changes), -1)
-            self.products[i, j] += self.slopes[:, top:bottom, wide].reshape(2, -1) @ own.T
-            self.energy[i, j] += float((own**2).sum())
+            part = changes[:, top - rows.start : bottom - rows.start, wide].reshape(len(changes), -1)
+            self.products[i, j] += self.slopes[:, top:bottom, wide].reshape(2, -1) @ part.T
+            self.energy[i, j] += float((part**2).sum())
 
     def shake(self) -> tuple[float, bool]:
         """Shift of the blocks that move least (pixels, rms over frames), and whether one pose explains it."""
@@ -160,8 +160,10 @@ def own_rotations(cameras: Sequence[PosedView], sums: PoseSums, half: PoseSums) 
     """
     gram, side = _normal_equations(cameras, sums)
     n_cameras, n_frames = len(cameras), side.shape[1]
-    own = np.tile(np.arange(9), n_cameras)
-    kind = np.concatenate([np.where(own < 6, 0, 1), np.full(6, 2)])  # exposure, own rotations, common motion
+    column = np.tile(np.arange(9), n_cameras)
+    kind = np.concatenate(
+        [np.where(column < 6, 0, 1), np.full(6, 2)]
+    )  # exposure, own rotations, common motion
     subsets = kind == 0, kind != 1, kind >= 0
     exposure, common, everything = (_solved(gram, side, k) for k in subsets)
     at_first, by_common, by_all = (float((side * n).sum()) for n in (exposure, common, everything))
@@ -185,16 +187,16 @@ def _shared_energy(halves: Sequence[tuple[np.ndarray, np.ndarray]], active: np.n
 
 def _normal_equations(cameras: Sequence[PosedView], sums: PoseSums) -> tuple[np.ndarray, np.ndarray]:
     """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and rotation, the scene's common rigid motion."""
-    own = np.r_[EXPOSURE, ROTATION]
-    n = len(own) * len(cameras)
+    columns = np.r_[EXPOSURE, ROTATION]
+    n = len(columns) * len(cameras)
     gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, sums.products[0].shape[1]))
     for v, (camera, g, p) in enumerate(zip(cameras, sums.grams, sums.products, strict=True)):
-        here, seen_as = slice(len(own) * v, len(own) * (v + 1)), _as_pose(camera.viewmat)
-        gram[here, here] = g[np.ix_(own, own)]
-        gram[here, n:] = g[own, POSE] @ seen_as
+        here, seen_as = slice(len(columns) * v, len(columns) * (v + 1)), _as_pose(camera.viewmat)
+        gram[here, here] = g[np.ix_(columns, columns)]
+        gram[here, n:] = g[columns, POSE] @ seen_as
         gram[n:, here] = gram[here, n:].T
         gram[n:, n:] += seen_as.T @ g[POSE, POSE] @ seen_as
-        side[here] = p[own]
+        side[here] = p[columns]
         side[n:] += seen_as.T @ p[POSE]
     return gram, side
 
@@ -314,9 +316,11 @@ def _read_once(
     }
     pixels, is_shaking = sums.shake
     if sums.pose_sums is not None and sums.pose_half is not None:
-        pixels, own = own_rotations(observations.frames, sums.pose_sums, sums.pose_half)
-        is_shaking = pixels > LEAST_PX and own > _OWN_SHARE and (is_shaking or not observations.is_opaque)
-        figures["shake_own_share"] = round(own, 4)
+        pixels, own_share = own_rotations(observations.frames, sums.pose_sums, sums.pose_half)
+        is_shaking = (
+            pixels > LEAST_PX and own_share > _OWN_SHARE and (is_shaking or not observations.is_opaque)
+        )
+        figures["shake_own_share"] = round(own_share, 4)
     active = possible.copy()
     if config.nuisance == "auto":
         active[EXPOSURE] = observations.is_opaque or share > EXPOSURE_SHARE

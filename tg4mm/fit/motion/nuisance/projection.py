@@ -73,8 +73,8 @@ class Nuisance:
         """[F, F]: products of what the active columns explain of F frames, from their products [12, F] with these."""
         if not self.active.any():
             return np.zeros((products.shape[1],) * 2)
-        own = products[self.active]
-        return own.T @ pseudo_inverse(self.gram(mean)) @ own
+        active = products[self.active]
+        return active.T @ pseudo_inverse(self.gram(mean)) @ active
 
     def energy(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
         """[H, W]: energy over time of what the active columns explain, mean over channels."""
@@ -120,11 +120,11 @@ def rigid_fields(camera: PosedView, means: np.ndarray) -> np.ndarray:
 
 def inner_products(nuisance: Nuisance, mean: np.ndarray, rows: slice, flat: np.ndarray) -> np.ndarray:
     """[12, F] float64: products of all columns with a strip of F changes, flattened [F, rows · W · 3]."""
-    strip, own = flat.reshape(len(flat), -1, 3), mean[rows].reshape(-1, 3)
+    strip, colours = flat.reshape(len(flat), -1, 3), mean[rows].reshape(-1, 3)
     out = np.zeros((COLUMNS, len(flat)))
     for c in range(3):
         channel = strip[..., c]
-        out[c], out[3 + c] = channel @ own[:, c], channel.sum(1, dtype=np.float64)
+        out[c], out[3 + c] = channel @ colours[:, c], channel.sum(1, dtype=np.float64)
     if nuisance.active[POSE].any():
         out[POSE] = nuisance.pose[:, rows].reshape(6, -1) @ flat.T
     return out
@@ -210,7 +210,7 @@ def projections_of(
     if means is None or not nuisances or not nuisances[0].active.any():
         return None
     each = zip(nuisances, means, [None] * len(nuisances) if weights is None else weights, strict=True)
-    return [Projection.of(*own) for own in each]
+    return [Projection.of(*arguments) for arguments in each]
 
 
 def exposure(
@@ -222,11 +222,11 @@ def exposure(
     """Gain and offset (rms over frames and cameras, percent) and the share of the changes' energy that they hold."""
     active = np.arange(COLUMNS) < 6
     gains, offsets, energy, total = [], [], 0.0, 0.0
-    for nuisance, mean, own, gram in zip(nuisances, means, products, grams, strict=True):
-        n = nuisance.coefficients(mean, own, active)
+    for nuisance, mean, product, gram in zip(nuisances, means, products, grams, strict=True):
+        n = nuisance.coefficients(mean, product, active)
         gains.append((n[:3] ** 2).mean())
         offsets.append((n[3:] ** 2).mean())
-        energy += float(np.einsum("kf,kf->", n, own[active]))
+        energy += float(np.einsum("kf,kf->", n, product[active]))
         total += float(np.trace(gram))
     return 100 * np.sqrt(np.mean(gains)), 100 * np.sqrt(np.mean(offsets)), energy / max(total, 1e-30)
 

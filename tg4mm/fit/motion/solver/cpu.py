@@ -46,18 +46,18 @@ class CpuOperator:
         one_by_one = iter(pictures)
         for k, view in enumerate(self.views):
             seen = next(one_by_one)
-            own = np.zeros((len(seen), self.graph.n_gaussians, DOF), np.float32)
-            for some in _at_once(len(own)):
+            v_motions = np.zeros((len(seen), self.graph.n_gaussians, DOF), np.float32)
+            for some in _at_once(len(v_motions)):
                 shown = seen[some]
                 if self.projections is not None:
                     shown = self.projections[k].out_of(shown)
                 if self.weights is not None:
                     shown = shown * self.weights[k, ..., None]
-                view.vjp(np.ascontiguousarray(shown), own[some], self.buffers)
+                view.vjp(np.ascontiguousarray(shown), v_motions[some], self.buffers)
             del seen, shown  # before the next are made
             self.release(k)
-            own = self._unmixed(k, own)
-            out = own if out is None else out + own
+            v_motions = self._unmixed(k, v_motions)
+            out = v_motions if out is None else out + v_motions
         assert out is not None
         return out
 
@@ -119,7 +119,7 @@ class CpuOperator:
 
     def add_view(self, k: int, motions: np.ndarray, v_motions: np.ndarray) -> None:
         """Add C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of view k to `v_motions`, both [S, R, N, 6] of S systems."""
-        shown = motions if self.mixing is None else np.stack([self.mixed(k, own) for own in motions])
+        shown = motions if self.mixing is None else np.stack([self.mixed(k, motion) for motion in motions])
         flat, alone = shown.reshape(-1, *shown.shape[2:]), self.mixing is None and self.projections is None
         out = v_motions.reshape(flat.shape) if alone else np.zeros_like(flat)
         for some in _at_once(len(flat)):
@@ -129,24 +129,24 @@ class CpuOperator:
             self.projections[k].correct(flat, out)
         self.release(k)
         if not alone:
-            for total, own in zip(v_motions, out.reshape(shown.shape), strict=True):
-                total += self._unmixed(k, own)
+            for total, motion in zip(v_motions, out.reshape(shown.shape), strict=True):
+                total += self._unmixed(k, motion)
 
-    def _unmixed(self, k: int, own: np.ndarray) -> np.ndarray:
-        return own if self.mixing is None else np.tensordot(self.mixing[k].T, own, 1)
+    def _unmixed(self, k: int, v_motions: np.ndarray) -> np.ndarray:
+        return v_motions if self.mixing is None else np.tensordot(self.mixing[k].T, v_motions, 1)
 
 
 def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Products of operators that share views, weights and mixing with θ [R, P, 3] of each, in one pass over views."""
     x = [o.gradient_fields(theta) for o, theta in zip(operators, thetas, strict=True)]
     each = zip(operators, x, strict=True)
-    motions = np.stack([o.supported(np.stack([o.graph.motion(one) for one in own])) for o, own in each])
+    motions = np.stack([o.supported(np.stack([o.graph.motion(one) for one in fields])) for o, fields in each])
     v_motions = np.zeros_like(motions)
     for k in range(len(operators[0].views)):
         operators[0].add_view(k, motions, v_motions)
     out = []
-    for operator, own, v_own in zip(operators, x, v_motions, strict=True):
-        pairs = zip(own, operator.supported(v_own), strict=True)
+    for operator, fields, v_own in zip(operators, x, v_motions, strict=True):
+        pairs = zip(fields, operator.supported(v_own), strict=True)
         out.append(np.stack([operator.with_prior(one, v) for one, v in pairs]))
     return out
 
@@ -180,10 +180,12 @@ class SharedPass:
     def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
         """`Operator.products`; `rows` of whole operators."""
         n = len(theta) // len(self.operators)
-        own = range(len(self.operators)) if rows is None else sorted({r // n for r in rows})
-        products = products_of([self.operators[k] for k in own], [theta[k * n : (k + 1) * n] for k in own])
+        active = range(len(self.operators)) if rows is None else sorted({r // n for r in rows})
+        products = products_of(
+            [self.operators[k] for k in active], [theta[k * n : (k + 1) * n] for k in active]
+        )
         images = np.concatenate(products)
         if rows is None:
             return images
-        places = {r: i for i, r in enumerate(k * n + j for k in own for j in range(n))}
+        places = {r: i for i, r in enumerate(k * n + j for k in active for j in range(n))}
         return images[[places[r] for r in rows]]

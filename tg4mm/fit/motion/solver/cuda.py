@@ -264,13 +264,13 @@ class DeviceOperator:
             if self.projections is not None:
                 shown = self.projections[k].out_of(shown)
                 self.projections[k].release()
-            own = []
+            v_motions = []
             for picture in shown:
                 v_motion = torch.zeros(len(self.blocks), DOF, device=self.device)
                 view.vjp(self._weighted(k, self._sent(picture)), v_motion)
-                own.append(v_motion)
-            own = self._unmixed(k, own)
-            out = [a + b for a, b in zip(out, own, strict=True)] if out else own
+                v_motions.append(v_motion)
+            v_motions = self._unmixed(k, v_motions)
+            out = [a + b for a, b in zip(out, v_motions, strict=True)] if out else v_motions
         return torch.stack([self._from_field(self._from_motion(v)) for v in self._supported(out)])
 
     def products(self, theta: Tensor, rows: Sequence[int] | None = None) -> Tensor:
@@ -280,8 +280,8 @@ class DeviceOperator:
         motions = self._supported([self._motion(one) for one in x])
         v_motions = [torch.zeros_like(m) for m in motions]
         for k in range(len(self.views)):
-            own = [self._through(k, m) for m in self._mixed(k, motions)]
-            for v, one in zip(v_motions, self._unmixed(k, own), strict=True):
+            through = [self._through(k, m) for m in self._mixed(k, motions)]
+            for v, one in zip(v_motions, self._unmixed(k, through), strict=True):
                 v += one
         pairs = zip(self._supported(v_motions), x, strict=True)
         sums = [self._from_motion(v) + self._prior(one) for v, one in pairs]
@@ -364,10 +364,10 @@ class DeviceOperator:
             return motions
         return list(torch.tensordot(self.mixing[k], torch.stack(motions), 1))
 
-    def _unmixed(self, k: int, own: list[Tensor]) -> list[Tensor]:
+    def _unmixed(self, k: int, v_motions: list[Tensor]) -> list[Tensor]:
         if self.mixing is None:
-            return own
-        return list(torch.tensordot(self.mixing[k].T, torch.stack(own), 1))
+            return v_motions
+        return list(torch.tensordot(self.mixing[k].T, torch.stack(v_motions), 1))
 
     def _weighted(self, k: int, picture: Tensor) -> Tensor:
         return picture if self.weights is None else picture * self.weights[k]

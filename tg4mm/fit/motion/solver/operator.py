@@ -31,12 +31,12 @@ class Fold:
 
     def weighted(self, weights: np.ndarray | None) -> np.ndarray | None:
         """Pixel weights [v, H, W] of these views, of weights [V, H, W] or None for 1."""
-        own = None if weights is None else weights[self.views]
+        of_views = None if weights is None else weights[self.views]
         if self.pixels is None:
-            return own
-        if own is None:
+            return of_views
+        if of_views is None:
             return np.repeat(self.pixels[None], len(self.views), 0)
-        return own * self.pixels
+        return of_views * self.pixels
 
 
 class System(Protocol):

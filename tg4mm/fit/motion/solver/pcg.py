@@ -59,15 +59,15 @@ def _step(
     rows = [s * together + k for s in going for k in range(together)]
     images = operator.products(direction, None if len(rows) == len(theta) else rows)
     for i, s in enumerate(going):
-        own = range(s * together, (s + 1) * together)
-        of_own = range(i * together, (i + 1) * together)
-        curvature = sum(_inner(direction[r], images[q]) for r, q in zip(own, of_own, strict=True))
+        solved = range(s * together, (s + 1) * together)
+        in_images = range(i * together, (i + 1) * together)
+        curvature = sum(_inner(direction[r], images[q]) for r, q in zip(solved, in_images, strict=True))
         length = squares[s] / curvature
-        for r, q in zip(own, of_own, strict=True):
+        for r, q in zip(solved, in_images, strict=True):
             theta[r] += length * direction[r]
             residual[r] -= length * images[q]
-        after = sum(_inner(residual[r], residual[r]) for r in own)
-        for r in own:
+        after = sum(_inner(residual[r], residual[r]) for r in solved)
+        for r in solved:
             direction[r] *= after / squares[s]
             direction[r] += residual[r]
         squares[s] = after

@@ -93,10 +93,10 @@ class Aggregates:
 
 def aggregate(graph: Graph, means: np.ndarray) -> Aggregates:
     """Aggregates of the Gaussians at means [N, 3]."""
-    own = graph.own_blocks
+    blocks = graph.own_blocks
     # neighbours that all lie on a line leave some gradients undetermined: the block is singular
-    own = own + 1e-3 * np.trace(own, axis1=1, axis2=2)[:, None, None] / ROWS * np.eye(ROWS)
-    inverse = np.linalg.inv(own)
+    blocks = blocks + 1e-3 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] / ROWS * np.eye(ROWS)
+    inverse = np.linalg.inv(blocks)
     smoother = (inverse + inverse.transpose(0, 2, 1)) / 2
     damped = smoother * (_DAMPING / _largest_eigenvalue(graph, smoother.astype(np.float32)))
     tentative = _tentative(means, graph.mean_spacing).astype(np.float32)
@@ -118,8 +118,8 @@ def _tentative(means: np.ndarray, spacing: float) -> bsr_matrix:
     """[4N, 4G]: of each aggregate a displacement and its change along x, y, z, about the aggregate's mean."""
     n, regions = len(means), _split(means)
     column, blocks = np.empty(n, np.int32), np.tile(np.eye(ROWS), (n, 1, 1))
-    for g, own in enumerate(regions):
-        column[own], blocks[own, 0, 1:] = g, (means[own] - means[own].mean(0)) / spacing
+    for g, members in enumerate(regions):
+        column[members], blocks[members, 0, 1:] = g, (means[members] - means[members].mean(0)) / spacing
     return bsr_matrix((blocks, column, np.arange(n + 1)), shape=(ROWS * n, ROWS * len(regions)))
 
 
@@ -228,9 +228,9 @@ def two_level_preconditioner(
 ) -> TwoLevelPreconditioner:
     """Return the preconditioner of the operator JᵀWJ + prior · K + ridge · I on fields."""
     n = len(aggregates.smoother)
-    own = prior * aggregates.graph.own_blocks
-    own[:, range(ROWS), range(ROWS)] += (_PATCH * estimate.diagonal + ridge).reshape(n, ROWS)
-    inverse = _inverse(np.linalg.cholesky(own)).transpose(0, 2, 1)
+    blocks = prior * aggregates.graph.own_blocks
+    blocks[:, range(ROWS), range(ROWS)] += (_PATCH * estimate.diagonal + ridge).reshape(n, ROWS)
+    inverse = _inverse(np.linalg.cholesky(blocks)).transpose(0, 2, 1)
     coarse = prior * aggregates.stiffness + estimate.coarse + ridge * aggregates.gram
     return TwoLevelPreconditioner(
         np.ascontiguousarray(inverse, np.float32), aggregates, _inverse_root(coarse)

@@ -69,8 +69,8 @@ class Problem:
 
     def shown(self, v: int, fields: np.ndarray) -> np.ndarray:
         """[ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
-        own = fields if self.mixing is None else np.tensordot(self.mixing[v], fields, 1)
-        return self.views[v].jvp(np.ascontiguousarray(own))
+        mixed = fields if self.mixing is None else np.tensordot(self.mixing[v], fields, 1)
+        return self.views[v].jvp(np.ascontiguousarray(mixed))
 
     def without_nuisance(self, v: int, pictures: np.ndarray) -> np.ndarray:
         """Pictures [R, H, W, 3] of view v with its nuisance columns projected out."""

@@ -205,13 +205,13 @@ def _phase_figures(observations: Observations, phases: np.ndarray, hz: np.ndarra
     """Phases of every camera in degrees by frequency; of a rig also the offset of its clock that they make."""
     names = [f.name for f in observations.frames]
     degrees = {
-        name: {f"{f:.3f}": round(float(np.degrees(p) % 360), 2) for f, p in zip(hz, own, strict=True)}
-        for name, own in zip(names, phases, strict=True)
+        name: {f"{f:.3f}": round(float(np.degrees(p) % 360), 2) for f, p in zip(hz, values, strict=True)}
+        for name, values in zip(names, phases, strict=True)
     }
     figures: dict[str, Any] = {"clip_phases_deg": degrees}
     if observations.kind.together:
         figures["clock_offsets_s"] = {
-            name: round(clock_offset(own, hz), 5) for name, own in zip(names, phases, strict=True)
+            name: round(clock_offset(values, hz), 5) for name, values in zip(names, phases, strict=True)
         }
     return figures
 

@@ -262,7 +262,9 @@ def _series(
     def compute() -> Arrays:
         labels = labels_of(problem.aggregates)
         each = zip(observations.frames, problem.views, problem.projections or (), strict=True)
-        models = [ObservationModel(*own) for own in each]
-        return moving_camera_series(models, (np.array(own[0]) for own in residuals), labels).arrays()
+        models = [ObservationModel(*arguments) for arguments in each]
+        return moving_camera_series(
+            models, (np.array(arguments[0]) for arguments in residuals), labels
+        ).arrays()
 
     return RegionSeries(times, **checkpoint(Step.regions, compute))

@@ -176,7 +176,7 @@ def _scatter(records: Sequence[_Record], hz: np.ndarray, step: float) -> np.ndar
         return np.zeros(0)
 
     def deviation(groups: Sequence[Sequence[_Record]]) -> np.ndarray:
-        each = [_refined(own, hz, step / 2) for own in groups]
+        each = [_refined(group, hz, step / 2) for group in groups]
         return np.asarray(np.std(np.array(each), axis=0, ddof=1) / np.sqrt(len(groups)))
 
     thirds = [[r.without_third(k) for r in records] for k in range(_THIRDS)]
@@ -287,9 +287,9 @@ def moving_camera_series(
     each: list[Arrays] = []
     with progress("region shifts", len(models), "frames") as update:
         for k, (model, change) in enumerate(zip(models, changes, strict=True)):
-            own = shift_series(model, labels, [change[None]])
-            each.append(own.arrays())
-            times_s.append(own.times_s)
+            series = shift_series(model, labels, [change[None]])
+            each.append(series.arrays())
+            times_s.append(series.times_s)
             model.release()
             update(k + 1)
     return RegionSeries(np.concatenate(times_s), **concatenated(each))

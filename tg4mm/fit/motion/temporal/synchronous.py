@@ -63,11 +63,11 @@ def sinusoidal_courses(gram: np.ndarray, pixels: float, times_s: np.ndarray) -> 
     courses, rest, count = np.zeros((0, n_timesteps)), gram, 0
     for k in range(1, _MOST + 1):
         found = _strongest(rest, times_s)
-        own = orthonormal(found, rest)
+        centred = orthonormal(found, rest)
         energy = falling_energy(rest)
-        taken, rank = float(np.einsum("kt,ts,ks->", own, rest, own)), rank_of(energy)
-        noise = (energy.sum() - taken) / max(rank - len(own), 1)
-        if taken <= len(own) * (1 + np.sqrt(rank / max(pixels, 2 * rank))) ** 2 * noise:
+        taken, rank = float(np.einsum("kt,ts,ks->", centred, rest, centred)), rank_of(energy)
+        noise = (energy.sum() - taken) / max(rank - len(centred), 1)
+        if taken <= len(centred) * (1 + np.sqrt(rank / max(pixels, 2 * rank))) ** 2 * noise:
             return None
         courses = np.concatenate([courses, found])
         span = orthonormal(courses, gram)
@@ -123,8 +123,10 @@ def orthonormal(courses: np.ndarray | None, gram: np.ndarray) -> np.ndarray:
     """[K, T] orthonormal functions of mean 0 that span courses [C, T], the strongest in the pictures first."""
     if courses is None or not len(courses):
         return np.zeros((0, len(gram)))
-    own = courses - courses.mean(1, keepdims=True)
-    _, sizes, span = np.linalg.svd(own / np.linalg.norm(own, axis=1, keepdims=True), full_matrices=False)
+    centred = courses - courses.mean(1, keepdims=True)
+    _, sizes, span = np.linalg.svd(
+        centred / np.linalg.norm(centred, axis=1, keepdims=True), full_matrices=False
+    )
     span = span[sizes > _DISTINCT * sizes[0]]
     _, turn = np.linalg.eigh(span @ gram @ span.T)
     return np.asarray(turn[:, ::-1].T @ span)

@@ -166,12 +166,12 @@ def fill_batch(splats, pair_gaussian, first, last, end, size, origin, lanes, fai
         rows = row_starts(pair_gaussian, first + n, count)
         store(batch, _ROW * size + n, rows)
         _sixteen(splats, batch + 4 * (_ROW * size + n), n, size, origin, faintest, count, batch, tested)
-        own = _PLANES * size + n * _OWN
+        place = _PLANES * size + n * _OWN
         for m in range(n, n + count):
             l11, l12 = number(batch, _L11 * size + m), number(batch, _L12 * size + m)
-            store(batch, own, fma(lanes[0], l11, lanes[1] * l12))
-            store(batch, own + PIXELS, lanes[1] * number(batch, _L22 * size + m))
-            own += _OWN
+            store(batch, place, fma(lanes[0], l11, lanes[1] * l12))
+            store(batch, place + PIXELS, lanes[1] * number(batch, _L22 * size + m))
+            place += _OWN
 
 
 @inlined
@@ -201,9 +201,9 @@ def row_of(batch, size, n):
 @inlined
 def log2_alpha(batch, size, n, k, lane_y):
     """log2 of the unbounded alpha of the n-th Gaussian of a batch in block k, a lane a pixel."""
-    own = _PLANES * size + n * _OWN
-    p = load_pixels(batch, own) + number(batch, k * size + n)
-    q = load_pixels(batch, own + PIXELS) + number(batch, (BLOCKS + (k >> BY_FOUR)) * size + n)
+    place = _PLANES * size + n * _OWN
+    p = load_pixels(batch, place) + number(batch, k * size + n)
+    q = load_pixels(batch, place + PIXELS) + number(batch, (BLOCKS + (k >> BY_FOUR)) * size + n)
     return fma(-q, q, fma(-p, p, number(batch, _TOP * size + n)))
 
 
