@@ -11,7 +11,7 @@ from tg4mm.core.untrusted import Record, as_number
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
-FARTHEST = 1e9  # scene units; poses in JSON, float64, tell a ten-millionth of one there
+FARTHEST = 1e9  # scene units; poses in JSON, float64, resolve a ten-millionth of one there
 ONE_PLACE = 1e-6  # scene units, or of the distance to the origin if that is larger
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Fields of transforms files that say that a pixel does not look where a pinhole camera's does, unless they are 0, false

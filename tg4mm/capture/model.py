@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 # Of several fixed cameras: synchronous, their times are of one clock; independent, each has a clock of its own.
 CLOCKS = (Clock.synchronous, Clock.independent)
-FEWEST_FRAMES = 6  # of a fixed camera that shows motion: fewer tell no frequency below half the frame rate
+FEWEST_FRAMES = (
+    6  # of a fixed camera that shows motion: with fewer no frequency below half the frame rate is resolved
+)
 FEWEST_MOVING = 8  # of a moving camera
 NEARLY_ALL = 0.9  # of the timesteps, for a camera to count as one that stayed put
 TOLERANCE = 0.01  # of 1 / fps, that the median step of a camera's times may be off

@@ -233,7 +233,7 @@ def assemble(
         unit_scale_m=scene.unit_scale_m,
         points=read_points(root) if points is None else points,
         scene=scene.values,
-        kind=scene.kind,  # type: ignore[arg-type]  # None: the cameras tell it
+        kind=scene.kind,  # type: ignore[arg-type]  # None: it follows from the cameras
         clocks=scene.clocks,
         readout_s=scene.readout_s,
         times_s=times_s,

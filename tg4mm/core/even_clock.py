@@ -43,7 +43,7 @@ def unrounded(times_s: np.ndarray) -> np.ndarray | None:
 
 
 def _last_decimal(times_s: np.ndarray) -> float:
-    """Seconds, 0 where there are too many decimals to tell."""
+    """Seconds, 0 where there are too many decimals to know."""
     for decimals in range(_DECIMALS + 1):
         scaled = times_s * 10.0**decimals
         if np.abs(scaled - np.round(scaled)).max() < 1e-4 and np.abs(scaled).max() < 1e11:

@@ -16,7 +16,7 @@ PLAIN_FIRST_S = 2.0
 PLAIN_EVERY_S = 5.0
 EVENTS_EVERY_S = 0.5
 _PULSE_S = 1.0  # between looks whether a job that reports nothing is to be shown all the same
-_EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
+_EARLY = 100  # a first report of less than this part of the job does not predict the time left
 
 
 _FEW_FIRST_S, _FEW_GROWTH = 10.0, 1.3  # seconds to the first of few lines, and by what the next takes longer
@@ -196,8 +196,7 @@ class PlainProgress:
             self._done, self._figures = done, figures
             now = self._clock()
             if self._base is None and done > self._start:
-                # What is done once, compiling kernels say, falls to the first of many units: it tells nothing of the
-                # rest.
+                # Work that is done once, such as compiling kernels, falls to the first of many units.
                 early = (done - self._start) * _EARLY < self._total - self._start
                 self._base = (now, done) if early else (self._began, self._start)
             if done < self._total:

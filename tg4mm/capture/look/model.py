@@ -16,7 +16,7 @@ class Readout:
 
     seconds: float
     deviation_s: float
-    light_hz: float = 0.0  # of the lamps that tell; 0: phases of what vibrates do
+    light_hz: float = 0.0  # of the lamps it is measured from; 0: from phases of vibration
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class RegionLook:
     region: Region
     lines: tuple[LookLine, ...]  # by falling strength
     noise_px: float  # standard deviation of one picture's shift along the best-resolved direction
-    remark: str  # what its texture does not tell
+    remark: str  # what its texture does not determine
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,10 @@ _CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
 _MOST_LOST = 0.9  # share of detail: what is left of a line that is found
 _LOST = 0.03  # share of detail that B-frames lack from which they are treated apart
 _FEWESTOTHERS = 24  # pictures that are not B
-_FEWEST_OF_KIND = 8  # pictures that tell a cell's typical misfit
+_FEWEST_OF_KIND = 8  # pictures from which a cell's typical misfit is known
 _PULLDOWNS = (5, 25)  # frames after which one repeats; half of them, at most, are of two pictures
-_COMBED, _STRAY = (
-    12,
-    0.1,
-)  # frames in which something seems to pass that tell; of a phase's usual number, that is none
+_COMBED = 12  # frames in which something seems to pass, from which a pulldown is recognised
+_STRAY = 0.1  # of a phase's usual number of such frames: fewer count as none
 PATTERNS = (2, 3, 4)  # pictures after which a codec's kinds of them repeat, short of key frames
 _REGULAR = 0.7  # share of key frames that must be equally far apart
 _LONGEST_PATTERN = 1 / 8  # of the pictures: images of a line by a longer one are everywhere

@@ -153,7 +153,7 @@ def video_of(out: Path, clip: Clip) -> Path:
 def video_frames_of(out: Path, track: Track) -> list[str] | None:
     """[T] the track's pictures as frames of its video in the dataset; None where they are files.
 
-    So are those that are undistorted, and those of a container that does not tell of every frame.
+    So are those that are undistorted, and those of a container that does not list every frame.
     """
     if not (track.clip.is_coded and track.lens.keeps) or track.clip.is_untimed:
         return None

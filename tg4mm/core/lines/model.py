@@ -153,7 +153,10 @@ def _with(shapes: Sequence[Shape], x: np.ndarray, duration: float) -> list[Shape
 
 
 AROUND = 6  # bins to either side of a line whose residual gives its noise
-_WIDEST, _NARROWEST = 40, 8  # bins to either side that tell the level where lines are looked for
+_WIDEST, _NARROWEST = (
+    40,
+    8,
+)  # bins to either side from which the level is estimated where lines are looked for
 _TRIMMED = 0.2  # of the bins, the strongest: lines that are still there
 _ROUNDING = 1e-14  # of the power
 _CLIPS, _ENOUGH = 8, 20  # times that peaks are left out of the noise; frequencies that a parabola needs

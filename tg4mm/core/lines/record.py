@@ -134,7 +134,7 @@ LONG = 2000  # samples from which on neither slow changes nor beginnings of line
 LEAST_CHANGE = 0.1
 _ALIKE = 6  # components up to which their correlation is taken out
 _TINY = 1e-12
-_NEXT = 4  # of a modulation's cosines that tell the slowest one
+_NEXT = 4  # of a modulation's cosines from which the slowest one is estimated
 _KNOWN = 1000  # degrees of freedom of a level that is known from elsewhere
 
 

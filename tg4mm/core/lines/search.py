@@ -177,8 +177,8 @@ def without_between(
 ) -> tuple[Record, list[Shape], bool] | None:
     """Return the record without B-frames, its lines, and whether the B-frames differ from it.
 
-    shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot tell
-    a line from its mirror image, or from another of which nothing says that one is a sideband.
+    shapes: by falling strength. between [T] bool. None where all pictures count: the others are too few, or cannot
+    separate a line from its mirror image, or from another where nothing shows that one is a sideband.
     """
     forward = np.flatnonzero(~between)
     if len(forward) < max(FEWEST, 6 * len(shapes) + 8) or not between.any() or not shapes:

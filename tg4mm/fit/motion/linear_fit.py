@@ -98,11 +98,11 @@ class LinearFit:
         with progress(label, len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
 
-                def tell(done: int, residual: float, k: int = k) -> None:
+                def report(done: int, residual: float, k: int = k) -> None:
                     update(k * iterations + done, residual=round(residual, 4))
 
                 bounds = norms if norms is None or operator.is_coupled else norms[some]
-                yield some, pcg(operator, sides(some), iterations, self.config.tolerance, bounds, tell)
+                yield some, pcg(operator, sides(some), iterations, self.config.tolerance, bounds, report)
 
     def _first(self, p: int, iterations: int) -> Arrays:
         fold = self.folds[p]

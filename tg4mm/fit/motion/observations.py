@@ -35,7 +35,7 @@ PIXELS = 6e8  # times pictures, that are read as they are: about a minute of two
 PICTURE = 1920 * 1080  # pixels of one picture, likewise: more add little for the number of Gaussians
 _SHORTEST = 270  # pixels along a side, which are never made fewer
 _AROUND = 16  # pixels at least
-_SAMPLED = 16  # pictures that tell how fine the texture is
+_SAMPLED = 16  # pictures from which the fineness of the texture is estimated
 SHOWN = 50_000_000  # pixels, which take some seconds
 Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
 
@@ -171,7 +171,7 @@ def masked(observations: Observations, masks: np.ndarray) -> Observations:
 
 
 def check_shows_motion(capture: Capture) -> None:
-    """Raise CaptureError where pictures are too few (`frames_of`), or too short a record to tell any frequency."""
+    """Raise CaptureError where pictures are too few (`frames_of`), or the record too short for any frequency."""
     clock, frames = frames_of(capture)
     longest = max(len(f.rows) for f in frames)
     if clock != Clock.moving and longest < FEWEST_FRAMES:

@@ -195,7 +195,7 @@ def _by_the_pictures(model: TemporalModel, p: int, fields: np.ndarray, some: sli
 
 
 def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
-    """None where it was not asked for, or cameras are too few to tell it from noise."""
+    """None where it was not asked for, or cameras are too few to separate it from noise."""
     is_observable = len(model.problem.views) >= LEAST and len(model.folds) == 2
     if not (model.separates and model.config.appearance and is_observable):
         return None

@@ -16,7 +16,7 @@ from tg4mm.fit.gaussians import Gaussians
 WHITE = 1.0
 NEAR, FAR, EPS2D = 0.01, 1e10, 0.3  # gsplat's defaults, of a scene that is DISTANCE away
 DISTANCE = 4.0  # scene units, NeRF-synthetic's from the cameras to what they look at
-_LOOKED_AT = 4096  # Gaussians, at least, that tell how far the scene is
+_LOOKED_AT = 4096  # Gaussians, at least, from which the distance of the scene is estimated
 
 
 def near_plane(means: Tensor | np.ndarray, viewmat: Tensor | np.ndarray) -> float:

@@ -365,11 +365,11 @@ class GaussNewton:
         with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
 
             def step(state: GaussNewtonState, k: int) -> tuple[GaussNewtonState, float]:
-                def tell(done: int, **figures: Any) -> None:
+                def report(done: int, **figures: Any) -> None:
                     update(k * units + done, iteration=k + 1, **figures)
 
                 name = Step.gauss_newton.numbered(k)
-                new = checkpoint(name, lambda: self._iterated(state, k, tell).arrays())
+                new = checkpoint(name, lambda: self._iterated(state, k, report).arrays())
                 new_state = GaussNewtonState.restored(new)
                 return new_state, new_state.errors.changes
 
@@ -380,20 +380,20 @@ class GaussNewton:
         """Steps of refining that an iteration of conjugate gradients takes."""
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
 
-    def _iterated(self, state: GaussNewtonState, k: int, tell: Callable[..., None]) -> GaussNewtonState:
+    def _iterated(self, state: GaussNewtonState, k: int, report: Callable[..., None]) -> GaussNewtonState:
         """Return the state after one iteration, motion and then scene at rest; the same if neither step helps."""
-        new, weight = self._solved(state, tell)
+        new, weight = self._solved(state, report)
         for length in (1.0, 0.5):
             stepped = (state.fold_fields + np.float32(length) * (new - state.fold_fields)).astype(np.float32)
             fields, _ = wiener_shrink(stepped)
             errors = self.observed.residuals(state.gaussians, fields, self.device)[1]
             if errors.changes < state.errors.changes:
-                gaussians, after = self._refined(state.gaussians, fields, errors, k, tell)
+                gaussians, after = self._refined(state.gaussians, fields, errors, k, report)
                 return GaussNewtonState(gaussians, stepped, weight, after)
         return state
 
     def _refined(
-        self, gaussians: Gaussians, fields: np.ndarray, errors: Errors, k: int, tell: Callable[..., None]
+        self, gaussians: Gaussians, fields: np.ndarray, errors: Errors, k: int, report: Callable[..., None]
     ) -> tuple[Gaussians, Errors]:
         """The scene at rest for this motion; the one before stays where it shows the pictures better."""
         if not self.refining:
@@ -401,12 +401,12 @@ class GaussNewton:
         before = len(self.folds) * self.iterations * self._costs
         new = refine_rest_scene(
             gaussians, self.observed.moved(fields), self.refining, self.config.seed + k, self.device,
-            lambda done: tell(before + done),
+            lambda done: report(before + done),
         )  # fmt: skip
         after = self.observed.residuals(new, fields, self.device)[1]
         return (new, after) if after.is_no_larger(errors) else (gaussians, errors)
 
-    def _solved(self, state: GaussNewtonState, tell: Callable[..., None]) -> tuple[np.ndarray, float]:
+    def _solved(self, state: GaussNewtonState, report: Callable[..., None]) -> tuple[np.ndarray, float]:
         """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
         views = rest_views(state.gaussians, self.observations)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
@@ -426,7 +426,7 @@ class GaussNewton:
             operator, b = coupled_operator(problem, self.at_rest, points, fold, weight, targets)
 
             def update(done: int, residual: float, p: int = p) -> None:
-                tell((p * self.iterations + done) * self._costs, residual=round(residual, 4))
+                report((p * self.iterations + done) * self._costs, residual=round(residual, 4))
 
             solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
             solved.append(operator.fields(solution.theta))

@@ -8,7 +8,7 @@ import torch
 
 from tg4mm.fit.motion.solver.operator import Array, System
 
-_EXACT = 1e-12  # squared relative residual: what float32 can tell; going on would only add up rounding, and diverge
+_EXACT = 1e-12  # squared relative residual: the limit of float32; further iterations only add up rounding, and diverge
 
 
 @dataclass(frozen=True)
