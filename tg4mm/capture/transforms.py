@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 SPLITS = ("train", "test", "val")
 UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
-_USUAL = 90  # percentile of the differences of times: that of a step, where cameras film together
+_TYPICAL = 90  # percentile of the differences of times: that of a step, where cameras film together
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _uneven(times: np.ndarray, moments: np.ndarray, fps: float) -> tuple[np.ndar
     Cameras that film together differ by less than half a step: that is one timestep.
     """
     steps = np.diff(moments)
-    is_next = np.concatenate([[False], steps > np.percentile(steps, _USUAL) / 2])
+    is_next = np.concatenate([[False], steps > np.percentile(steps, _TYPICAL) / 2])
     number = np.cumsum(is_next)
     first = moments[np.concatenate([[True], is_next[1:]])]
     seconds = (times - moments[0]) / float(np.median(np.diff(first))) / fps

@@ -14,7 +14,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.options import unknown
 from tg4mm.fit.device import check_device
 from tg4mm.fit.motion.config import asked_band
-from tg4mm.fit.motion.observations import check_band_told, check_shows_motion
+from tg4mm.fit.motion.observations import check_band_resolved, check_shows_motion
 from tg4mm.run import Run
 from tg4mm.run.config import work_folder
 from tg4mm.run.preset import asked_masks, preset_named
@@ -71,7 +71,7 @@ def train(
     if capture.n_timesteps > 1 and "motion" in configs:
         check_shows_motion(capture)
         if (band := asked_band(getattr(configs["motion"], "band", ""), capture.fps)) is not None:
-            check_band_told(band, capture.n_timesteps / capture.fps)
+            check_band_resolved(band, capture.n_timesteps / capture.fps)
     with work_folder(run_path).held("trains it"):
         return _train(Path(run_path), capture, preset, configs, device)
 

@@ -20,7 +20,7 @@ from tg4mm.core.pictures.decode import decode
 from tg4mm.core.progress import few_lines
 from tg4mm.core.untrusted import read_json
 from tg4mm.core.work_folder import Say, Step, WorkFolder, run_steps
-from tg4mm.fit.motion.observations import check_band_told, frames_of
+from tg4mm.fit.motion.observations import check_band_resolved, frames_of
 from tg4mm.run import Run
 from tg4mm.run.train import train
 from tg4mm.show.analyse.channel import AnalyseError
@@ -258,7 +258,7 @@ def _check_options(dataset: Path, options: ProcessOptions) -> None:
     if options.band is not None:
         check_band(options.band, capture.fps)
         if capture.n_timesteps > 1:
-            check_band_told(options.band, capture.n_timesteps / capture.fps)
+            check_band_resolved(options.band, capture.n_timesteps / capture.fps)
     cameras = [frame.name for frame in frames_of(capture)[1]] if capture.n_timesteps > 1 else []
     for sensor in _sensors(dataset, options) if cameras else []:
         if sensor.region in OF_PICTURE:

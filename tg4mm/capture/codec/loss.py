@@ -145,11 +145,11 @@ def _tested(
                 break
             length = int(np.clip(needed, length, len(times)))
         for k, result in zip(group, results, strict=True):
-            found[k] = [_told(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
+            found[k] = [_loss(gain, float(np.hypot(SCATTER * error, BESIDE))) for gain, error in result]
     return found
 
 
-def _told(gain: float, deviation: float) -> Loss:
+def _loss(gain: float, deviation: float) -> Loss:
     if gain >= LOST:
         return Loss(gain, deviation)
     kept = max(gain, 0.0)

@@ -80,7 +80,7 @@ def check_usable(surveys: Iterable[Survey], fixed: bool) -> None:
         if fixed and not is_fixed(survey):
             raise CaptureError(f"{survey.path}: {_moves(survey)}; for a moving camera use --kind handheld")
         if found.faults:
-            raise CaptureError(f"{survey.path}: {_told(survey, found)}")
+            raise CaptureError(f"{survey.path}: {_fault_text(survey, found)}")
         fewest = FEWEST_FRAMES if fixed else FEWEST_MOVING
         if len(survey) < fewest:
             raise CaptureError(
@@ -162,7 +162,7 @@ def _moves(survey: Survey) -> str:
     return f"is no fixed camera: its picture moves by {away:.0f} pixels"
 
 
-def _told(survey: Survey, found: Stretches) -> str:
+def _fault_text(survey: Survey, found: Stretches) -> str:
     listed = [_fault(survey, *fault) for fault in found.faults[:NAMED]]
     if len(found.faults) > NAMED:
         listed.append(f"{len(found.faults) - NAMED} more such places")

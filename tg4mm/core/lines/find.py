@@ -299,12 +299,12 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
 def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
     """Return the significant lines, with their decays tested."""
     shapes = _settled(record, shapes)
-    while shapes and (kept := _told(record, shapes)) != shapes:
+    while shapes and (kept := _without_most_doubtful(record, shapes)) != shapes:
         shapes = _settled(record, kept)
     return shapes
 
 
-def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
+def _without_most_doubtful(record: Record, shapes: list[Shape]) -> list[Shape]:
     """Return all but the weakest line that may be noise, a leftover of a stronger line, or part of its neighbour."""
     phasors, residual = solved(shapes, record.t, record.y)
     levels = record.levels(shapes, residual)

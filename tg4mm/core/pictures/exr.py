@@ -34,7 +34,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def _header(path: Path) -> tuple[int, int, list[str]]:
-    with _opened(path, header_only=True) as file, _damage_told(path):
+    with _opened(path, header_only=True) as file, _damage_as_capture_error(path):
         header = file.header()
         first, last = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
         if not np.array_equal(header["dataWindow"], header["displayWindow"]) or first.any():
@@ -92,7 +92,7 @@ def channels(path: Path, names: Sequence[str], wanted: tuple[int, int] | None = 
 
 def stored(path: Path) -> dict[str, np.ndarray]:
     """Return the channels [H, W] of a picture by name, as they are. Raises CaptureError as `linear` does."""
-    with _opened(path, header_only=False) as file, _damage_told(path):
+    with _opened(path, header_only=False) as file, _damage_as_capture_error(path):
         return {name: channel.pixels for name, channel in file.channels().items()}
 
 
@@ -118,12 +118,12 @@ def _channels(path: Path, names: list[str]) -> tuple[tuple[str, str, str], str |
 
 
 def _opened(path: Path, header_only: bool) -> Any:
-    with _damage_told(path):
+    with _damage_as_capture_error(path):
         return _package(path).File(str(path), separate_channels=True, header_only=header_only)
 
 
 @contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
+def _damage_as_capture_error(path: Path) -> Iterator[None]:
     """Convert the package's exceptions for damaged, foreign or missing files to CaptureError."""
     try:
         yield

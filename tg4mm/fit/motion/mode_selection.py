@@ -46,7 +46,7 @@ def peaks(
         trend = np.exp(floor + max(_STANDS_OUT * spread, np.log(_ABOVE_TREND)))
         least[is_able] = np.maximum(trend, np.maximum(least[is_able], _ABOVE_FLOOR * float(np.median(able))))
     elif noise is not None:
-        least = np.maximum(least, np.sqrt(2 * _usual_power(noise)))
+        least = np.maximum(least, np.sqrt(2 * _typical_power(noise)))
     strongest_first = np.argsort(rms)[::-1]
     hz = np.asarray(motion.freqs_hz, np.float64)[strongest_first]
     apart = _APART * lowest_hz / 2
@@ -97,11 +97,11 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
     total = float(power[oscillates].sum())
     allowed = _OF_MOTION * total
     if noise is not None and len(noise):
-        allowed = max(_ROUNDING * total, _usual_power(noise))
+        allowed = max(_ROUNDING * total, _typical_power(noise))
     return all_but_weakest(power, oscillates, allowed)
 
 
-def _usual_power(noise: np.ndarray) -> float:
+def _typical_power(noise: np.ndarray) -> float:
     """Mean square of noise [N], stray Gaussians held to what the others have."""
     usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
     return float((usual**2).mean())

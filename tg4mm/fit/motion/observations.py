@@ -181,7 +181,7 @@ def check_shows_motion(capture: Capture) -> None:
         )
 
 
-def check_band_told(band: Sequence[float], duration_s: float) -> None:
+def check_band_resolved(band: Sequence[float], duration_s: float) -> None:
     """Raise CaptureError for a band (low, high) in Hz of which a record holds less than half a period."""
     lowest = LEAST_PERIODS / duration_s
     if band[1] < lowest:

@@ -12,7 +12,7 @@ from tg4mm.core.magnification import check_band
 from tg4mm.core.progress import progress
 from tg4mm.core.regions import Scale
 from tg4mm.fit.motion.config import asked_band
-from tg4mm.fit.motion.observations import check_band_told
+from tg4mm.fit.motion.observations import check_band_resolved
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
@@ -121,7 +121,7 @@ def measure(
     observations = scene.observations
     asked = band or asked_band(scene.fit.config.band, observations.fps)
     if asked is not None:
-        check_band_told(check_band(asked, observations.fps), observations.duration_s)
+        check_band_resolved(check_band(asked, observations.fps), observations.duration_s)
         results = [r.with_(band=asked) for r in results]
     results = with_losses(scene, results)
     first = reference or names[0]

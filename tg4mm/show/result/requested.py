@@ -7,7 +7,7 @@ import numpy as np
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.mode_selection import worth_keeping
-from tg4mm.fit.motion.observations import check_band_told
+from tg4mm.fit.motion.observations import check_band_resolved
 from tg4mm.run import Run
 from tg4mm.run.preset import method_of
 from tg4mm.show.result.model import Band, Result, with_deviation
@@ -44,7 +44,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
         return
     plan.checked(motion.fps)
     for band in plan.bands:
-        check_band_told(band.band, motion.n_timesteps / motion.fps)
+        check_band_resolved(band.band, motion.n_timesteps / motion.fps)
     freqs = motion.freqs_hz[worth_keeping(motion, run.load_noise()) & motion.is_magnified()]
     is_modal = method_of(run, plan) == "modal"
     for band in plan.bands:

@@ -163,7 +163,7 @@ class MovingCamera(SinusoidalModel):
         notes = [*model.notes]
         if not is_determined.all():
             figures["undetermined_hz"] = [round(float(f), 4) for f in model.hz[~is_determined]]
-            notes += _not_told(model.hz, is_determined, model.is_asked)
+            notes += _undetermined_notes(model.hz, is_determined, model.is_asked)
         is_determined = is_determined | model.is_asked
         kept = (r.squares for r, stays in zip(readings, is_determined, strict=True) if stays)
         ambiguity = sum(kept, np.zeros(len(model.gaussians)))
@@ -186,7 +186,7 @@ class MovingCamera(SinusoidalModel):
         ]
 
 
-def _not_told(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.ndarray) -> list[str]:
+def _undetermined_notes(hz: np.ndarray, is_determined: np.ndarray, is_asked: np.ndarray) -> list[str]:
     """Return notes on frequencies [K] whose motion may be the camera's; those in the requested band stay."""
     out = []
     for some, what in (
