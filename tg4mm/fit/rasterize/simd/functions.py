@@ -5,8 +5,6 @@ import math
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import lower_builtin
 
 from tg4mm.fit.rasterize.simd.vector import (
     FV,
@@ -18,6 +16,7 @@ from tg4mm.fit.rasterize.simd.vector import (
     has_avx512,
     instruction,
     of_lanes,
+    register,
     vector,
 )
 
@@ -93,12 +92,7 @@ def exp2(context, builder, sig, args):
     return _exp2_series(builder, args[0], series)
 
 
-def _square_root(context, builder, sig, args):
-    """Rounded as it should be."""
-    return of_lanes(builder, "sqrt", *args)
-
-
-def _logarithm(context, builder, sig, args):
+def _logarithm(builder, x):
     """The logarithm of positive normal numbers; error below 2e-7 of it.
 
     n ln 2 + ln(1 + f) with x = 2^n (1 + f), √½ <= 1 + f < √2, a polynomial for the latter.
@@ -107,7 +101,7 @@ def _logarithm(context, builder, sig, args):
     def of(kind, number):
         return ir.Constant(kind, [ir.Constant(kind.element, number)] * LANES)
 
-    x = builder.bitcast(args[0], IV)
+    x = builder.bitcast(x, IV)
     n = builder.ashr(builder.sub(x, of(IV, _HALF_ROOT)), of(IV, 23))
     f = builder.bitcast(builder.sub(x, builder.shl(n, of(IV, 23))), FV)
     f, n = builder.fsub(f, of(FV, 1.0)), builder.sitofp(n, FV)
@@ -121,23 +115,10 @@ def _logarithm(context, builder, sig, args):
     return of_lanes(builder, "fmuladd", n, of(FV, _LN2), builder.fadd(small, f))
 
 
-def _whole(name):
-    def lower(context, builder, sig, args):
-        """Whole numbers as float32."""
-        return of_lanes(builder, name, *args)
-
-    return lower
-
-
 for _function, _lower in (
-    (math.sqrt, _square_root),
+    (math.sqrt, lambda b, x: of_lanes(b, "sqrt", x)),  # rounded as it should be
     (math.log, _logarithm),
-    (math.ceil, _whole("ceil")),
-    (math.floor, _whole("floor")),
+    (math.ceil, lambda b, x: of_lanes(b, "ceil", x)),  # whole numbers as float32
+    (math.floor, lambda b, x: of_lanes(b, "floor", x)),
 ):
-
-    @infer_global(_function)
-    class _OfVectors(ConcreteTemplate):
-        cases = [signature(vector, vector)]  # noqa: RUF012
-
-    lower_builtin(_function, vector)(_lower)
+    register(_function, [(vector, vector)], _lower)

@@ -124,66 +124,43 @@ def _widest(*kinds):
     return found.pop() if len(found) == 1 else None
 
 
-def _register(op, compares, emit):
+def register(op, of_types, emit):
+    """Let kernels call `op` on vectors: `emit` makes its code, for each of the types (result, arguments …)."""
+
     @infer_global(op)
     class _Operator(ConcreteTemplate):
-        cases = [  # noqa: RUF012
-            signature(mask_of[kind] if compares else kind, a, b)
-            for kind in mask_of
-            for a, b in ((kind, kind), (kind, types.float32), (types.float32, kind))
-        ]
+        cases = [signature(*case) for case in of_types]  # noqa: RUF012
 
-    for case in _Operator.cases:
+    for _, *arguments in of_types:
 
-        @lower_builtin(op, *case.args)
+        @lower_builtin(op, *arguments)
         def lower(context, builder, sig, args):
             lanes = sig.return_type.lanes
             return emit(builder, *(_as_vector(builder, x, lanes) for x in args))
 
 
-_register(operator.add, False, lambda b, x, y: b.fadd(x, y))
-_register(operator.sub, False, lambda b, x, y: b.fsub(x, y))
-_register(operator.mul, False, lambda b, x, y: b.fmul(x, y))
+_ONE = [(kind, kind) for kind in mask_of]
+_TWO = [
+    (kind, *two) for kind in mask_of for two in ((kind, kind), (kind, types.float32), (types.float32, kind))
+]
+_COMPARED = [(mask_of[kind], *two) for kind, *two in _TWO]
+register(operator.add, _TWO, lambda b, x, y: b.fadd(x, y))
+register(operator.sub, _TWO, lambda b, x, y: b.fsub(x, y))
+register(operator.mul, _TWO, lambda b, x, y: b.fmul(x, y))
 # a reciprocal with one step of Newton's method where the processor has one: 1 to 2 units in the last place
-_register(
-    operator.truediv, False, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan", "contract"))
+register(
+    operator.truediv, _TWO, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan", "contract"))
 )
-_register(min, False, lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
-_register(max, False, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
-_register(operator.gt, True, lambda b, x, y: b.fcmp_ordered(">", x, y))
-_register(operator.ge, True, lambda b, x, y: b.fcmp_ordered(">=", x, y))
-_register(operator.lt, True, lambda b, x, y: b.fcmp_ordered("<", x, y))
-_register(operator.le, True, lambda b, x, y: b.fcmp_ordered("<=", x, y))
-_register(operator.eq, True, lambda b, x, y: b.fcmp_ordered("==", x, y))
-
-
-def _register_one(op, emit):
-    @infer_global(op)
-    class _Operator(ConcreteTemplate):
-        cases = [signature(kind, kind) for kind in mask_of]  # noqa: RUF012
-
-    for kind in mask_of:
-
-        @lower_builtin(op, kind)
-        def lower(context, builder, sig, args):
-            return emit(builder, args[0])
-
-
-_register_one(operator.neg, lambda b, x: b.fneg(x))
-_register_one(abs, lambda b, x: of_lanes(b, "fabs", x))
-
-
-@infer_global(operator.and_)
-class _And(ConcreteTemplate):
-    cases = [signature(kind, kind, kind) for kind in mask_of.values()]  # noqa: RUF012
-
-
-def _and(context, builder, sig, args):
-    return builder.and_(*args)
-
-
-for _kind in mask_of.values():
-    lower_builtin(operator.and_, _kind, _kind)(_and)
+register(min, _TWO, lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
+register(max, _TWO, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
+register(operator.gt, _COMPARED, lambda b, x, y: b.fcmp_ordered(">", x, y))
+register(operator.ge, _COMPARED, lambda b, x, y: b.fcmp_ordered(">=", x, y))
+register(operator.lt, _COMPARED, lambda b, x, y: b.fcmp_ordered("<", x, y))
+register(operator.le, _COMPARED, lambda b, x, y: b.fcmp_ordered("<=", x, y))
+register(operator.eq, _COMPARED, lambda b, x, y: b.fcmp_ordered("==", x, y))
+register(operator.neg, _ONE, lambda b, x: b.fneg(x))
+register(abs, _ONE, lambda b, x: of_lanes(b, "fabs", x))
+register(operator.and_, [(kind, kind, kind) for kind in mask_of.values()], lambda b, x, y: b.and_(x, y))
 
 
 def declare(builder, name, result, arguments):
