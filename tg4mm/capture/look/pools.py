@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tg4mm.capture.look.baseline import QUANTISED
 from tg4mm.capture.look.scene import Scene
 from tg4mm.capture.look.spectra import noise_floor, spectrum, without
 
@@ -30,6 +31,7 @@ class AggregationWindow:
     floor: np.ndarray  # [K, M] noise power
     freedom: np.ndarray  # [K]
     raised: np.ndarray  # [K, M] factors of the floor where something wanders
+    least: np.ndarray  # [M] noise power of rounding to grey levels
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -38,7 +40,7 @@ class AggregationWindow:
         """Recompute the spectrum and the noise floor of the residual."""
         self.amplitudes = spectrum(self.residual, times_s)[1]
         floor, self.freedom = noise_floor(np.abs(self.amplitudes) ** 2)
-        self.floor = floor * self.raised
+        self.floor = np.maximum(floor, self.least) * self.raised
 
     def statistics(self) -> np.ndarray:
         """[K, P]: power over noise, summed over both axes; half of χ² of 4 degrees of freedom where nothing moves."""
@@ -124,6 +126,10 @@ def _pool(scene: Scene, size: int) -> AggregationWindow:
     )
     motion = mean / np.where(resolved, determinant, 1)[..., None]
     axes = np.linalg.eigh(whole[good])[1][..., ::-1]
+    # Where a codec repeats pixels bit for bit no noise is seen, but a shift is known no better than by rounding.
+    typical = np.maximum(np.median(scene.series.misfit, 0), QUANTISED)
+    rounded = np.linalg.inv(boxes(flat * (typical / QUANTISED)[:, None]).reshape(-1, 2, 2)[good])
+    least = 4 / frames * np.einsum("cia,cij,cja->ca", axes, rounded, axes).ravel()
     resolved = np.broadcast_to(resolved, motion.shape[:2])
     along = np.einsum("kci,cij->kcj", np.where(resolved[..., None], motion, 0), axes).reshape(frames, -1)
     gaps = None if resolved.all() else np.repeat(resolved, 2, 1)
@@ -134,7 +140,7 @@ def _pool(scene: Scene, size: int) -> AggregationWindow:
     empty = np.zeros((0, 0))
     pool = AggregationWindow(
         *(size, corner, centre, axes, resolved.mean(0), None if gaps is None else gaps.astype(float)),
-        *(series, series.copy(), empty, empty, np.zeros(0), np.ones((1, 1))),
+        *(series, series.copy(), empty, empty, np.zeros(0), np.ones((1, 1)), least),
     )
     if len(pool):
         pool.update(scene.times_s)
