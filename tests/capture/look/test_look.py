@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skimage import data
 
 from benchmarks.calibration.film import Coding, Film, Layer, Mode, sliding, texture, write_video
 from tg4mm.capture.look import Picture, look, look_at_pictures
@@ -67,6 +68,23 @@ def test_before_an_overexposed_wall_a_plate_vibrates_or_stands(vibrates):
     found = look_at_pictures((replace(p, grey=np.where(wall, 255, p.grey)) for p in pictures(made)), "a film")
     assert found.movers == ()
     assert [round(line.hz, 2) for line in found.vibrations] == ([5.14] if vibrates else [])
+
+
+@pytest.mark.parametrize("size_px", [0.5, 0.0])
+def test_a_still_wall_that_the_codec_skips_does_not_outvote_the_plate(tmp_path, size_px):
+    """Its cells repeat bit for bit, so their measured noise is nearly zero."""
+    wall, plate = data.camera()[100:244, 150:342].astype(float), data.gravel()[:144, :192]
+    rng, spectrum, frequencies = np.random.default_rng(1), np.fft.fft(plate), np.fft.fftfreq(192)
+    frames = np.repeat(wall[None], 129, 0)
+    for k, frame in enumerate(frames):
+        turn = np.exp(-2j * np.pi * frequencies * size_px * np.sin(2 * np.pi * 8.29 * k / 24))
+        moved = np.fft.ifft(spectrum * turn).real + 0.3 * rng.normal(size=plate.shape)
+        frame[36:108, 48:144] = moved[36:108, 48:144]
+    coding = Coding("libx264", 0, 250, crf=20, preset="medium")
+    write_video(tmp_path / "a.mp4", np.clip(np.rint(frames), 0, 255).astype(np.uint8), 24, coding)
+    found = look(tmp_path / "a.mp4")
+    assert [round(line.hz, 1) for line in found.vibrations] == ([8.3] if size_px else [])
+    assert found.smallest[0].best_px > 1e-4  # rounding alone hides less
 
 
 def test_of_noise_nothing_is_named():

@@ -40,7 +40,12 @@ class AggregationWindow:
         """Recompute the spectrum and the noise floor of the residual."""
         self.amplitudes = spectrum(self.residual, times_s)[1]
         floor, self.freedom = noise_floor(np.abs(self.amplitudes) ** 2)
-        self.floor = np.maximum(floor, self.least) * self.raised
+        self.floor = floor * self.raised
+
+    @property
+    def sure_floor(self) -> np.ndarray:
+        """[K, M]: the noise floor, no lower than that of rounding."""
+        return np.maximum(self.floor, self.least)
 
     def statistics(self) -> np.ndarray:
         """[K, P]: power over noise, summed over both axes; half of χ² of 4 degrees of freedom where nothing moves."""

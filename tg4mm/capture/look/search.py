@@ -73,7 +73,7 @@ class Search:
         out = []
         for pool in self.pools:
             cut = 2 * stats.f.isf(CHANCE / max(self._tests, 1), 4, pool.freedom[self.allowed])
-            needed = np.sqrt(cut[:, None] * pool.floor[self.allowed][:, ::2])
+            needed = np.sqrt(cut[:, None] * pool.sure_floor[self.allowed][:, ::2])
             if needed.size:
                 of_place = np.median(needed, 0)
                 across = pool.size * self.scene.grid.size
@@ -183,7 +183,7 @@ class Search:
         columns = np.stack([2 * places, 2 * places + 1], 1).ravel()
         basis = vibration.columns(self.times)
         fit = cells.in_picture(cells.fitted(basis, cells.residual[:, columns], columns), places)
-        precision = 2 / (len(self.times) * cells.floor[row, columns].reshape(-1, 2))
+        precision = 2 / (len(self.times) * cells.sure_floor[row, columns].reshape(-1, 2))
         axes = cells.axes[places]
         weights = np.einsum("cxa,ca,cya->cxy", axes, precision, axes)
         products = basis.T @ basis
